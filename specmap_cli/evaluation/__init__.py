@@ -1,0 +1,1 @@
+"""Simulated logs, scores and protocols."""

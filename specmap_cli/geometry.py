@@ -1,0 +1,132 @@
+"""Rigid motions of the plane and of space.
+
+`a_from_b` maps coordinates in frame b to coordinates in frame a, so that
+`a_from_c = a_from_b @ b_from_c`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def wrap_angle(angle: float) -> float:
+    """The same angle in [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def wrap_angles(angles: NDArray[Any]) -> FloatArray:
+    """The same angles in [-pi, pi), elementwise."""
+    return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi, dtype=np.float64)
+
+
+class Pose2(NamedTuple):
+    """A rigid motion of the plane: metres and radians."""
+
+    x: float
+    y: float
+    theta: float
+
+    def __matmul__(self, other: Pose2) -> Pose2:
+        """Composition: `a_from_b @ b_from_c`."""
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return Pose2(
+            self.x + c * other.x - s * other.y,
+            self.y + s * other.x + c * other.y,
+            wrap_angle(self.theta + other.theta),
+        )
+
+    def inverse(self) -> Pose2:
+        """`b_from_a` of `a_from_b`."""
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return Pose2(-c * self.x - s * self.y, s * self.x - c * self.y, wrap_angle(-self.theta))
+
+    def apply(self, points: NDArray[Any]) -> FloatArray:
+        """Points (N, 2) of frame b in frame a."""
+        return np.asarray(points @ self.rotation().T + (self.x, self.y), dtype=np.float64)
+
+    def rotation(self) -> FloatArray:
+        """The rotation matrix (2, 2)."""
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return np.array([[c, -s], [s, c]])
+
+    def matrix(self) -> FloatArray:
+        """The homogeneous matrix (4, 4) of the same motion in space, z, roll and pitch zero."""
+        matrix = np.eye(4)
+        matrix[:2, :2] = self.rotation()
+        matrix[0, 3], matrix[1, 3] = self.x, self.y
+        return matrix
+
+    @property
+    def distance(self) -> float:
+        """Length of the translation, metres."""
+        return math.hypot(self.x, self.y)
+
+    @classmethod
+    def from_matrix(cls, matrix: NDArray[Any]) -> Pose2:
+        """The motion of the plane in a homogeneous matrix (4, 4): its x, y and yaw."""
+        return cls(float(matrix[0, 3]), float(matrix[1, 3]), yaw_of(matrix))
+
+
+IDENTITY = Pose2(0.0, 0.0, 0.0)
+
+
+def compose(a_from_b: NDArray[Any], b_from_c: NDArray[Any]) -> FloatArray:
+    """Composition of arrays of poses (..., 3), broadcasting."""
+    a, b = np.asarray(a_from_b, dtype=np.float64), np.asarray(b_from_c, dtype=np.float64)
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        [
+            a[..., 0] + c * b[..., 0] - s * b[..., 1],
+            a[..., 1] + s * b[..., 0] + c * b[..., 1],
+            wrap_angles(a[..., 2] + b[..., 2]),
+        ],
+        axis=-1,
+    )
+
+
+def invert(a_from_b: NDArray[Any]) -> FloatArray:
+    """Inverses of an array of poses (..., 3)."""
+    a = np.asarray(a_from_b, dtype=np.float64)
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        [
+            -c * a[..., 0] - s * a[..., 1],
+            s * a[..., 0] - c * a[..., 1],
+            wrap_angles(-a[..., 2]),
+        ],
+        axis=-1,
+    )
+
+
+def yaw_of(matrix: NDArray[Any]) -> float:
+    """Yaw of a rotation held in the upper left (3, 3) of a matrix, radians."""
+    return math.atan2(float(matrix[1, 0]), float(matrix[0, 0]))
+
+
+def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
+    """Rotation matrix (3, 3) of a quaternion of any positive length; a zero one is the identity."""
+    n = x * x + y * y + z * z + w * w
+    if not n > 0.0 or not math.isfinite(n):
+        return np.eye(3)
+    s = 2.0 / n
+    return np.array(
+        [
+            [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+            [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
+            [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_rotation(rotation: NDArray[Any]) -> tuple[float, float, float, float]:
+    """Unit quaternion (x, y, z, w), w >= 0, of a rotation matrix (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(np.asarray(rotation)[:3, :3]).as_quat(canonical=True)
+    return float(x), float(y), float(z), float(w)

@@ -1,0 +1,254 @@
+"""Occupancy grids: integrating scans by hit and miss counts, casting virtual scans.
+
+`OccupancyGrid` grows while scans come in; `GridMap` is the immutable trinary picture of it that
+segmentation, recognition and the matcher work on, and that an existing map file is read into.
+Cell (row, column) covers [x0 + column r, x0 + (column + 1) r) x [y0 + row r, y0 + (row + 1) r):
+row 0 is the lowest y.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.config import GridConfig
+from specmap_cli.geometry import FloatArray, Pose2
+from specmap_cli.records import PlanarScan
+
+FREE, OCCUPIED, UNKNOWN = 0, 1, 2
+CellArray = NDArray[np.uint8]
+BoolArray = NDArray[np.bool_]
+
+_SUBPIXEL_BITS = 4
+_GROWTH_CELLS = 128
+
+
+@dataclass(frozen=True, slots=True)
+class GridMap:
+    """A trinary grid: `cells` (H, W) FREE, OCCUPIED or UNKNOWN; `origin` its lower left corner."""
+
+    cells: CellArray
+    resolution: float
+    origin: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def free(self) -> BoolArray:
+        """Cells proved free (H, W)."""
+        return np.asarray(self.cells == FREE)
+
+    @property
+    def occupied(self) -> BoolArray:
+        """Cells with an obstacle (H, W)."""
+        return np.asarray(self.cells == OCCUPIED)
+
+    @property
+    def free_area_m2(self) -> float:
+        """Area of the free cells."""
+        return float(np.count_nonzero(self.cells == FREE)) * self.resolution**2
+
+    def cells_of(self, points: NDArray[Any]) -> NDArray[np.intp]:
+        """(N, 2) row and column of the cell of each point (N, 2); may lie outside the grid."""
+        column_row = np.floor((np.asarray(points) - self.origin) / self.resolution)
+        return column_row[:, ::-1].astype(np.intp)
+
+    def centres_of(self, cells: NDArray[Any]) -> FloatArray:
+        """(N, 2) x and y of the centres of cells given by row and column (N, 2)."""
+        return np.asarray(
+            (np.asarray(cells)[:, ::-1] + 0.5) * self.resolution + self.origin, dtype=np.float64
+        )
+
+    def inside(self, cells: NDArray[Any]) -> BoolArray:
+        """Which of the cells (N, 2) lie on the grid."""
+        rows, columns = np.asarray(cells)[:, 0], np.asarray(cells)[:, 1]
+        height, width = self.cells.shape
+        return np.asarray((rows >= 0) & (columns >= 0) & (rows < height) & (columns < width))
+
+    def values_at(self, points: NDArray[Any]) -> CellArray:
+        """(N,) state of the cell under each point (N, 2); UNKNOWN outside."""
+        cells = self.cells_of(points)
+        inside = self.inside(cells)
+        values = np.full(len(cells), UNKNOWN, dtype=np.uint8)
+        values[inside] = self.cells[cells[inside, 0], cells[inside, 1]]
+        return values
+
+    def obstacle_distance(self) -> FloatArray:
+        """(H, W) metres from each cell's centre to the nearest occupied one's; 1 km without any."""
+        if not self.occupied.any():
+            return np.full(self.cells.shape, 1e3)
+        picture = (self.cells != OCCUPIED).astype(np.uint8)
+        pixels = cv2.distanceTransform(picture, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        return np.asarray(pixels, dtype=np.float64) * self.resolution
+
+    def clearance(self) -> FloatArray:
+        """(H, W) metres from each free cell's centre to the nearest cell that is not free."""
+        padded = np.pad(self.free.astype(np.uint8), 1)
+        pixels = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+        return np.asarray(pixels, dtype=np.float64) * self.resolution
+
+
+class OccupancyGrid:
+    """Hit and miss counts on a grid that grows with what is integrated.
+
+    A cell is occupied when at least `occupied_share` of the scans that saw it ended in it, free
+    when some beam passed through and it is not occupied, and unknown otherwise. A beam without a
+    return proves nothing and carves nothing.
+    """
+
+    def __init__(self, config: GridConfig) -> None:
+        self.config = config
+        self.resolution = config.resolution_m
+        self._corner = (0, 0)  # cell coordinates (column, row) of element [0, 0]
+        self._hits: NDArray[np.int32] = np.zeros((0, 0), dtype=np.int32)
+        self._misses: NDArray[np.int32] = np.zeros((0, 0), dtype=np.int32)
+
+    def integrate(self, scan: PlanarScan, grid_from_laser: Pose2) -> None:
+        """Add one scan taken at `grid_from_laser`: each cell counts once a scan at the most."""
+        returned = np.isfinite(scan.ranges) & (scan.ranges > 0.0)
+        if not returned.any():
+            return
+        ranges = np.where(returned, np.minimum(scan.ranges, self.config.max_range_m), 0.0)
+        bearings = scan.bearings + grid_from_laser.theta
+        ends = np.column_stack([np.cos(bearings), np.sin(bearings)]) * ranges[:, None]
+        ends += (grid_from_laser.x, grid_from_laser.y)
+        cells = ends / self.resolution
+        start = np.array([grid_from_laser.x, grid_from_laser.y]) / self.resolution
+        seen = cells[returned]
+        low = np.floor(np.minimum(seen.min(axis=0), start)).astype(int) - 1
+        high = np.floor(np.maximum(seen.max(axis=0), start)).astype(int) + 2
+        if not self._cover(low, high):
+            return
+        width, height = (high - low).tolist()
+        passed = _carved(cells - low, start - low, returned, width, height, self.config)
+        hit = returned & (scan.ranges <= self.config.max_range_m)
+        columns, rows = np.floor(cells[hit] - low).astype(np.intp).T
+        passed[rows, columns] = 0
+        ended = np.zeros_like(passed)
+        ended[rows, columns] = 1
+        window = self._window(low, high)
+        self._misses[window] += passed
+        self._hits[window] += ended
+
+    def mark_free_disc(self, x: float, y: float, radius: float) -> None:
+        """Count the robot's own footprint as passed through."""
+        centre = np.array([x, y]) / self.resolution
+        reach = radius / self.resolution
+        low = np.floor(centre - reach).astype(int)
+        high = np.floor(centre + reach).astype(int) + 1
+        if not self._cover(low, high):
+            return
+        columns = np.arange(low[0], high[0]) + 0.5 - centre[0]
+        rows = np.arange(low[1], high[1]) + 0.5 - centre[1]
+        self._misses[self._window(low, high)] += (
+            rows[:, None] ** 2 + columns[None, :] ** 2 <= reach**2
+        )
+
+    def snapshot(self) -> GridMap:
+        """The trinary grid as it stands."""
+        seen = self._hits + self._misses
+        cells = np.full(seen.shape, UNKNOWN, dtype=np.uint8)
+        cells[seen > 0] = FREE
+        cells[(self._hits > 0) & (self._hits >= self.config.occupied_share * seen)] = OCCUPIED
+        origin = (self._corner[0] * self.resolution, self._corner[1] * self.resolution)
+        return GridMap(cells, self.resolution, origin)
+
+    def _window(self, low: NDArray[Any], high: NDArray[Any]) -> tuple[slice, slice]:
+        column, row = self._corner
+        return (
+            slice(int(low[1]) - row, int(high[1]) - row),
+            slice(int(low[0]) - column, int(high[0]) - column),
+        )
+
+    def _cover(self, low: NDArray[Any], high: NDArray[Any]) -> bool:
+        """Grow to hold cells low..high; False when that would pass the size limit."""
+        rows, columns = self._hits.shape
+        corner = np.array(self._corner)
+        if rows == 0:
+            new_low, new_high = low - _GROWTH_CELLS // 2, high + _GROWTH_CELLS // 2
+        else:
+            old_high = corner + (columns, rows)
+            if (low >= corner).all() and (high <= old_high).all():
+                return True
+            new_low = np.where(low < corner, low - _GROWTH_CELLS, corner)
+            new_high = np.where(high > old_high, high + _GROWTH_CELLS, old_high)
+        size = new_high - new_low
+        if (size * self.resolution > self.config.max_extent_m).any():
+            return False
+        hits = np.zeros((int(size[1]), int(size[0])), dtype=np.int32)
+        misses = np.zeros_like(hits)
+        if rows:
+            dx, dy = (corner - new_low).tolist()
+            hits[dy : dy + rows, dx : dx + columns] = self._hits
+            misses[dy : dy + rows, dx : dx + columns] = self._misses
+        self._hits, self._misses = hits, misses
+        self._corner = (int(new_low[0]), int(new_low[1]))
+        return True
+
+
+def _carved(
+    ends: FloatArray,
+    start: FloatArray,
+    returned: BoolArray,
+    width: int,
+    height: int,
+    config: GridConfig,
+) -> CellArray:
+    """(height, width) 1 where a beam passed: along it, and between two that met one surface."""
+    picture = np.zeros((height, width), dtype=np.uint8)
+    scale = 1 << _SUBPIXEL_BITS
+    # cv2 counts pixel centres at whole numbers, the grid counts cell corners there
+    fixed = np.round((ends - 0.5) * scale).astype(np.int32)
+    centre = np.round((start - 0.5) * scale).astype(np.int32)
+    beams = np.empty((int(returned.sum()), 2, 2), dtype=np.int32)
+    beams[:, 0], beams[:, 1] = centre, fixed[returned]
+    cv2.polylines(picture, list(beams), False, 1, 1, cv2.LINE_8, _SUBPIXEL_BITS)
+    same = returned[1:] & returned[:-1]
+    same &= np.hypot(*(ends[1:] - ends[:-1]).T) * config.resolution_m <= config.surface_gap_m
+    first = np.flatnonzero(same)
+    if len(first):
+        fans = np.empty((len(first), 3, 2), dtype=np.int32)
+        fans[:, 0], fans[:, 1], fans[:, 2] = centre, fixed[first], fixed[first + 1]
+        for fan in fans:
+            cv2.fillConvexPoly(picture, fan, 1, cv2.LINE_8, _SUBPIXEL_BITS)
+    return picture
+
+
+def cast_ranges(
+    distance: NDArray[Any],
+    grid: GridMap,
+    origins: NDArray[Any],
+    bearings: NDArray[Any],
+    max_range: float,
+) -> FloatArray:
+    """Virtual scans: ranges (N, B) from origins (N, 2) along bearings (B,), +inf past `max_range`.
+
+    `distance` is `grid.obstacle_distance()`; rays step by the free distance they stand on, so the
+    result is exact to about half a cell. Rays that leave the grid return +inf.
+    """
+    origins = np.asarray(origins, dtype=np.float64)
+    directions = np.column_stack([np.cos(bearings), np.sin(bearings)]) / grid.resolution
+    starts = np.repeat((origins - grid.origin) / grid.resolution, len(bearings), axis=0)
+    steps = np.tile(directions, (len(origins), 1))
+    ranges = np.full(len(starts), np.inf)
+    travelled = np.zeros(len(starts))
+    alive = np.arange(len(starts))
+    height, width = distance.shape
+    smallest = 0.5 * grid.resolution
+    for _ in range(math.ceil(max_range / smallest) + 1):
+        position = starts[alive] + steps[alive] * travelled[alive, None]
+        columns, rows = np.floor(position).astype(np.intp).T
+        inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
+        inside &= travelled[alive] <= max_range
+        alive, rows, columns = alive[inside], rows[inside], columns[inside]
+        if not len(alive):
+            break
+        room = distance[rows, columns]
+        stopped = room <= 0.0
+        ranges[alive[stopped]] = travelled[alive[stopped]]
+        alive, room = alive[~stopped], room[~stopped]
+        travelled[alive] += np.maximum(room - grid.resolution, smallest)
+    return ranges.reshape(len(origins), len(bearings))

@@ -1,0 +1,1 @@
+"""Writing and reading map directories, pictures and exports."""

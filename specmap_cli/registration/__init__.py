@@ -1,0 +1,1 @@
+"""Scan registration: from a stream of sweeps to a stream of posed scans."""

@@ -1,0 +1,1 @@
+"""Section II of the paper: free space into submaps by spectral clustering."""

@@ -1,0 +1,1 @@
+"""The graph of submaps, and the layout of their frames."""
