@@ -1,4 +1,4 @@
-"""The topological map: submaps, the edges between them, and merging a submap into an older one."""
+"""The topological map: submaps, the edges between them, the closures that were considered."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from specmap_cli.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.gridmap import GridMap
 from specmap_cli.records import Closure
 
-EdgeKind = Literal["traversed", "closure", "loose"]
+# traversed: the robot drove across; closure: joined by matching grids only; loose: joined by a guess
+# across scans that could not be registered; doorway: regions of a finished map that touch.
+EdgeKind = Literal["traversed", "closure", "loose", "doorway"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,19 +51,24 @@ class Traversal:
 
 @dataclass(slots=True)
 class Edge:
-    """An undirected link between two submaps, `source` < `target`."""
+    """An undirected link between two submaps, `source` < `target`.
+
+    `doorway` (map frame) and `width_m` are known where the submaps were cut from a finished map.
+    """
 
     source: int
     target: int
     kind: EdgeKind
     traversals: list[Traversal] = field(default_factory=list)
     source_from_target: Pose2 = IDENTITY
+    doorway: tuple[float, float] | None = None
+    width_m: float | None = None
 
     @property
     def crossing(self) -> tuple[float, float] | None:
-        """Mean place of the traversals in the map, None for an edge never driven."""
+        """Mean place of the traversals in the map; the doorway, or None, for an edge not driven."""
         if not self.traversals:
-            return None
+            return self.doorway
         n = len(self.traversals)
         return (
             sum(t.pose.x for t in self.traversals) / n,
