@@ -6,6 +6,7 @@ defaults here. Unknown keys are refused. `specmap config` prints what is in forc
 
 from __future__ import annotations
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Any, Literal
@@ -54,7 +55,21 @@ class GridConfig(_Section):
 
 
 class SegmentationConfig(_Section):
-    """Section II of the paper."""
+    """Section II of the paper. docs/segmentation.md says what each choice is for."""
+
+    cell_m: float = Field(0.1, gt=0, description="cells of the working grid; finer is only slower")
+    obstacle_m: float = Field(1.0, ge=0, description="isolated obstacles up to this size are free")
+    fill: bool = Field(True, description="cells of removed obstacles take their room's label")
+    nodes: Literal["clearest", "centre"] = Field("clearest", description="cell taken in a block")
+    node_step_m: float = Field(0.7, gt=0, description="side of a block; one node a block")
+    clearance_m: float = Field(0.25, ge=0, description="nodes and sight lines keep this off walls")
+    sight_m: float = Field(5.0, gt=0, description="longest sight line")
+    neighbours: int = Field(0, ge=0, description="l of eq. 1; 0: all visible nodes")
+    eigenvalue_min: float = Field(0.7, gt=0, lt=1, description="k counts the eigenvalues above")
+    labels: Literal["flood", "nearest"] = Field("flood", description="how cells get their label")
+    merge: bool = Field(True, description="join clusters whose border is as wide as they are")
+    merge_ratio: float = Field(0.9, gt=0, description="border width over room width that joins")
+    width_percentile: float = Field(75.0, ge=0, le=100, description="of local widths: a room's")
 
 
 class RecognitionConfig(_Section):
@@ -118,6 +133,30 @@ def load_config(
         raise UsageError(
             f"{where}{key}: {first['msg']}; run `specmap config` to see every key and its default"
         ) from None
+
+
+def to_toml(config: Config) -> str:
+    """The configuration as TOML with a comment a documented key; `load_config` reads it back."""
+    lines = [f"preset = {_toml_value(config.preset)}", f"seed = {config.seed}"]
+    for name in type(config).model_fields:
+        section = getattr(config, name)
+        if not isinstance(section, BaseModel):
+            continue
+        lines += ["", f"[{name}]"]
+        for key, field in type(section).model_fields.items():
+            value = getattr(section, key)
+            comment = f"  # {field.description}" if field.description else ""
+            if value is None:  # TOML has no null: an absent key is the default
+                lines.append(f"# {key} ={comment or ' unset'}")
+            else:
+                lines.append(f"{key} = {_toml_value(value)}{comment}")
+    return "\n".join(lines) + "\n"
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_toml_value(each) for each in value) + "]"
+    return json.dumps(value)
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

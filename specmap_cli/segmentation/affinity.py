@@ -1,0 +1,50 @@
+"""The similarity of section II-A and its normalisation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from specmap_cli.geometry import FloatArray
+from specmap_cli.segmentation.visibility import IndexArray
+
+
+def local_scales(
+    lengths: FloatArray, pairs: IndexArray, nodes: int, neighbours: int = 0
+) -> FloatArray:
+    """(n,) sigma of eq. 1: the median distance to the `neighbours` nearest visible nodes, 0: all.
+
+    `pairs` (m, 2) are visible nodes i < j and `lengths` (m,) their distances, in any one unit.
+    Nodes that see no other get 1, which is never used.
+    """
+    owner = np.concatenate([pairs[:, 0], pairs[:, 1]])
+    distance = np.concatenate([lengths, lengths])
+    order = np.lexsort((distance, owner))
+    distance = distance[order]
+    count = np.bincount(owner, minlength=nodes)
+    start = np.cumsum(count) - count
+    used = np.minimum(count, neighbours) if neighbours else count
+    scales = np.ones(nodes)
+    some = used > 0
+    low, high = (start + (used - 1) // 2)[some], (start + used // 2)[some]
+    scales[some] = 0.5 * (distance[low] + distance[high])
+    return scales
+
+
+def similarity(lengths: FloatArray, pairs: IndexArray, scales: FloatArray, nodes: int) -> Any:
+    """S of eq. 1, (n, n) sparse and symmetric: zero on the diagonal and between unseen pairs."""
+    i, j = pairs[:, 0], pairs[:, 1]
+    weight = np.exp(-(lengths**2) / (scales[i] * scales[j]))  # eq. 1
+    half = sparse.coo_array((weight, (i, j)), shape=(nodes, nodes)).tocsr()
+    return (half + half.T).tocsr()
+
+
+def normalised(affinity: Any) -> tuple[Any, FloatArray]:
+    """L = D^-1/2 S D^-1/2 (n, n) sparse, and the degrees D_ii (n,); rows of zeros stay zero."""
+    degrees = np.asarray(affinity.sum(axis=1), dtype=np.float64).ravel()  # Algorithm 2, line 2
+    inverse = np.zeros(len(degrees))
+    inverse[degrees > 0] = degrees[degrees > 0] ** -0.5
+    scaling = sparse.diags_array(inverse)
+    return (scaling @ affinity @ scaling).tocsr(), degrees  # Algorithm 2, line 2

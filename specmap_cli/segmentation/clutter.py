@@ -1,0 +1,62 @@
+"""The working grid of a segmentation: free space without isolated obstacles, in coarse cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.geometry import FloatArray
+from specmap_cli.gridmap import BoolArray
+
+
+def small_obstacles(free: BoolArray, largest_cells: float) -> BoolArray:
+    """(H, W) the pieces of what is not free whose bounding box has no side above `largest_cells`.
+
+    Pieces hang together over edges and corners, and the outside of the grid is not free. Chairs,
+    table legs and cells that no beam happened to cross are such pieces; walls are not.
+    """
+    blocked = np.pad(~free, 1, constant_values=True).astype(np.uint8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(blocked, connectivity=8)
+    sides = np.maximum(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
+    small = sides <= largest_cells + 1e-9
+    small[0] = False
+    return np.asarray(small[labels[1:-1, 1:-1]])
+
+
+@dataclass(frozen=True, slots=True)
+class WorkingGrid:
+    """Coarse free space (h, w): cells of `step` x `step` fine ones, `cell_m` wide.
+
+    `clearance` (h, w) is the distance, in coarse cells, from the centre of a free cell to that of
+    the nearest one that is not.
+    """
+
+    clearance: FloatArray
+    cell_m: float
+    step: int
+
+    @property
+    def free(self) -> BoolArray:
+        """Coarse cells of which every fine cell is free (h, w)."""
+        return np.asarray(self.clearance > 0.0)
+
+    def refine(self, values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+        """Coarse `values` (h, w) on the fine grid of `shape` (H, W)."""
+        fine = np.repeat(np.repeat(values, self.step, axis=0), self.step, axis=1)
+        return fine[: shape[0], : shape[1]]
+
+
+def working_grid(free: BoolArray, resolution: float, cell_m: float) -> WorkingGrid:
+    """Reduce `free` (H, W) to cells of about `cell_m`: coarse cells are free when wholly free."""
+    step = max(1, round(cell_m / resolution))
+    height, width = (-(-side // step) for side in free.shape)
+    padded = np.zeros((height * step, width * step), dtype=bool)
+    padded[: free.shape[0], : free.shape[1]] = free
+    coarse = padded.reshape(height, step, width, step).all(axis=(1, 3))
+    framed = np.pad(coarse.astype(np.uint8), 1)
+    pixels = cv2.distanceTransform(framed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    return WorkingGrid(pixels.astype(np.float64), step * resolution, step)

@@ -1,0 +1,43 @@
+"""Largest eigenpairs of a normalised affinity, the same on every run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.sparse.linalg import eigsh
+
+from specmap_cli.geometry import FloatArray
+
+_DENSE = 160  # matrices up to this size are solved whole: quicker than iterating
+_TOLERANCE = 1e-6
+
+
+def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]:
+    """The `count` largest eigenvalues (k,), falling, and eigenvectors (n, k) of a symmetric matrix.
+
+    The iteration starts from a fixed vector, and each eigenvector's sign makes its sum of cubes
+    positive, so equal input gives equal output.
+    """
+    size = matrix.shape[0]
+    count = min(count, size)
+    if size <= _DENSE or count > size // 2:
+        values, vectors = np.linalg.eigh(matrix.toarray())
+        values, vectors = values[::-1][:count], vectors[:, ::-1][:, :count]
+    else:
+        start = np.random.default_rng(0).uniform(0.5, 1.5, size)
+        values, vectors = eigsh(matrix, k=count, which="LA", v0=start, tol=_TOLERANCE)
+        order = np.argsort(-values, kind="stable")
+        values, vectors = values[order], vectors[:, order]
+    sign = np.where((vectors**3).sum(axis=0) < 0.0, -1.0, 1.0)
+    return np.asarray(values), np.asarray(vectors * sign)
+
+
+def eigenpairs_above(matrix: Any, least: float, guess: int) -> tuple[FloatArray, FloatArray]:
+    """All eigenpairs with eigenvalues above `least`, and at least one below where there is one."""
+    count = min(guess, matrix.shape[0])
+    while True:
+        values, vectors = largest_eigenpairs(matrix, count)
+        if values[-1] <= least or count == matrix.shape[0]:
+            return values, vectors
+        count = min(2 * count, matrix.shape[0])

@@ -1,0 +1,110 @@
+"""The visibility graph of section II-B: nodes in free space, edges between mutually visible ones.
+
+Lengths inside this module are in coarse cells; the clearance of a node or of a sight line is the
+distance to the nearest cell that is not free, from the distance transform.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from specmap_cli.geometry import FloatArray
+from specmap_cli.gridmap import BoolArray
+
+IndexArray = NDArray[np.intp]
+
+_CHUNK = 1 << 16  # pairs traced at once: bounds the memory
+_SLACK = 1e-9  # lengths that are equal on paper stay equal in floating point
+
+
+@dataclass(frozen=True, slots=True)
+class VisibilityGraph:
+    """Nodes (n, 2), rows and columns; visible pairs i < j (m, 2) and their `lengths` (m,)."""
+
+    nodes: IndexArray
+    pairs: IndexArray
+    lengths: FloatArray
+
+
+def visibility_graph(
+    clearance: FloatArray, nodes: IndexArray, sight: float, least: float
+) -> VisibilityGraph:
+    """Edges between all nodes at most `sight` apart whose line keeps more than `least` clear."""
+    pairs = near_pairs(nodes, sight)
+    pairs = pairs[visible(clearance, nodes, pairs, least)]
+    delta = (nodes[pairs[:, 0]] - nodes[pairs[:, 1]]).astype(np.float64)
+    return VisibilityGraph(nodes, pairs, np.hypot(delta[:, 0], delta[:, 1]))
+
+
+def sample_nodes(clearance: FloatArray, step: int, least: float, choice: str) -> IndexArray:
+    """(n, 2) row and column of one node in each block of `step` x `step` cells, in block order.
+
+    `choice` "clearest" takes the cell with the largest clearance of a block, so that nodes stand in
+    the middle of rooms and doorways; "centre" takes the block's middle cell. Blocks whose cell has
+    no more clearance than `least` give no node.
+    """
+    height, width = clearance.shape
+    rows, columns = -(-height // step), -(-width // step)
+    padded = np.zeros((rows * step, columns * step))
+    padded[:height, :width] = clearance
+    blocks = padded.reshape(rows, step, columns, step).swapaxes(1, 2).reshape(rows, columns, -1)
+    if choice == "clearest":
+        chosen = blocks.argmax(axis=2)
+    else:
+        chosen = np.full((rows, columns), (step // 2) * step + step // 2)
+    value = np.take_along_axis(blocks, chosen[:, :, None], axis=2)[:, :, 0]
+    row, column = np.nonzero(value > max(least, 0.0) + _SLACK)
+    inner = chosen[row, column]
+    return np.column_stack([row * step + inner // step, column * step + inner % step])
+
+
+def near_pairs(nodes: IndexArray, reach: float) -> IndexArray:
+    """(m, 2) pairs i < j of nodes at most `reach` apart, in lexicographic order."""
+    if len(nodes) < 2:
+        return np.zeros((0, 2), dtype=np.intp)
+    pairs = cKDTree(nodes).query_pairs(reach + _SLACK, output_type="ndarray")
+    pairs = np.sort(pairs, axis=1)
+    return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))], dtype=np.intp)
+
+
+def visible(clearance: FloatArray, nodes: IndexArray, pairs: IndexArray, least: float) -> BoolArray:
+    """(m,) whether the straight line between each pair keeps more than `least` of clearance.
+
+    A line is walked by the free distance it stands on, which cannot jump over an obstacle, and by
+    one cell at least.
+    """
+    seen = np.zeros(len(pairs), dtype=bool)
+    for first in range(0, len(pairs), _CHUNK):
+        chunk = pairs[first : first + _CHUNK]
+        seen[first : first + _CHUNK] = _walk(
+            clearance, nodes[chunk[:, 0]], nodes[chunk[:, 1]], least
+        )
+    return seen
+
+
+def _walk(clearance: FloatArray, start: IndexArray, end: IndexArray, least: float) -> BoolArray:
+    """(m,) whether the lines start -> end (m, 2) stay clear."""
+    width = clearance.shape[1]
+    flat = clearance.ravel()
+    delta = (end - start).astype(np.float64)
+    length = np.hypot(delta[:, 0], delta[:, 1])
+    row, column = start[:, 0].astype(np.float64), start[:, 1].astype(np.float64)
+    row_step, column_step = delta[:, 0] / length, delta[:, 1] / length
+    gone = np.zeros(len(length))
+    clear = np.ones(len(length), dtype=bool)
+    alive = np.arange(len(length))
+    while len(alive):
+        at = np.rint(row + row_step * gone).astype(np.intp) * width
+        at += np.rint(column + column_step * gone).astype(np.intp)
+        room = flat[at] - least
+        blocked = room <= _SLACK
+        clear[alive[blocked]] = False
+        gone += np.maximum(room - 1.0, 1.0)
+        on = np.flatnonzero(~blocked & (gone < length))
+        alive, gone, length = alive[on], gone[on], length[on]
+        row, column, row_step, column_step = row[on], column[on], row_step[on], column_step[on]
+    return clear
