@@ -42,6 +42,19 @@ class KeyframeConfig(_Section):
 class RegistrationConfig(_Section):
     """The front end: KISS-ICP on a window of keyframes."""
 
+    min_range_m: float = Field(0.05, ge=0, description="nearer returns are the robot itself")
+    max_range_m: float = Field(20.0, gt=0, description="farther returns are left out; planar")
+    voxel_m: float = Field(0.1, gt=0, description="cell of the local map; kernels scale with it")
+    max_points: int = Field(600, ge=50, description="a denser planar scan is thinned to this")
+    min_points: int = Field(10, ge=3, description="a scan with fewer walls is lost")
+    cloud_range_m: float = Field(40.0, gt=0, description="as max_range_m, for 3D clouds")
+    cloud_voxel_m: float = Field(0.2, gt=0, description="as voxel_m, for 3D clouds")
+    window_keyframes: int = Field(40, ge=1, description="keyframes in the local map")
+    keyframe_m: float = Field(0.3, gt=0, description="motion between keyframes of the local map")
+    keyframe_rad: float = Field(0.25, gt=0, description="turn between them")
+    iterations: int = Field(50, ge=1, description="of the registration, per kernel")
+    lost_limit: int = Field(5, ge=1, description="lost scans in a row that end a local map")
+
 
 class GridConfig(_Section):
     """The occupancy grid of a submap."""

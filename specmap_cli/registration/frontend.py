@@ -1,0 +1,224 @@
+"""The front end: KISS-ICP's registration on a window of keyframes, guided, checked and bounded.
+
+Per sweep: guess the motion from odometry (or from the motion before), register coarse to fine, and
+judge the result by how well the sweep's walls lie on the local map's. A doubtful result calls the
+correlative search, a bad one a wider search; what fits nowhere is lost: it keeps the guess and does
+not enter the map. After a run of lost sweeps the map starts afresh, joined to the old by a guess.
+
+The registration is that of Vizzo et al., "KISS-ICP: In Defense of Point-to-Point ICP" (RA-L 2023).
+Planar sweeps are points with z = 0; a 3D cloud is registered as a whole in space.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from kiss_icp.registration import Registration
+
+from specmap_cli.config import RegistrationConfig
+from specmap_cli.geometry import FloatArray, Pose2
+from specmap_cli.matching import Window, search
+from specmap_cli.records import PosedScan, Sweep
+from specmap_cli.registration.deskew import deskewed, moved_returns
+from specmap_cli.registration.localmap import LocalMap
+from specmap_cli.registration.motion import MotionModel, Step, agrees
+from specmap_cli.registration.points import thinned, thinned_to
+
+_MAX_STEP_M, _MAX_STEP_RAD, _MAX_TILT = 1.5, 0.8, 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """What one sweep offers: `cloud` (N, 3) to register, `walls` (M, 2) to insert and score."""
+
+    cloud: FloatArray
+    walls: FloatArray
+    probe: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """A pose (4, 4) of the base in the map and its score in [0, 1]."""
+
+    pose: FloatArray
+    score: float
+
+    @property
+    def planar(self) -> Pose2:
+        return Pose2.from_matrix(self.pose)
+
+
+class FrontEnd:
+    """Registers sweeps one after another. `counts` tells how it went.
+
+    registered: sweeps with a trusted pose; lost: sweeps that kept the guess; searched and
+    wide_searched: calls of the correlative search; breaks: runs of lost sweeps that ended a map;
+    odometry_jumps: odometry increments too large to be a motion.
+    """
+
+    def __init__(self, config: RegistrationConfig) -> None:
+        self.config = config
+        self.counts = dict.fromkeys(
+            ("registered", "lost", "searched", "wide_searched", "breaks", "odometry_jumps"), 0
+        )
+        self._icp = Registration(config.iterations, 1e-4, max_num_threads=1)
+        self._motion = MotionModel()
+        self._map: LocalMap | None = None
+        self._pose = np.eye(4)
+        self._keyframe: Pose2 | None = None
+        self._lost_in_a_row = 0
+        self._broken = False
+
+    def register(self, sweep: Sweep) -> PosedScan:
+        """The sweep with its pose in the map, de-skewed; every result is bounded."""
+        step = self._motion.predict(sweep)
+        self.counts["odometry_jumps"] += step.jumped
+        view = self._view(sweep, step)
+        guess = self._pose @ step.motion.matrix()
+        local = self._local_map(sweep)
+        restarted = False
+        if len(view.probe) < self.config.min_points:
+            fit, lost, agreed = _Fit(guess, 0.0), True, True
+        elif not len(local):
+            fit, lost, agreed = _Fit(guess, 1.0), False, True
+            restarted, self._broken = self._broken, False
+            local.insert(view.cloud, view.walls, guess)
+            self._keyframe = fit.planar
+        else:
+            fit, doubted = self._locate(view, guess, local, step)
+            agreed = agrees(Pose2.from_matrix(guess), fit.planar, step.motion)
+            lost = self._is_lost(fit.score, doubted, agreed)
+        if lost:
+            fit = _Fit(guess, fit.score)
+        self._conclude(fit, lost, view, local)
+        planar = deskewed(sweep.planar, sweep.base_from_laser, step.motion, step.interval_s)
+        return PosedScan(
+            sweep.index,
+            sweep.stamp_ns,
+            fit.planar,
+            planar,
+            sweep.base_from_laser,
+            fit.score,
+            agreed,
+            lost,
+            restarted,
+            fit.pose if sweep.cloud is not None else None,
+        )
+
+    def _view(self, sweep: Sweep, step: Step) -> _View:
+        """The points of a sweep, de-skewed and thinned, in the base frame."""
+        config = self.config
+        reach = min(config.max_range_m, 0.999 * sweep.planar.range_max)
+        scan = deskewed(sweep.planar, sweep.base_from_laser, step.motion, step.interval_s)
+        near = np.where(scan.ranges > config.min_range_m, scan.ranges, np.nan)
+        hit = np.isfinite(near) & (near <= reach)
+        r, b = near[hit], scan.bearings[hit]
+        hits = sweep.base_from_laser.apply(np.column_stack([r * np.cos(b), r * np.sin(b)]))
+        walls = thinned_to(hits, config.voxel_m / 2, config.max_points)
+        probe = thinned(walls, config.voxel_m)
+        if sweep.cloud is None:
+            return _View(np.column_stack([walls, np.zeros(len(walls))]), walls, probe)
+        cloud = moved_returns(sweep.cloud, sweep.cloud_times_s, step.motion, step.interval_s)
+        distance = np.sqrt((cloud[:, :2] ** 2).sum(axis=1))
+        cloud = cloud[(distance > config.min_range_m) & (distance <= config.cloud_range_m)]
+        return _View(thinned(cloud, config.cloud_voxel_m), walls, probe)
+
+    def _local_map(self, sweep: Sweep) -> LocalMap:
+        """The local map, made for the sensor of the first sweep."""
+        if self._map is None:
+            config = self.config
+            voxel = config.voxel_m if sweep.cloud is None else config.cloud_voxel_m
+            reach = config.max_range_m if sweep.cloud is None else config.cloud_range_m
+            self._map = LocalMap(config.window_keyframes, voxel, reach, config.voxel_m / 2)
+        return self._map
+
+    def _locate(
+        self, view: _View, guess: FloatArray, local: LocalMap, step: Step
+    ) -> tuple[_Fit, bool]:
+        """The best pose found from a guess, and whether a search was called for."""
+        fit = self._align(view, guess, local, (2.0, 1.0, 0.5))
+        away = Pose2.from_matrix(guess).inverse() @ fit.planar
+        doubted = fit.score <= 0.75 or away.distance >= 0.15 or abs(away.theta) >= 0.1
+        if doubted:
+            self.counts["searched"] += 1
+            window = (
+                Window(0.25, 0.35, 0.05, None, 1.0, 0.4)
+                if step.measured
+                else Window(0.3, 0.5, 0.05, None, 1.0, 0.4)
+            )
+            fit = self._search(view, guess, local, window, (2.0, 1.0, 0.5), fit)
+        if fit.score < 0.5:
+            self.counts["wide_searched"] += 1
+            window = Window(1.0, 1.6, 0.1, None, 0.15, 0.05)
+            fit = self._search(view, guess, local, window, (4.0, 2.0, 1.0, 0.5), fit)
+        return fit, doubted
+
+    def _search(
+        self,
+        view: _View,
+        guess: FloatArray,
+        local: LocalMap,
+        window: Window,
+        kernels: tuple[float, ...],
+        fit: _Fit,
+    ) -> _Fit:
+        """The result of a correlative search when it is better than `fit`, else `fit`."""
+        planar = Pose2.from_matrix(guess)
+        found = search(local.field, view.probe, planar, window).pose
+        lifted = (found @ planar.inverse()).matrix() @ guess
+        other = self._align(view, lifted, local, kernels)
+        return other if other.score > fit.score + 0.02 else fit
+
+    def _align(
+        self, view: _View, guess: FloatArray, local: LocalMap, kernels: tuple[float, ...]
+    ) -> _Fit:
+        """KISS-ICP from a guess with shrinking kernels (in voxels); the guess when it runs off."""
+        pose = guess
+        for kernel in kernels:
+            width = kernel * local.voxel_m
+            found = self._icp.align_points_to_map(
+                view.cloud, local.voxels, pose, 3.0 * width, width
+            )
+            if not _bounded(guess, found):
+                break
+            pose = found
+        return _Fit(pose, local.field.score(view.probe, Pose2.from_matrix(pose)))
+
+    def _is_lost(self, score: float, doubted: bool, agreed: bool) -> bool:
+        """Whether a result is to be thrown away."""
+        if score < 0.15:
+            return True
+        return not agreed and (score < 0.5 or (doubted and score < 0.6))
+
+    def _conclude(self, fit: _Fit, lost: bool, view: _View, local: LocalMap) -> None:
+        """Keep the pose, insert a keyframe when due, start afresh after a run of lost sweeps."""
+        self._motion.conclude(Pose2.from_matrix(self._pose).inverse() @ fit.planar)
+        self._pose = fit.pose
+        self.counts["lost" if lost else "registered"] += 1
+        self._lost_in_a_row = self._lost_in_a_row + 1 if lost else 0
+        if lost:
+            if self._lost_in_a_row == self.config.lost_limit and len(local):
+                local.clear()
+                self._keyframe, self._broken = None, True
+                self.counts["breaks"] += 1
+            return
+        if self._keyframe is not None:
+            moved = self._keyframe.inverse() @ fit.planar
+            config = self.config
+            near = moved.distance <= config.keyframe_m and abs(moved.theta) <= config.keyframe_rad
+            if near:
+                return
+        local.insert(view.cloud, view.walls, fit.pose)
+        self._keyframe = fit.planar
+
+
+def _bounded(guess: FloatArray, found: FloatArray) -> bool:
+    """Whether a registration result is finite and no farther from the guess than can be."""
+    if not np.isfinite(found).all():
+        return False
+    change = np.linalg.inv(guess) @ found
+    turn = float(np.arccos(np.clip((np.trace(change[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
+    upright = float(found[2, 2]) > np.cos(_MAX_TILT)
+    near = float(np.linalg.norm(change[:3, 3])) <= _MAX_STEP_M
+    return near and turn <= _MAX_STEP_RAD and upright

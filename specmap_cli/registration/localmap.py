@@ -1,0 +1,57 @@
+"""The local map: what the last keyframes saw, to register the next sweep against.
+
+KISS-ICP's voxel map, rebuilt from a window of keyframes whenever one joins, so that old passes and
+bad scans leave it again: met after some drift they would bend the trajectory. Beside it the score
+field of the same walls in the plane, for the matcher.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from kiss_icp.mapping import VoxelHashMap
+
+from specmap_cli.geometry import FloatArray, Pose2
+from specmap_cli.matching import ScoreField
+
+_POINTS_PER_VOXEL = 20
+
+
+class LocalMap:
+    """The points of the last `size` keyframes, in the map frame."""
+
+    def __init__(self, size: int, voxel_m: float, max_range_m: float, field_m: float) -> None:
+        self.size, self.voxel_m, self.max_range_m = size, voxel_m, max_range_m
+        self.field_m = field_m
+        self._clouds: deque[FloatArray] = deque(maxlen=size)
+        self._walls: deque[FloatArray] = deque(maxlen=size)
+        self._field: ScoreField | None = None
+        self.voxels = VoxelHashMap(voxel_m, 2.0 * max_range_m, _POINTS_PER_VOXEL)
+
+    def __len__(self) -> int:
+        return len(self._clouds)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._clouds.clear()
+        self._walls.clear()
+        self._field = None
+        self.voxels.clear()
+
+    def insert(self, cloud: FloatArray, walls: FloatArray, map_from_base: FloatArray) -> None:
+        """Add a keyframe: `cloud` (N, 3) and `walls` (M, 2), base frame, at a (4, 4) pose."""
+        self._clouds.appendleft(cloud @ map_from_base[:3, :3].T + map_from_base[:3, 3])
+        self._walls.appendleft(Pose2.from_matrix(map_from_base).apply(walls))
+        self._field = None
+        self.voxels.clear()
+        self.voxels.add_points(np.concatenate(self._clouds))
+
+    @property
+    def field(self) -> ScoreField:
+        """The score field of the walls, built when first asked for."""
+        if self._field is None:
+            walls = np.concatenate(self._walls)
+            side = 2.0 * self.max_range_m
+            self._field = ScoreField.from_points(walls, self.field_m, 2 * self.field_m, side)
+        return self._field
