@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from specmap_cli.geometry import FloatArray
@@ -26,8 +29,8 @@ def flood_labels(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -
     free = clearance > 0.0
     top = max(float(clearance.max(initial=0.0)), 1e-9)
     height = np.rint((1.0 - clearance / top) * _LEVELS).astype(np.int16)
-    rows, columns = np.indices(clearance.shape, sparse=True)
-    relief = np.where((rows + columns) % 2 == 0, 127 - height, 128 + height)
+    black = np.add.outer(*(np.arange(side) for side in clearance.shape)) % 2 == 0
+    relief = np.where(black, 127 - height, 128 + height)
     picture = np.zeros((clearance.shape[0] + 2, clearance.shape[1] + 2, 3), dtype=np.uint8)
     picture[1:-1, 1:-1, 0] = np.where(free, relief, 0)
     picture[..., 1] = 255
@@ -75,7 +78,7 @@ def spread_labels(labels: LabelArray, free: BoolArray) -> LabelArray:
     return grown.astype(np.int32) - 1
 
 
-def nearest_values(values: np.ndarray) -> np.ndarray:
+def nearest_values(values: NDArray[Any]) -> NDArray[Any]:
     """(H, W) each cell's value, or the value of the nearest non-zero cell where it is zero."""
     zero = (values == 0).astype(np.uint8)
     _, source = cv2.distanceTransformWithLabels(

@@ -38,7 +38,7 @@ def border_widths(labels: LabelArray, clearance: FloatArray) -> dict[Pair, float
     key, value = np.concatenate(keys), np.concatenate(values)
     order = np.lexsort((value, key))
     key, value = key[order], value[order]
-    last = np.flatnonzero(np.append(key[1:] != key[:-1], True)) if len(key) else []
+    last = np.flatnonzero(key != np.append(key[1:], -1))
     return {(int(key[i] // count), int(key[i] % count)): float(value[i]) for i in last}
 
 

@@ -8,10 +8,10 @@ paper's algorithm, not in it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from specmap_cli.config import SegmentationConfig
@@ -85,8 +85,8 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     labels[window] = np.rot90(turned, -turn)
     middles = (graph.nodes + 0.5) * work.step - 0.5
     rows_columns = _turned_back(middles, free.shape, turn) + [side.start for side in window]
-    node_labels = names[clusters]
-    return Segmentation(labels, grid.centres_of(rows_columns), node_labels, graph.pairs, spectrum)
+    nodes = grid.centres_of(rows_columns)
+    return Segmentation(labels, nodes, names[clusters], graph.pairs, spectrum)
 
 
 def build_graph(work: WorkingGrid, config: SegmentationConfig) -> VisibilityGraph:
@@ -111,7 +111,7 @@ def spectral_clusters(graph: VisibilityGraph, config: SegmentationConfig) -> Spe
     for number in range(int(component.max(initial=-1)) + 1):
         members = np.flatnonzero(component == number)
         part = matrix[members][:, members]
-        found, vectors = eigenpairs_above(part, config.eigenvalue_min, 12 + len(members) // 12)
+        found, vectors = eigenpairs_above(part, config.eigenvalue_min)
         k = max(1, int((found > config.eigenvalue_min).sum()))  # Algorithm 2, line 3
         labels[members] = clusters + _cluster_rows(vectors[:, :k], degrees[members])
         clusters, used = int(labels[members].max()) + 1, used + k
@@ -176,7 +176,7 @@ def _canonical(free: BoolArray) -> tuple[tuple[slice, slice], int]:
     return window, min(range(4), key=lambda turn: (turned[turn].shape, turned[turn].tobytes()))
 
 
-def _turned_back(cells: FloatArray, shape: tuple[int, ...], turn: int) -> FloatArray:
+def _turned_back(cells: NDArray[Any], shape: tuple[int, ...], turn: int) -> FloatArray:
     """Rows and columns (n, 2) before `turn` quarter turns led to a picture of `shape`."""
     for _ in range(turn):
         height, width = shape

@@ -11,6 +11,7 @@ from specmap_cli.geometry import FloatArray
 
 _DENSE = 160  # matrices up to this size are solved whole: quicker than iterating
 _TOLERANCE = 1e-6
+_FIRST, _NODES_A_CLUSTER = 12, 40  # eigenpairs asked for at first: a guess that is seldom short
 
 
 def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]:
@@ -33,11 +34,12 @@ def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]
     return np.asarray(values), np.asarray(vectors * sign)
 
 
-def eigenpairs_above(matrix: Any, least: float, guess: int) -> tuple[FloatArray, FloatArray]:
+def eigenpairs_above(matrix: Any, least: float) -> tuple[FloatArray, FloatArray]:
     """All eigenpairs with eigenvalues above `least`, and at least one below where there is one."""
-    count = min(guess, matrix.shape[0])
+    size = matrix.shape[0]
+    count = min(_FIRST + size // _NODES_A_CLUSTER, size)
     while True:
         values, vectors = largest_eigenpairs(matrix, count)
-        if values[-1] <= least or count == matrix.shape[0]:
+        if count == size or values[-1] <= least:
             return values, vectors
-        count = min(2 * count, matrix.shape[0])
+        count = min(2 * count, size)
