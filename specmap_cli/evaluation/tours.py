@@ -95,9 +95,10 @@ def plan_tour(
     nodes = [np.array([here])]
     for _ in range(laps):
         targets = _spread_targets(lattice, here, spacing_m, rng)
-        order = _shortest_order(_distances(lattice, targets, spacing_m))
-        for source, target in zip(targets[order][:-1], targets[order][1:], strict=True):
-            nodes.append(_way(lattice, int(source), int(target)))
+        distances = _distances(lattice, targets, spacing_m)
+        order = _shortest_order(distances)
+        for a, b in zip(order[:-1], order[1:], strict=True):
+            nodes.append(_way(lattice, int(targets[a]), int(targets[b]), distances[a, b]))
         here = int(targets[order[-1]])
     return _smooth(world, lattice.points[np.concatenate(nodes)], radius_m)
 
@@ -167,9 +168,10 @@ def _best_reversal(distances: FloatArray, tour: IndexArray) -> tuple[int, int, f
     return int(first) + 1, int(last) + 1, float(gain[first, last])
 
 
-def _way(lattice: Lattice, source: int, target: int) -> IndexArray:
+def _way(lattice: Lattice, source: int, target: int, at_most: float) -> IndexArray:
     """Nodes of the cheapest way from `source`, itself left out, to `target`."""
-    _, before = dijkstra(lattice.costs, indices=source, return_predecessors=True)
+    limit = at_most * (1.0 + 1e-9) + 1e-9
+    _, before = dijkstra(lattice.costs, indices=source, limit=limit, return_predecessors=True)
     way = [target]
     while way[-1] != source:
         way.append(int(before[way[-1]]))
