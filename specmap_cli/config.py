@@ -83,20 +83,76 @@ class SegmentationConfig(_Section):
     merge: bool = Field(True, description="join clusters whose border is as wide as they are")
     merge_ratio: float = Field(0.9, gt=0, description="border width over room width that joins")
     width_percentile: float = Field(75.0, ge=0, le=100, description="of local widths: a room's")
+    test_every: Literal["metres", "keyframes"] = Field("metres", description="pace of the tests")
+    test_metres: float = Field(1.0, gt=0, description="travelled between two tests")
+    test_keyframes: int = Field(50, ge=1, description="keyframes between two tests")
+    split_eigenvalue: float = Field(0.8, gt=0, lt=1, description="a second region is entered above")
+    split_share: float = Field(0.1, ge=0, lt=0.5, description="least share of the way on each side")
+    split_scale: float = Field(3.0, gt=0, description="sigma of eq. 1 in a test, times its median")
+    split_clearance_m: float = Field(0.3, ge=0, description="as clearance_m, in a test")
+    split_sight_m: float = Field(1000.0, gt=0, description="as sight_m, in a test")
+    split_nodes: int = Field(250, ge=16, description="most nodes in a test: the blocks grow")
+    path_band_m: float = Field(2.0, ge=0, description="nodes lie this near the path; 0: anywhere")
+    region_min_m: float = Field(1.0, ge=0, description="shortest way that is split off or goes on")
+    regrow: bool = Field(True, description="a region the robot comes straight back to goes on")
 
 
 class RecognitionConfig(_Section):
-    """Section III of the paper."""
+    """Section III of the paper: features, boosting, loop closure."""
+
+    feature_set: Literal["table1", "pairs", "shape", "default"] = "default"
+    booster: Literal["trees", "stumps"] = "trees"
+    rounds: int = Field(300, ge=1, description="weak classifiers of a submap's final classifier")
+    shrinkage: float = Field(0.3, gt=0, le=1, description="trees: scale of every vote")
+    feature_share: float = Field(0.2, gt=0, le=1, description="trees: features drawn a round")
+    negatives: int = Field(2000, ge=10, description="scans of other submaps a classifier sees")
+    closure_rounds: int = Field(60, ge=1, description="weak classifiers while ranking")
+    closure_shrinkage: float = Field(0.5, gt=0, le=1)
+    closure_negatives: int = Field(500, ge=10)
+    samples_per_submap: int = Field(150, ge=1, description="scans of a submap used for ranking")
+    groups: int = Field(4, ge=0, description="held-out groups of old submaps; 0 = one by one")
+    refresh_growth: float = Field(0.25, ge=0, description="retrain once the submaps grew by this")
+    xi_threshold: float = Field(0.175, ge=0, le=1, description="eq. 5, judge without `verify`")
+    verify: bool = Field(True, description="a closure needs a match of the two grids")
+    candidates: int = Field(5, ge=1, description="best ranked old submaps whose grids are matched")
+    members: int = Field(2, ge=1, description="visits of an old submap whose grids are matched")
+    min_score: float = Field(0.75, le=1, description="inliers less twice the contradictions")
+    min_inliers: int = Field(60, ge=1, description="wall points that agree")
+    min_overlap: float = Field(0.3, ge=0, le=1, description="of the smaller submap's walls")
+    merge_overlap: float = Field(0.4, ge=0, le=1, description="of both tracks, for a merge")
+    merge_reach_m: float = Field(1.0, gt=0, description="tracks this close overlap")
+    max_drift: float = Field(0.1, ge=0, description="metres per metre driven that a merge may mend")
 
 
 class RelaxationConfig(_Section):
-    """The layout of the submaps."""
+    """The layout of the submaps: a pose graph over the keyframes."""
 
     enabled: bool = True
+    node_m: float = Field(0.3, gt=0, description="motion between nodes of the pose graph")
+    node_rad: float = Field(0.25, gt=0, description="turn between them")
+    match_range_m: float = Field(12.0, gt=0, description="farther returns are not matched")
+    loop_every_m: float = Field(1.0, gt=0, description="path between searches for nearby passes")
+    loop_path_m: float = Field(6.0, gt=0, description="less path than this between is no pass")
+    loop_radius_m: float = Field(3.0, gt=0, description="how near a pass must be")
+    loops_per_node: int = Field(2, ge=0, description="passes matched at the most, 0: none")
+    loop_score: float = Field(0.6, ge=0, le=1, description="a match below this is no edge")
+    solve_every: int = Field(12, ge=1, description="edges found before the layout is renewed")
 
 
 class LocalizationConfig(_Section):
     """The hidden Markov filter over the topology, and virtual scans."""
+
+    virtual: bool = Field(True, description="virtual full-circle scans over the last metres")
+    window_m: float = Field(10.0, gt=0, description="path whose scans make a virtual scan")
+    virtual_beams: int = Field(360, ge=16)
+    virtual_range_m: float = Field(20.0, gt=0)
+    augmentation: int = Field(1500, ge=0, description="virtual scans from free cells, training")
+    stay: float = Field(
+        0.97, gt=0, lt=1, description="chance to stay in a submap from scan to scan"
+    )
+    sharpness: float = Field(0.1, gt=0, description="scale of margins in the filter")
+    unknown: bool = Field(True, description="allow the label unknown")
+    false_unknown: float = Field(0.05, gt=0, lt=1, description="share of known scans given up")
 
 
 class Config(_Section):
@@ -117,7 +173,28 @@ class Config(_Section):
 # What the paper itself did, as differences from the defaults.
 PRESETS: dict[str, dict[str, Any]] = {
     "default": {},
-    "paper": {},
+    "paper": {
+        "segmentation": {
+            "obstacle_m": 0.0,
+            "fill": False,
+            "nodes": "centre",
+            "node_step_m": 0.5,
+            "clearance_m": 0.0,
+            "sight_m": 20.0,
+            "neighbours": 7,
+            "eigenvalue_min": 0.9,
+            "labels": "nearest",
+            "merge": False,
+            "test_every": "keyframes",
+            "split_share": 0.0,
+            "split_scale": 1.0,
+            "split_clearance_m": 0.0,
+            "split_sight_m": 20.0,
+            "path_band_m": 0.0,
+            "region_min_m": 0.0,
+            "regrow": False,
+        },
+    },
 }
 
 

@@ -1,0 +1,153 @@
+"""Edges between nearby passes: places the robot came by again, matched scan to scan.
+
+A candidate is a pair of nodes that the current layout puts near each other though the path between
+them is long. The walls seen around the newer one are matched against those seen around the older,
+within what the path may have drifted since the last such edge; an edge is what fits well, with the
+covariance of its score surface.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+
+import numpy as np
+
+from specmap_cli.config import RelaxationConfig
+from specmap_cli.geometry import FloatArray, Pose2, compose, invert, wrap_angles
+from specmap_cli.keyframes import KeyframeStore
+from specmap_cli.matching import ScoreField, Window, covariance, refine, search
+from specmap_cli.records import IntArray
+from specmap_cli.topology.posegraph import Link
+
+_CACHED_NODES = 256
+_FLOOR = np.diag([0.03**2, 0.03**2, 0.008**2])  # of a match: cells, moved furniture, people
+
+
+class Walls:
+    """Thinned wall points around nodes, read from the store as needed (a few stay in memory)."""
+
+    def __init__(
+        self, store: KeyframeStore, nodes: Sequence[int], config: RelaxationConfig
+    ) -> None:
+        self._store, self._nodes, self._config = store, nodes, config
+        self._cache: OrderedDict[int, FloatArray] = OrderedDict()
+
+    def around(self, node: int, reach: int, poses: FloatArray, part: IntArray) -> FloatArray:
+        """Points (N, 2) seen from nodes within `reach` of `node`, in the frame of `node`.
+
+        `poses` (M, 3) place the nodes; only nodes of the same tracked `part` (M,) are used.
+        """
+        low, high = max(0, node - reach), min(len(self._nodes), node + reach + 1)
+        others = [k for k in range(low, high) if part[k] == part[node]]
+        relative = compose(invert(poses[node]), poses[others])
+        clouds = [
+            Pose2(*map(float, pose)).apply(self._points(k))
+            for k, pose in zip(others, relative, strict=True)
+        ]
+        return np.concatenate(clouds)
+
+    def _points(self, node: int) -> FloatArray:
+        """Points of one node in its base frame."""
+        if node in self._cache:
+            self._cache.move_to_end(node)
+            return self._cache[node]
+        points = self._store.points(self._nodes[node], self._config.match_range_m)
+        self._cache[node] = _thinned(points, 0.05)
+        if len(self._cache) > _CACHED_NODES:
+            self._cache.popitem(last=False)
+        return self._cache[node]
+
+
+def candidates(
+    node: int, poses: FloatArray, path: FloatArray, config: RelaxationConfig
+) -> list[int]:
+    """Older nodes to match `node` with: near it, far along the path, apart from each other."""
+    old = np.flatnonzero(path < path[node] - config.loop_path_m)
+    if not len(old):
+        return []
+    away = poses[old, :2] - poses[node, :2]
+    distance = np.sqrt((away**2).sum(axis=1))
+    turn = np.abs(wrap_angles(poses[old, 2] - poses[node, 2]))
+    near = distance < config.loop_radius_m
+    old, rank = old[near], (distance + 0.7 * turn)[near]
+    chosen: list[int] = []
+    for k in old[np.argsort(rank, kind="stable")].tolist():
+        if all(abs(path[k] - path[c]) > config.loop_radius_m for c in chosen):
+            chosen.append(k)
+        if len(chosen) == config.loops_per_node:
+            break
+    return chosen
+
+
+def verified(
+    source: FloatArray, target: FloatArray, guess: Pose2, drift_m: float, config: RelaxationConfig
+) -> tuple[Pose2, FloatArray] | None:
+    """The pose of points `source` (N, 2) among `target` (M, 2) and its information, if they fit.
+
+    `guess` and the result are `target_from_source`; `drift_m` bounds how wrong the guess may be.
+    """
+    field = ScoreField.from_points(target, 0.05, 0.1, 4.0 * config.match_range_m)
+    probe = _thinned(source, 0.1)
+    if len(probe) < 20:
+        return None
+    drift_rad = float(np.clip(0.15 * drift_m, 0.06, 0.35))
+    coarse = Window(drift_m, drift_rad, 0.2, None, 0.01, 0.05)
+    rough = search(field.coarser(4), _thinned(source, 0.25), guess, coarse)
+    fine = search(field, _thinned(source, 0.2), rough.pose, Window(0.3, 0.09, 0.1))
+    match = refine(field, probe, fine.pose)
+    if match.score < config.loop_score:
+        return None
+    spread = covariance(field, _thinned(source, 0.2), match.pose)
+    turn = np.eye(3)
+    turn[:2, :2] = match.pose.rotation().T  # errors are weighed in the source's own frame
+    information = np.linalg.inv(turn @ spread @ turn.T + _FLOOR)
+    return match.pose, np.asarray(information, dtype=np.float64)
+
+
+class NearbyPasses:
+    """Finds edges between nearby passes, node by node along the path."""
+
+    def __init__(
+        self,
+        walls: Walls,
+        nodes: Sequence[int],
+        path: FloatArray,
+        part: IntArray,
+        config: RelaxationConfig,
+    ) -> None:
+        self._walls, self._nodes, self._path, self._part = walls, nodes, path, part
+        self._config = config
+        self._tried: dict[tuple[int, int], Pose2] = {}
+
+    def links(self, node: int, poses: FloatArray, drift_m: float) -> list[Link]:
+        """The edges from older nodes to `node` that could be verified at the poses (M, 3)."""
+        found = []
+        for old in candidates(node, poses, self._path, self._config):
+            guess = Pose2(*compose(invert(poses[old]), poses[node]).tolist())
+            if not self._fresh(old, node, guess):
+                continue
+            target = self._walls.around(old, 8, poses, self._part)
+            source = self._walls.around(node, 3, poses, self._part)
+            match = verified(source, target, guess, drift_m, self._config)
+            if match is not None:
+                pose, information = match
+                found.append(Link(self._nodes[old], self._nodes[node], pose, information, "nearby"))
+        return found
+
+    def _fresh(self, old: int, node: int, guess: Pose2) -> bool:
+        """Whether a pair was not tried yet, or from a guess that differs by a metre."""
+        before = self._tried.get((old, node))
+        self._tried[(old, node)] = guess
+        return before is None or (before.inverse() @ guess).distance > 1.0
+
+
+def _thinned(points: FloatArray, cell_m: float) -> FloatArray:
+    """The first of the points (N, 2) in each cell of side `cell_m`."""
+    if len(points) < 2:
+        return points
+    cells = np.floor(points / cell_m).astype(np.int64)
+    cells -= cells.min(axis=0)
+    key = cells[:, 1] * (cells[:, 0].max() + 1) + cells[:, 0]
+    _, first = np.unique(key, return_index=True)
+    return points[np.sort(first)]

@@ -1,0 +1,215 @@
+"""The layout: poses of all keyframes made consistent over everything the robot saw again.
+
+A pose graph over a thinned set of keyframes, tied by the front end's motion, by verified loop
+closures of any drift, and by edges between nearby passes which are looked for here, once the
+closures have brought the passes near each other. Robust, and what does not fit in the end is
+dropped and reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from specmap_cli.config import RelaxationConfig
+from specmap_cli.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.keyframes import KeyframeStore
+from specmap_cli.records import IntArray, Trajectory
+from specmap_cli.topology.loops import NearbyPasses, Walls
+from specmap_cli.topology.posegraph import Edges, Link, Solution, solve
+
+_KERNEL = {"closure": 2.0, "nearby": 2.0, "loose": 2.0}
+_OUTLIER_CHI2 = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class Constraint:
+    """A verified loop closure between two keyframes, by their numbers in the store.
+
+    `information` (3, 3) weighs the error of `source_from_target` in the target's frame.
+    """
+
+    source: int
+    target: int
+    source_from_target: Pose2
+    information: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Relaxed poses (n, 3) of all keyframes, and the pose graph they come from.
+
+    `nodes` are the keyframe numbers in the graph; `odometry`, `kept` and `dropped` its edges, the
+    last two being closures and nearby passes; `chi2` the cost that remains.
+    """
+
+    poses: FloatArray
+    nodes: IntArray
+    odometry: list[Link]
+    kept: list[Link]
+    dropped: list[Link]
+    chi2: float
+    warnings: list[str]
+
+
+def relax(
+    store: KeyframeStore,
+    constraints: Sequence[Constraint],
+    breaks: Sequence[int],
+    config: RelaxationConfig,
+) -> Layout:
+    """The consistent layout of the store's keyframes.
+
+    `constraints` come from verified closures and may span any drift; `breaks` are the numbers of
+    keyframes at which tracking started afresh. Scans are read from the store, a few at a time.
+    """
+    return _Relaxation(store, constraints, breaks, config).run()
+
+
+class _Relaxation:
+    """The graph while it is being built."""
+
+    def __init__(
+        self,
+        store: KeyframeStore,
+        constraints: Sequence[Constraint],
+        breaks: Sequence[int],
+        config: RelaxationConfig,
+    ) -> None:
+        self.config, self.breaks = config, set(breaks)
+        self.tracked = store.poses
+        ends = {k for c in constraints for k in (c.source, c.target)}
+        self.nodes = chosen_nodes(self.tracked, ends | self.breaks, config)
+        self.row = {number: row for row, number in enumerate(self.nodes.tolist())}
+        self.poses = self.tracked[self.nodes]
+        self.odometry = self._odometry()
+        self.loops = [
+            Link(c.source, c.target, c.source_from_target, c.information, "closure")
+            for c in constraints
+        ]
+        fresh = np.isin(self.nodes, list(self.breaks))
+        self.part: IntArray = np.cumsum(fresh).astype(np.int64)
+        steps = np.hypot(*np.diff(self.poses[:, :2], axis=0, prepend=self.poses[:1, :2]).T)
+        self.path = np.cumsum(np.where(fresh, 2 * config.loop_path_m, steps))
+        walls = Walls(store, self.nodes.tolist(), config)
+        self.passes = NearbyPasses(walls, self.nodes.tolist(), self.path, self.part, config)
+
+    def run(self) -> Layout:
+        if len(self.nodes) > 1:
+            if self.loops:
+                self._solve()
+            self._find_passes()
+        dropped, chi2 = self._settle() if len(self.nodes) > 1 else ([], 0.0)
+        warnings: list[str] = []
+        return Layout(
+            carried(self.tracked, self.nodes, self.poses),
+            self.nodes,
+            self.odometry,
+            self.loops,
+            dropped,
+            chi2,
+            warnings,
+        )
+
+    def _odometry(self) -> list[Link]:
+        """Edges between successive nodes, loose where tracking started afresh."""
+        motions = compose(invert(self.poses[:-1]), self.poses[1:])
+        links = []
+        for k, motion in enumerate(motions):
+            source, target = int(self.nodes[k]), int(self.nodes[k + 1])
+            step = Pose2(*motion.tolist())
+            if target in self.breaks:
+                information = np.diag([0.3, 0.3, 0.2]) ** -2.0
+                links.append(Link(source, target, step, np.diag(np.diag(information)), "loose"))
+                continue
+            position, angle = 0.01 + 0.03 * step.distance, 0.003 + 0.02 * abs(step.theta)
+            information = np.diag([position**-2, position**-2, angle**-2])
+            links.append(Link(source, target, step, information, "odometry"))
+        return links
+
+    def _find_passes(self) -> None:
+        """Look for nearby passes along the path, solving again as edges come in."""
+        config = self.config
+        visited, tied, fresh = -np.inf, 0.0, 0
+        for node in range(len(self.nodes)):
+            if self.path[node] - visited < config.loop_every_m:
+                continue
+            visited = self.path[node]
+            drift = float(np.clip(0.3 + 0.04 * (self.path[node] - tied), 0.3, 2.0))
+            found = self.passes.links(node, self.poses, drift)
+            if found:
+                self.loops += found
+                tied, fresh = self.path[node], fresh + len(found)
+            if fresh >= config.solve_every:
+                self._solve()
+                fresh = 0
+
+    def _solve(self) -> Solution:
+        edges = Edges.of([*self.odometry, *self.loops], self.row, _KERNEL)
+        solution = solve(self.poses, edges)
+        self.poses = solution.poses
+        return solution
+
+    def _settle(self) -> tuple[list[Link], float]:
+        """Drop what does not fit and solve again; returns what was dropped and the last cost."""
+        dropped: list[Link] = []
+        for _ in range(5):
+            solution = self._solve()
+            bad = solution.chi2[len(self.odometry) :] > _OUTLIER_CHI2
+            if not bad.any():
+                break
+            dropped += [link for link, out in zip(self.loops, bad, strict=True) if out]
+            self.loops = [link for link, out in zip(self.loops, bad, strict=True) if not out]
+        return dropped, solution.cost
+
+
+def chosen_nodes(poses: FloatArray, always: set[int], config: RelaxationConfig) -> IntArray:
+    """Keyframe numbers for the graph: the first, the last, one a step of the path, `always`."""
+    chosen: list[int] = []
+    last: Pose2 | None = None
+    for number, row in enumerate(poses.tolist()):
+        pose = Pose2(*row)
+        if last is not None and number not in always and number != len(poses) - 1:
+            step = last.inverse() @ pose
+            if step.distance < config.node_m and abs(step.theta) < config.node_rad:
+                continue
+        chosen.append(number)
+        last = pose
+    return np.array(chosen, dtype=np.int64)
+
+
+def carried(tracked: FloatArray, anchors: IntArray, relaxed: FloatArray) -> FloatArray:
+    """Poses (n, 3) moved with their last anchor: its relaxed pose o the tracked motion since.
+
+    `anchors` (m,) ascending rows of `tracked` (n, 3), `relaxed` (m, 3) their new poses.
+    """
+    if not len(anchors):
+        return np.array(tracked)
+    last = np.maximum(np.searchsorted(anchors, np.arange(len(tracked)), side="right") - 1, 0)
+    motion = compose(invert(tracked[anchors[last]]), tracked)
+    return compose(relaxed[last], motion)
+
+
+def corrected(trajectory: Trajectory, store: KeyframeStore, layout: Layout) -> Trajectory:
+    """The trajectory of every registered scan, moved with the keyframes of a layout."""
+    anchors = keyframe_rows(trajectory, store)
+    poses = carried(trajectory.poses, anchors, layout.poses)
+    return Trajectory(trajectory.stamps_ns, poses, trajectory.tilt)
+
+
+def keyframe_rows(trajectory: Trajectory, store: KeyframeStore) -> IntArray:
+    """Rows of the trajectory that are the store's keyframes, in order.
+
+    Stamps may repeat or step back, so that the two are walked together.
+    """
+    stamps, tracked = store.stamps_ns, store.poses
+    rows: list[int] = []
+    for row, stamp in enumerate(trajectory.stamps_ns.tolist()):
+        k = len(rows)
+        if k == len(stamps):
+            break
+        if stamp == stamps[k] and np.array_equal(trajectory.poses[row], tracked[k]):
+            rows.append(row)
+    return np.array(rows, dtype=np.int64)
