@@ -130,3 +130,22 @@ def quaternion_from_rotation(rotation: NDArray[Any]) -> tuple[float, float, floa
 
     x, y, z, w = Rotation.from_matrix(np.asarray(rotation)[:3, :3]).as_quat(canonical=True)
     return float(x), float(y), float(z), float(w)
+
+
+def quaternions_from_rpy(
+    roll: NDArray[Any], pitch: NDArray[Any], yaw: NDArray[Any]
+) -> FloatArray:
+    """(n, 4) unit quaternions (x, y, z, w), w >= 0, of Rz(yaw) Ry(pitch) Rx(roll), each (n,)."""
+    (sr, sp, sy), (cr, cp, cy) = (
+        (f(roll / 2.0), f(pitch / 2.0), f(yaw / 2.0)) for f in (np.sin, np.cos)
+    )
+    quaternions = np.stack(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ],
+        axis=-1,
+    )
+    return np.asarray(np.where(quaternions[..., 3:] < 0.0, -quaternions, quaternions))

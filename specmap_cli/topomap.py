@@ -9,8 +9,8 @@ from specmap_cli.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.gridmap import GridMap
 from specmap_cli.records import Closure
 
-# traversed: the robot drove across; closure: joined by matching grids only; loose: joined by a guess
-# across scans that could not be registered; doorway: regions of a finished map that touch.
+# traversed: the robot drove across; closure: joined by matching grids only; loose: joined by a
+# guess across scans that could not be registered; doorway: regions of a finished map that touch.
 EdgeKind = Literal["traversed", "closure", "loose", "doorway"]
 
 

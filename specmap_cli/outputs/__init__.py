@@ -1,1 +1,1 @@
-"""Writing and reading map directories, pictures and exports."""
+"""What a run leaves behind: the map directory, its pictures and its tables."""

@@ -1,0 +1,77 @@
+"""The outline of a submap: the outer contour of its free cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.geometry import FloatArray
+from specmap_cli.gridmap import BoolArray, GridMap
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """A region's shape in metres: `polygon` (N, 2) counter-clockwise and `centroid` (2,).
+
+    Both are those of the largest connected part; `area_m2` is that of all cells. A region without a
+    cell has no points, None and zero.
+    """
+
+    polygon: FloatArray
+    centroid: FloatArray | None
+    area_m2: float
+
+
+NOTHING = Outline(np.zeros((0, 2)), None, 0.0)
+
+
+def outline(grid: GridMap) -> Outline:
+    """The outline of the free cells of `grid`, in the grid's frame."""
+    return outline_of(grid.free, grid)
+
+
+def outline_of(region: BoolArray, grid: GridMap) -> Outline:
+    """The outline of the cells `region` (H, W) of `grid`, simplified to within a cell's side.
+
+    The centroid is the centre of the region's cell nearest the mean of its cells, so that it lies
+    inside a region of any shape.
+    """
+    if not region.any():
+        return NOTHING
+    part = _largest_part(region)
+    cells = np.argwhere(part)
+    centre = cells[np.argmin(np.sum((cells - cells.mean(axis=0)) ** 2, axis=1))]
+    return Outline(
+        _contour(part) * grid.resolution + grid.origin,
+        grid.centres_of(centre[None])[0],
+        float(np.count_nonzero(region)) * grid.resolution**2,
+    )
+
+
+def _largest_part(region: BoolArray) -> BoolArray:
+    """The largest 4-connected part of a region, the first of equals."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+        region.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S
+    )
+    return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+
+
+def _contour(region: BoolArray) -> FloatArray:
+    """(N, 2) columns and rows of the outer contour of one connected region, counter-clockwise.
+
+    Cell (row, column) covers [column, column + 1) x [row, row + 1).
+    """
+    # Doubled, so that the contour runs a quarter of a cell inside the region, not along centres,
+    # where a passage one cell wide would have no area.
+    doubled: NDArray[np.uint8] = np.pad(
+        np.kron(region.astype(np.uint8), np.ones((2, 2), dtype=np.uint8)), 1
+    )
+    contours, _ = cv2.findContours(doubled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    ring = max(contours, key=cv2.contourArea)
+    corners = (cv2.approxPolyDP(ring, 2.0, True).reshape(-1, 2).astype(np.float64) - 0.5) / 2.0
+    x, y = corners.T
+    turning = float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+    return corners if turning >= 0.0 else corners[::-1]

@@ -1,0 +1,69 @@
+"""Numbers and JSON as text, the same bytes for the same values."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+
+_NS = 1_000_000_000
+_DECIMALS = 6
+
+
+def to_json(value: Any) -> str:
+    """JSON with sorted keys, six decimals at the most, null for NaN and infinity."""
+    return json.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def plain(value: Any) -> Any:
+    """`value` in plain types: rounded floats, null for what is not finite, lists for arrays."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (float, np.floating)):
+        return rounded(float(value))
+    if isinstance(value, np.integer):
+        return int(value)
+    return value if value is None or isinstance(value, (str, int)) else str(value)
+
+
+def rounded(value: float) -> float | None:
+    """`value` to six decimals without a negative zero; None when it is not finite."""
+    return round(value, _DECIMALS) + 0.0 if math.isfinite(value) else None
+
+
+def stamp_text(stamp_ns: int) -> str:
+    """Seconds with nine decimals, exact."""
+    sign = "-" if stamp_ns < 0 else ""
+    return f"{sign}{abs(stamp_ns) // _NS}.{abs(stamp_ns) % _NS:09d}"
+
+
+def stamp_ns(text: str) -> int:
+    """Nanoseconds of seconds written in decimals, exact to the ninth; ValueError otherwise."""
+    whole, _, fraction = text.strip().partition(".")
+    digits = (fraction + "0" * 9)[:9]
+    magnitude = abs(int(whole or "0")) * _NS + int(digits)
+    return -magnitude if whole.startswith("-") else magnitude
+
+
+def seconds(stamp_ns: int) -> float:
+    """Seconds of a stamp as a float, exact to the microsecond."""
+    return stamp_ns // 1000 / 1e6
+
+
+def nanoseconds(seconds: float) -> int:
+    """A stamp in nanoseconds, exact to the microsecond."""
+    return round(seconds * 1e6) * 1000
+
+
+def decimal(value: float, places: int = _DECIMALS) -> str:
+    """Fixed decimals, without a negative zero."""
+    text = f"{value:.{places}f}"
+    return text[1:] if text.startswith("-") and float(text) == 0.0 else text
