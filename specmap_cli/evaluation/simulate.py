@@ -53,9 +53,9 @@ class SimulationOptions(BaseModel):
     laser_y_m: float = 0.0
     laser_yaw_deg: float = 0.0
     speed_mps: float = Field(0.6, gt=0, le=20)
-    turn_rate_degps: float = Field(60.0, gt=0, le=1000)
+    turn_rate_degps: float = Field(90.0, gt=0, le=1000)
     robot_radius_m: float = Field(0.25, gt=0, description="the disc that must fit along the path")
-    odometry_rate_hz: float = Field(20.0, gt=0, le=1000)
+    odometry_rate_hz: float = Field(10.0, gt=0, le=1000)
     odometry_drift: float = Field(1.0, ge=0, le=100, description="0: exact; 1: a usual robot")
     spacing_m: float = Field(2.0, ge=0.3, description="the path comes this near to every place")
     laps: int = Field(1, ge=1, le=100)

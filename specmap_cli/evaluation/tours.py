@@ -31,10 +31,14 @@ _SMOOTHINGS = 60
 
 @dataclass(frozen=True, slots=True)
 class Lattice:
-    """The reachable space as a graph: nodes `points` (n, 2), `clearance` (n,), `costs` (n, n)."""
+    """The reachable space as a graph of nodes `points` (n, 2) with their `clearance` (n,).
+
+    `lengths` and `costs` (n, n) hold the metres between neighbours, and more of them near walls.
+    """
 
     points: FloatArray
     clearance: FloatArray
+    lengths: csr_matrix
     costs: csr_matrix
     area_m2: float
 
@@ -56,31 +60,39 @@ def reachable_space(world: World, radius_m: float) -> Lattice:
             "resolution and that free space is white"
         )
     number = np.where(open_, np.cumsum(open_) - 1, -1).reshape(len(rows), len(columns))
-    costs = _lattice_costs(number, clearance[open_], stride * world.plan.resolution)
-    _, part = connected_components(costs, directed=False)
+    spacing = stride * world.plan.resolution
+    lengths = _lattice_lengths(number, spacing)
+    _, part = connected_components(lengths, directed=False)
     kept = np.flatnonzero(part == np.bincount(part).argmax())
     points, clearance = centres[open_][kept], clearance[open_][kept]
-    area = len(kept) * (stride * world.plan.resolution) ** 2
-    return Lattice(points, clearance, costs[kept][:, kept].tocsr(), area)
+    lengths = csr_matrix(lengths[kept][:, kept])
+    area = len(kept) * spacing**2
+    return Lattice(points, clearance, lengths, _costs(lengths, clearance), area)
 
 
-def _lattice_costs(number: IndexArray, clearance: FloatArray, spacing_m: float) -> csr_matrix:
-    """Costs between the eight neighbours of each node: metres, more of them near walls."""
-    near_wall = np.clip(1.0 - clearance / _COMFORT_M, 0.0, 1.0) ** 2
-    sources, targets, costs = [], [], []
+def _lattice_lengths(number: IndexArray, spacing_m: float) -> csr_matrix:
+    """Metres (n, n) between the eight neighbours of each node, by the nodes' numbers (H, W)."""
+    sources, targets, lengths = [], [], []
     for rows, columns in ((0, 1), (1, 0), (1, 1), (1, -1)):
         a = number[: number.shape[0] - rows, max(-columns, 0) : number.shape[1] - max(columns, 0)]
         b = number[rows:, max(columns, 0) : number.shape[1] - max(-columns, 0)]
         both = (a >= 0) & (b >= 0)
         i, j = a[both], b[both]
-        length = spacing_m * math.hypot(rows, columns)
         sources.append(i)
         targets.append(j)
-        costs.append(length * (1.0 + _WALL_COST * 0.5 * (near_wall[i] + near_wall[j])))
-    i, j, cost = np.concatenate(sources), np.concatenate(targets), np.concatenate(costs)
-    n = len(clearance)
-    half = csr_matrix((cost, (i, j)), shape=(n, n))
+        lengths.append(np.full(len(i), spacing_m * math.hypot(rows, columns)))
+    i, j, length = np.concatenate(sources), np.concatenate(targets), np.concatenate(lengths)
+    n = int(number.max()) + 1
+    half = csr_matrix((length, (i, j)), shape=(n, n))
     return csr_matrix(half + half.T)
+
+
+def _costs(lengths: csr_matrix, clearance: FloatArray) -> csr_matrix:
+    """The lengths (n, n), up to `1 + _WALL_COST` times as much along walls."""
+    near_wall = np.clip(1.0 - clearance / _COMFORT_M, 0.0, 1.0) ** 2
+    edges = lengths.tocoo()
+    dearer = 1.0 + _WALL_COST * 0.5 * (near_wall[edges.row] + near_wall[edges.col])
+    return csr_matrix((edges.data * dearer, (edges.row, edges.col)), shape=lengths.shape)
 
 
 def plan_tour(
@@ -112,10 +124,10 @@ def _preference(lattice: Lattice, distance: Any) -> FloatArray:
 def _spread_targets(lattice: Lattice, start: int, spacing_m: float, rng: Any) -> IndexArray:
     """Nodes, `start` first, of which one is within `spacing_m` of every node of the lattice."""
     targets = [start]
-    distance = dijkstra(lattice.costs, indices=start, limit=spacing_m)
+    distance = dijkstra(lattice.lengths, indices=start, limit=spacing_m)
     while np.isinf(distance).any():
         targets.append(int(rng.choice(len(distance), p=_preference(lattice, distance))))
-        near = dijkstra(lattice.costs, indices=targets[-1], limit=spacing_m)
+        near = dijkstra(lattice.lengths, indices=targets[-1], limit=spacing_m)
         distance = np.minimum(distance, near)
     return np.array(targets, dtype=np.intp)
 
@@ -126,10 +138,11 @@ def _distances(lattice: Lattice, targets: IndexArray, spacing_m: float) -> Float
     Neighbours within 2.5 spacings join all: along any way, the target nearest to its points
     changes only between targets less than two spacings and a step apart.
     """
+    limit = 2.5 * spacing_m * (1.0 + _WALL_COST)
     n = len(targets)
     near = np.zeros((n, n))
     for row, target in enumerate(targets):
-        reached = dijkstra(lattice.costs, indices=target, limit=2.5 * spacing_m)[targets]
+        reached = dijkstra(lattice.costs, indices=target, limit=limit)[targets]
         near[row] = np.where(np.isfinite(reached), reached, 0.0)
     return np.asarray(shortest_path(csr_matrix(near), directed=False), dtype=np.float64)
 
