@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -109,7 +110,7 @@ def plan_tour(
         targets = _spread_targets(lattice, here, spacing_m, rng)
         distances = _distances(lattice, targets, spacing_m)
         order = _shortest_order(distances)
-        for a, b in zip(order[:-1], order[1:], strict=True):
+        for a, b in pairwise(order):
             nodes.append(_way(lattice, int(targets[a]), int(targets[b]), distances[a, b]))
         here = int(targets[order[-1]])
     return _smooth(world, lattice.points[np.concatenate(nodes)], radius_m)
