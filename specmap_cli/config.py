@@ -52,6 +52,9 @@ class RegistrationConfig(_Section):
     window_keyframes: int = Field(40, ge=1, description="keyframes in the local map")
     keyframe_m: float = Field(0.3, gt=0, description="motion between keyframes of the local map")
     keyframe_rad: float = Field(0.25, gt=0, description="turn between them")
+    guess_margin: float = Field(
+        0.05, ge=0, le=1, description="score by which steady motion must beat odometry as the guess"
+    )
     iterations: int = Field(50, ge=1, description="of the registration, per kernel")
     lost_limit: int = Field(5, ge=1, description="lost scans in a row that end a local map")
 

@@ -1,0 +1,116 @@
+"""Splitting the current submap as the robot moves (section II-C of the paper)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from specmap_cli.config import GridConfig, SegmentationConfig
+from specmap_cli.keyframes import KeyframeStore
+from specmap_cli.segmentation.sketch import Sketch, path_length
+from specmap_cli.segmentation.splitting import SplitTest, examine
+
+Observer = Callable[[SplitTest, bool], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A finished region: the keyframes, ascending, that belong to the submap just left.
+
+    `continues` is the number of the earlier region it must be appended to, because the robot came
+    straight back or the piece is too short to stand alone; None for a submap of its own.
+    """
+
+    number: int
+    keyframes: list[int]
+    continues: int | None
+
+
+class OnlineSegmenter:
+    """Takes keyframes into the current submap and says which regions were left.
+
+    `observer` is called after every test with the test and whether the submap was split.
+    """
+
+    def __init__(
+        self,
+        config: SegmentationConfig,
+        grid_config: GridConfig,
+        store: KeyframeStore,
+        observer: Observer | None = None,
+    ) -> None:
+        self.config = config
+        self.observer = observer
+        self._store = store
+        coarse = max(config.cell_m, grid_config.resolution_m)
+        self._current = Sketch(grid_config.model_copy(update={"resolution_m": coarse}), store)
+        self._since_test = 0.0
+        self._recent: list[Region] = []  # the last two; none from before a loss of track
+        self._finished = 0
+
+    def add(self, keyframe: int) -> list[Region]:
+        """Take one keyframe into the current submap; the regions left with it, oldest first."""
+        if self._test_is_due(keyframe):
+            self._since_test = 0.0
+            return self._test()
+        return []
+
+    def flush(self) -> list[Region]:
+        """End the current submap, at the end of a log or after a loss of track."""
+        keyframes = self._current.keyframes
+        if not keyframes:
+            return []
+        short = path_length(self._store, keyframes) < self.config.region_min_m
+        last = self._recent[-1] if short and self._recent else None
+        region = self._finish(keyframes, last)
+        self._current = self._current.rebuilt([])
+        self._recent = []
+        self._since_test = 0.0
+        return [region]
+
+    def _test_is_due(self, keyframe: int) -> bool:
+        """Add `keyframe` and tell whether the way since the last test is long enough."""
+        before = self._current.keyframes[-1:]
+        self._current.add(keyframe)
+        if self.config.test_every == "keyframes":
+            self._since_test += 1
+            return self._since_test >= self.config.test_keyframes
+        self._since_test += path_length(self._store, [*before, keyframe])
+        return self._since_test >= self.config.test_metres
+
+    def _test(self) -> list[Region]:
+        """Test the current submap and split off the region that was left, if there is one."""
+        test = examine(self._current.grid(), self._current.poses, self.config)
+        sides: dict[bool, list[int]] = {False: [], True: []}
+        for keyframe, stays in zip(self._current.keyframes, test.stays.tolist(), strict=True):
+            sides[stays].append(keyframe)
+        split = test.eigenvalue > self.config.split_eigenvalue and all(
+            side and path_length(self._store, side) >= self.config.region_min_m
+            for side in sides.values()
+        )
+        if self.observer is not None:
+            self.observer(test, split)
+        if not split:
+            return []
+        self._current = self._current.rebuilt(sides[True])
+        return [self._finish(sides[False], None)]
+
+    def _finish(self, keyframes: list[int], appended_to: Region | None) -> Region:
+        """The next finished region, a piece of an earlier one where the robot came back to it."""
+        earlier = appended_to or self._came_back_to(keyframes)
+        continues = None
+        if earlier is not None:
+            continues = earlier.number if earlier.continues is None else earlier.continues
+        region = Region(self._finished, keyframes, continues)
+        self._finished += 1
+        self._recent = [*self._recent[-1:], region]
+        return region
+
+    def _came_back_to(self, keyframes: list[int]) -> Region | None:
+        """The region left before the last one, if it and `keyframes` together are one region."""
+        if not self.config.regrow or len(self._recent) < 2:
+            return None
+        union = self._current.rebuilt([*self._recent[0].keyframes, *keyframes])
+        test = examine(union.grid(), union.poses, self.config)
+        whole = bool(test.reached.all()) and test.eigenvalue <= self.config.split_eigenvalue
+        return self._recent[0] if whole else None

@@ -1,0 +1,176 @@
+"""The test on the current submap: has the robot entered a second region? (section II-C)
+
+The paper splits when the second eigenvalue passes 0.8. On real maps every glimpse through a door is
+a weakly tied cluster of its own, so that eigenvalue is nearly always above. The default looks for
+the largest eigenvalue whose eigenvector divides the robot's own way, in a graph of the free space
+near that way; with a share of 0 this is the paper's second eigenvalue.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from specmap_cli.config import SegmentationConfig
+from specmap_cli.geometry import FloatArray
+from specmap_cli.gridmap import BoolArray, GridMap
+from specmap_cli.segmentation.affinity import local_scales, normalised, similarity
+from specmap_cli.segmentation.clutter import WorkingGrid, small_obstacles, working_grid
+from specmap_cli.segmentation.flood import flood_labels
+from specmap_cli.segmentation.kmeans import LabelArray, kmeans_unit
+from specmap_cli.segmentation.spectrum import largest_eigenpairs
+from specmap_cli.segmentation.visibility import IndexArray, sample_nodes, visibility_graph
+
+_EIGENPAIRS = 12  # clusters nobody entered come before the one that was: look this far
+_MARGIN_M = 1.0  # of map kept round the band, so that clearance is right inside it
+
+
+@dataclass(frozen=True, slots=True)
+class SplitTest:
+    """One test and its outcome.
+
+    `grid` is the part of the map that was looked at; `nodes` (n, 2) x and y in metres;
+    `eigenvalues` (k,) falling; `eigenvector` (n,) is number `chosen`, counted from 0, of them
+    (0: none divides the way); `near` (n,) the nodes and `stays` (p,) the poses that lie with the
+    latest pose; `reached` (p,) the poses that free space joins with the latest one.
+    """
+
+    grid: GridMap
+    poses: FloatArray
+    nodes: FloatArray
+    eigenvalues: FloatArray
+    chosen: int
+    eigenvector: FloatArray
+    near: BoolArray
+    stays: BoolArray
+    reached: BoolArray
+
+    @property
+    def eigenvalue(self) -> float:
+        """The eigenvalue to hold against the threshold, 0 when no eigenvector divides the way."""
+        return float(self.eigenvalues[self.chosen]) if self.chosen else 0.0
+
+
+def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> SplitTest:
+    """Look for a second region in `grid` along the way `poses` (p, 3), oldest first."""
+    window = _window(grid, poses, config)
+    opened = window.free | small_obstacles(window.free, config.obstacle_m / window.resolution)
+    work = working_grid(opened, window.resolution, config.cell_m)
+    cells = np.clip(
+        window.cells_of(poses[:, :2]) // work.step, 0, np.array(work.clearance.shape) - 1
+    )
+    nodes = _nodes_along(work, cells, config)
+    if len(nodes) < 3:
+        return _undivided(window, poses, window.centres_of(_fine(nodes, work)))
+    home = _homes(work, nodes, cells)
+    members, values, vectors = _spectrum(work, nodes, int(home[-1]), config)
+    inside = np.full(len(nodes), -1)
+    inside[members] = np.arange(len(members))
+    home = inside[home]
+    reached = home >= 0
+    weight = _way_weights(poses) * reached
+    chosen, sides = _dividing(vectors, home, weight, config.split_share)
+    near = sides == sides[home[-1]]
+    stays = np.where(reached, near[home], True)
+    middles = window.centres_of(_fine(nodes[members], work))
+    return SplitTest(
+        window, poses, middles, values, chosen, vectors[:, chosen], near, stays, reached
+    )
+
+
+def _undivided(window: GridMap, poses: FloatArray, nodes: FloatArray) -> SplitTest:
+    n = len(nodes)
+    stays = np.ones(len(poses), dtype=bool)
+    return SplitTest(window, poses, nodes, np.ones(1), 0, np.ones(n), np.ones(n, dtype=bool), stays)
+
+
+def _window(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> GridMap:
+    """The part of `grid` near the poses, or all of it when nodes may lie anywhere."""
+    if not config.path_band_m:
+        return grid
+    reach = config.path_band_m + _MARGIN_M
+    corners = np.array([poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach])
+    low, high = np.clip(grid.cells_of(corners), 0, grid.cells.shape)
+    cells = grid.cells[low[0] : high[0], low[1] : high[1]]
+    x, y = grid.origin
+    return GridMap(
+        cells, grid.resolution, (x + low[1] * grid.resolution, y + low[0] * grid.resolution)
+    )
+
+
+def _fine(cells: IndexArray, work: WorkingGrid) -> FloatArray:
+    return np.asarray((cells + 0.5) * work.step - 0.5)
+
+
+def _nodes_along(work: WorkingGrid, way: IndexArray, config: SegmentationConfig) -> IndexArray:
+    """Nodes near the cells `way` (p, 2); the blocks grow until there are few enough."""
+    clearance = work.clearance
+    if config.path_band_m:
+        off = np.ones(clearance.shape, dtype=np.uint8)
+        off[way[:, 0], way[:, 1]] = 0
+        distance = cv2.distanceTransform(off, cv2.DIST_L2, cv2.DIST_MASK_5)
+        clearance = np.where(distance * work.cell_m <= config.path_band_m, clearance, 0.0)
+    block = max(1, round(config.node_step_m / work.cell_m))
+    least = config.split_clearance_m / work.cell_m
+    while True:
+        nodes = sample_nodes(clearance, block, least, config.nodes)
+        if len(nodes) <= config.split_nodes:
+            return nodes
+        block = max(block + 1, int(block * (len(nodes) / config.split_nodes) ** 0.5))
+
+
+def _homes(work: WorkingGrid, nodes: IndexArray, cells: IndexArray) -> IndexArray:
+    """(p,) the node in whose region each of the cells (p, 2) lies."""
+    zones = flood_labels(work.clearance, nodes, np.arange(len(nodes), dtype=np.int32))
+    home = zones[cells[:, 0], cells[:, 1]].astype(np.intp)
+    lost = home < 0
+    if lost.any():
+        home[lost] = cKDTree(nodes).query(cells[lost])[1]
+    return home
+
+
+def _spectrum(
+    work: WorkingGrid, nodes: IndexArray, here: int, config: SegmentationConfig
+) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """The nodes connected with node `here` (n,), their eigenvalues (k,) and vectors (n, k)."""
+    least = config.split_clearance_m / work.cell_m
+    graph = visibility_graph(work.clearance, nodes, config.split_sight_m / work.cell_m, least)
+    scales = local_scales(graph.lengths, graph.pairs, len(nodes), config.neighbours)
+    affinity = similarity(graph.lengths, graph.pairs, config.split_scale * scales, len(nodes))
+    _, component = connected_components(affinity, directed=False)
+    members = np.flatnonzero(component == component[here])
+    matrix, _ = normalised(affinity[members][:, members])
+    values, vectors = largest_eigenpairs(matrix, _EIGENPAIRS)
+    return members, values, vectors
+
+
+def _way_weights(poses: FloatArray) -> FloatArray:
+    """(p,) share of the way at each pose."""
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T) if len(poses) > 1 else np.zeros(0)
+    weight = np.zeros(len(poses))
+    weight[1:] += 0.5 * steps
+    weight[:-1] += 0.5 * steps
+    return np.asarray((weight + 1e-6) / (weight + 1e-6).sum())
+
+
+def _dividing(
+    vectors: FloatArray, home: IndexArray, weight: FloatArray, share: float
+) -> tuple[int, LabelArray]:
+    """The first eigenvector from the second on that divides the way, and the sides of the nodes.
+
+    A division is Algorithm 2 with k = 2 on that eigenvector and the first; each side must hold more
+    than `share` of the way. Number 0 and one side when none does.
+    """
+    for column in range(1, vectors.shape[1]):
+        X = vectors[:, [0, column]]
+        Y = X / np.maximum(np.hypot(X[:, 0], X[:, 1]), 1e-12)[:, None]  # Algorithm 2, line 5
+        angle = np.arctan2(Y[:, 1], Y[:, 0])
+        sides = kmeans_unit(Y, 2, [int(angle.argmax())])  # Algorithm 2, line 6
+        part = float(weight[sides[home] == 1].sum() / weight.sum())
+        if share == 0.0 or share <= part <= 1.0 - share:
+            return column, sides
+    return 0, np.zeros(len(vectors), dtype=np.int32)
