@@ -73,6 +73,15 @@ class Canvas:
             self.image, words, place, _FONT, _text_scale(height), colour, thickness, cv2.LINE_AA
         )
 
+    def upright_text(self, x: float, y: float, words: str, height: float) -> None:
+        """Words that read upwards, centred on `x`, their first letter at `y`."""
+        strip = Canvas(text_width(words, height) + 4, round(2.4 * height))
+        strip.text(2, strip.image.shape[0] / 2, words, height)
+        turned = np.rot90(strip.image)
+        top, left = round(y) - turned.shape[0], round(x - turned.shape[1] / 2)
+        window = self.image[max(0, top) : round(y), max(0, left) : left + turned.shape[1]]
+        np.minimum(window, turned[-window.shape[0] :, -window.shape[1] :], out=window)
+
 
 def text_width(words: str, height: float, bold: bool = False) -> int:
     """Pixels that `words` take across."""

@@ -20,6 +20,7 @@ SHADE: Colour = (236, 236, 236)
 QUIET: Colour = (130, 124, 118)
 TRAVERSED: Colour = (92, 52, 20)
 CLOSURE: Colour = (48, 30, 196)
+WRONG: Colour = (40, 24, 214)
 LOOSE: Colour = (0, 110, 214)
 
 _FILLS = (
@@ -36,6 +37,24 @@ _DISTINCT = 40.0
 def darker(colour: Colour, share: float = 0.55) -> Colour:
     """The same hue, darker."""
     blue, green, red = (round(channel * share) for channel in colour)
+    return blue, green, red
+
+
+def paler(colour: Colour, share: float = 0.55) -> Colour:
+    """The colour mixed with paper."""
+    blue, green, red = (
+        round(channel + share * (paper - channel))
+        for channel, paper in zip(colour, PAPER, strict=True)
+    )
+    return blue, green, red
+
+
+def vivid(colour: Colour) -> Colour:
+    """The same hue, saturated and darker: for lines on a pale ground."""
+    hsv = cv2.cvtColor(np.array([[colour]], dtype=np.float32) / 255.0, cv2.COLOR_BGR2HSV)
+    hsv *= np.array([1.0, 2.2, 0.82], dtype=np.float32)
+    bgr = cv2.cvtColor(np.minimum(hsv, (360.0, 1.0, 1.0)).astype(np.float32), cv2.COLOR_HSV2BGR)
+    blue, green, red = (round(float(channel) * 255.0) for channel in bgr[0, 0])
     return blue, green, red
 
 

@@ -9,7 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.outputs.canvas import Canvas
-from specmap_cli.outputs.palette import CLOSURE, FILLS, INK, LOOSE, PAPER, TRAVERSED, Colour, darker
+from specmap_cli.outputs.palette import (
+    CLOSURE,
+    FILLS,
+    INK,
+    LOOSE,
+    PAPER,
+    TRAVERSED,
+    WRONG,
+    Colour,
+    darker,
+    vivid,
+)
 from specmap_cli.topomap import EdgeKind
 
 Symbol = Callable[[Canvas, float, float], None]
@@ -69,6 +80,23 @@ def overview_legend(kinds: Collection[EdgeKind]) -> Legend:
     ]
 
 
+def unknown(canvas: Canvas, centre: NDArray[Any]) -> None:
+    """A scan that belongs to no submap: a ring."""
+    canvas.disc(centre, 4.0, PAPER, INK)
+
+
+def labels_legend(with_map: bool, with_unknown: bool, with_truth: bool) -> Legend:
+    """What the picture of predicted submaps shows."""
+    legend: Legend = [("predicted submap, with its id", _predicted)]
+    if with_unknown:
+        legend.append(("unknown", lambda c, x, y: unknown(c, np.array([x, y]))))
+    if with_truth:
+        legend.append(("wrong", _wrong))
+    if with_map:
+        legend.append(("wall", _wall))
+    return [*legend, ("start", lambda c, x, y: start(c, np.array([x, y])))]
+
+
 def regions_legend(kinds: Collection[EdgeKind]) -> Legend:
     """What the picture of a finished map shows."""
     return [
@@ -88,6 +116,16 @@ def _link(kind: EdgeKind) -> Symbol:
         edge(canvas, np.array([[x - 21, y], [x + 21, y]]), kind)
 
     return draw
+
+
+def _predicted(canvas: Canvas, x: float, y: float) -> None:
+    canvas.line(np.array([[x - 20, y], [x, y]]), vivid(FILLS[0]), 6)
+    canvas.line(np.array([[x, y], [x + 20, y]]), vivid(FILLS[1]), 6)
+
+
+def _wrong(canvas: Canvas, x: float, y: float) -> None:
+    canvas.line(np.array([[x - 20, y], [x + 20, y]]), WRONG, 12)
+    canvas.line(np.array([[x - 20, y], [x + 20, y]]), vivid(FILLS[0]), 6)
 
 
 def _wall(canvas: Canvas, x: float, y: float) -> None:
