@@ -86,6 +86,7 @@ class SegmentationConfig(_Section):
     merge: bool = Field(True, description="join clusters whose border is as wide as they are")
     merge_ratio: float = Field(0.9, gt=0, description="border width over room width that joins")
     width_percentile: float = Field(75.0, ge=0, le=100, description="of local widths: a room's")
+    door_min_m: float = Field(0.3, ge=0, description="narrower contacts of regions are no doorway")
     test_every: Literal["metres", "keyframes"] = Field("metres", description="pace of the tests")
     test_metres: float = Field(1.0, gt=0, description="travelled between two tests")
     test_keyframes: int = Field(50, ge=1, description="keyframes between two tests")
@@ -197,6 +198,17 @@ PRESETS: dict[str, dict[str, Any]] = {
             "region_min_m": 0.0,
             "regrow": False,
         },
+        "recognition": {
+            "feature_set": "table1",
+            "booster": "stumps",
+            "rounds": 300,
+            "negatives": 1_000_000,
+            "closure_negatives": 1_000_000,
+            "groups": 0,
+            "refresh_growth": 0.0,
+            "verify": False,
+        },
+        "localization": {"virtual": False, "unknown": False},
     },
 }
 

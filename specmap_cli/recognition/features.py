@@ -1,0 +1,58 @@
+"""Features of one planar scan: the sets by name and their computation.
+
+`table1` is Table I of the paper; `shape` adds a finer distance histogram, pieces and cut ranges;
+`pairs` is Table I with the point-pair histogram; `default` is all of them. Every column is
+documented where its group is defined, finite for every scan, and unchanged by turning the robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from specmap_cli.errors import UsageError
+from specmap_cli.geometry import FloatArray
+from specmap_cli.recognition import features_shape, features_table1, point_pairs
+from specmap_cli.recognition.outline import Outline, outline_of
+from specmap_cli.records import PlanarScan
+
+Group = tuple[Callable[[Outline], list[float]], tuple[str, ...]]
+
+_PAIRS: tuple[Group, ...] = ((point_pairs.point_pair_histogram, point_pairs.NAMES),)
+FEATURE_GROUPS: dict[str, tuple[Group, ...]] = {
+    "table1": features_table1.GROUPS,
+    "pairs": features_table1.GROUPS + _PAIRS,
+    "shape": features_table1.GROUPS + features_shape.GROUPS,
+    "default": features_table1.GROUPS + features_shape.GROUPS + _PAIRS,
+}
+FEATURE_SETS: dict[str, tuple[str, ...]] = {
+    name: tuple(column for _, columns in groups for column in columns)
+    for name, groups in FEATURE_GROUPS.items()
+}
+
+
+def scan_features(scan: PlanarScan, feature_set: str = "default") -> FloatArray:
+    """(F,) features of one scan, the columns named by `FEATURE_SETS[feature_set]`; always finite.
+
+    Raises UsageError for a set that does not exist.
+    """
+    outline = outline_of(scan)
+    values: list[float] = []
+    for function, _ in _groups(feature_set):
+        values += function(outline)
+    return np.array(values)
+
+
+def scans_features(scans: Iterable[PlanarScan], feature_set: str = "default") -> FloatArray:
+    """(n, F) features of several scans."""
+    rows = [scan_features(scan, feature_set) for scan in scans]
+    return np.array(rows).reshape(len(rows), len(FEATURE_SETS[feature_set]))
+
+
+def _groups(feature_set: str) -> tuple[Group, ...]:
+    try:
+        return FEATURE_GROUPS[feature_set]
+    except KeyError:
+        known = ", ".join(sorted(FEATURE_GROUPS))
+        raise UsageError(f"unknown feature set {feature_set!r}: choose from {known}") from None

@@ -1,0 +1,145 @@
+"""Training the classifiers that localisation uses, from the keyframes and grids of a map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from specmap_cli.config import Config, LocalizationConfig, RecognitionConfig
+from specmap_cli.geometry import FloatArray, Pose2
+from specmap_cli.gridmap import GridMap
+from specmap_cli.keyframes import KeyframeStore
+from specmap_cli.recognition.classifiers import ClassifierSet, OneVsAll, Sensor
+from specmap_cli.recognition.features import scan_features, scans_features
+from specmap_cli.recognition.sampling import evenly
+from specmap_cli.recognition.virtual import RecentScans, cast_circles
+
+_TRACK_REACH_M = 1.5
+_WINDOW_SHARES = (0.1, 0.2, 0.5, 1.0)  # of the window: it has to work while it fills
+_MOST_WINDOW_SAMPLES = 1500
+
+
+def train_localizer(
+    store: KeyframeStore,
+    submaps: Mapping[int, Sequence[int]],
+    poses: FloatArray,
+    grids: Mapping[int, GridMap],
+    config: Config,
+    rng: np.random.Generator,
+) -> ClassifierSet:
+    """Classifiers of raw scans and, where wanted, of virtual ones.
+
+    `submaps` lists the keyframes of each submap, ascending; `poses` (n, 3) are those of all
+    keyframes, map from base; `grids` are in the frame of each submap's first keyframe.
+    """
+    recognition, localization = config.recognition, config.localization
+    raw = {
+        i: scans_features((store.scan(k) for k in numbers), recognition.feature_set)
+        for i, numbers in submaps.items()
+    }
+    sensor = Sensor.of(store.scan(min(numbers[0] for numbers in submaps.values())))
+    trained = ClassifierSet.train(raw, sensor, recognition, rng)
+    if localization.virtual:
+        samples = virtual_samples(store, submaps, poses, grids, recognition, localization, rng)
+        trained.virtual = OneVsAll(recognition.feature_set, recognition).fit(samples, rng)
+    return trained
+
+
+def virtual_samples(
+    store: KeyframeStore,
+    submaps: Mapping[int, Sequence[int]],
+    poses: FloatArray,
+    grids: Mapping[int, GridMap],
+    recognition: RecognitionConfig,
+    localization: LocalizationConfig,
+    rng: np.random.Generator,
+) -> dict[int, FloatArray]:
+    """Features (n, F) of virtual scans of every submap: along the track, and from free cells."""
+    owner = _owners(submaps, len(poses))
+    rows: dict[int, list[FloatArray]] = {i: [] for i in sorted(submaps)}
+    for keyframe, features in _along_the_track(store, owner, poses, recognition, localization):
+        rows[int(owner[keyframe])].append(features)
+    samples = {}
+    counts = _share_out(localization.augmentation, {i: g.free_area_m2 for i, g in grids.items()})
+    tracked = np.flatnonzero(owner >= 0)
+    tree = cKDTree(poses[tracked, :2])
+    for i in sorted(submaps):
+        map_from_submap = Pose2(*poses[submaps[i][0]].tolist())
+        origins = _free_origins(
+            grids[i], map_from_submap, tree, owner[tracked] == i, counts[i], rng
+        )
+        scans = cast_circles(
+            grids[i], origins, localization.virtual_beams, localization.virtual_range_m
+        )
+        cast = scans_features(scans, recognition.feature_set)
+        samples[i] = np.vstack([*(row[None] for row in rows[i]), cast])
+    return samples
+
+
+def _owners(submaps: Mapping[int, Sequence[int]], count: int) -> NDArray[np.intp]:
+    """(count,) submap of every keyframe, -1 for none."""
+    owner = np.full(count, -1, dtype=np.intp)
+    for i, numbers in submaps.items():
+        owner[np.asarray(numbers, dtype=np.intp)] = i
+    return owner
+
+
+def _along_the_track(
+    store: KeyframeStore,
+    owner: NDArray[np.intp],
+    poses: FloatArray,
+    recognition: RecognitionConfig,
+    localization: LocalizationConfig,
+) -> Iterator[tuple[int, FloatArray]]:
+    """Keyframes in turn with the features of what the window showed there, of several lengths."""
+    windows = [
+        RecentScans(
+            share * localization.window_m, localization.virtual_beams, localization.virtual_range_m
+        )
+        for share in _WINDOW_SHARES
+    ]
+    numbers = np.flatnonzero(owner >= 0)
+    sampled = set(evenly(numbers, _MOST_WINDOW_SAMPLES).tolist())
+    turn = 0
+    for number in numbers.tolist():
+        pose, mounting = Pose2(*poses[number].tolist()), store.base_from_laser(number)
+        points = store.scan(number).hits(localization.virtual_range_m)
+        for window in windows:
+            window.add_points(points, pose, mounting)
+        if number in sampled:
+            scan = windows[turn % len(windows)].scan(0, pose @ mounting)
+            turn += 1
+            yield number, scan_features(scan, recognition.feature_set)
+
+
+def _share_out(total: int, areas: Mapping[int, float]) -> dict[int, int]:
+    """How many of `total` samples each submap gets: half alike, half by its area."""
+    whole = sum(areas.values())
+    even = 0.5 / max(1, len(areas))
+    return {
+        i: round(total * (even + (0.5 * area / whole if whole > 0.0 else even)))
+        for i, area in sorted(areas.items())
+    }
+
+
+def _free_origins(
+    grid: GridMap,
+    map_from_submap: Pose2,
+    tree: cKDTree,
+    own: NDArray[np.bool_],
+    count: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """(n, 2) places in free cells near the track and nearer to this submap's than to others'.
+
+    `tree` holds the keyframes' places in the map, `own` (k,) which of them are this submap's.
+    """
+    cells = np.argwhere(grid.clearance() > 0.25)
+    if not len(cells) or not count:
+        return np.zeros((0, 2))
+    drawn = grid.centres_of(cells[rng.integers(len(cells), size=6 * count)])
+    distance, nearest = tree.query(map_from_submap.apply(drawn))
+    return np.asarray(drawn[(distance < _TRACK_REACH_M) & own[nearest]][:count])

@@ -1,0 +1,174 @@
+"""Do two grids show the same place? A global search without pose prior, and a judgement.
+
+Rotations come from the directions of the walls, translations from a correlation by Fourier
+transform of walls with walls and of free space with walls, the best few are refined. The
+judgement counts the wall points of each grid that the other one confirms, less twice those that
+stand where the other saw free space: a right transform contradicts nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from specmap_cli.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.matching import refine
+from specmap_cli.recognition.place import COARSE_M, ImageArray, Place
+
+_SLACKS_RAD = (0.0, math.radians(-3.0), math.radians(3.0))
+_PEAKS = 6
+_REFINE_POINTS = 250
+_INLIER_M = 0.15
+_DEEP_M = 0.25
+_CLEAR_M = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """The best transform between two grids and how well they agree under it.
+
+    `score` is the smaller share of inliers less twice the larger share of contradictions, at most
+    1; `inliers` the smaller count of wall points confirmed; `overlap` the larger share of a
+    place's walls that the other one knows about.
+    """
+
+    old_from_new: Pose2
+    score: float
+    inliers: int
+    overlap: float
+
+
+def verify(old: Place, new: Place) -> Check | None:
+    """The best transform between two places and its judgement; None when nothing overlaps."""
+    best: Check | None = None
+    points = new.walls[
+        np.linspace(0, len(new.walls) - 1, min(len(new.walls), _REFINE_POINTS), dtype=int)
+    ]
+    for guess in _candidates(old, new):
+        match = refine(old.field, points, guess, iterations=12, max_shift=0.6)
+        check = judge(old, new, match.pose)
+        if best is None or _rank(check) > _rank(best):
+            best = check
+    if best is None:
+        return None
+    match = refine(old.field, new.walls, best.old_from_new, max_shift=0.2)
+    final = judge(old, new, match.pose)
+    return final if final.score >= best.score else best
+
+
+def judge(old: Place, new: Place, old_from_new: Pose2) -> Check:
+    """How well two places agree under a given transform."""
+    inlier, contra, inliers, overlap = _agreement(old, old_from_new.apply(new.walls))
+    back = _agreement(new, old_from_new.inverse().apply(old.walls))
+    score = min(inlier, back[0]) - 2.0 * max(contra, back[1])
+    return Check(old_from_new, score, min(inliers, back[2]), max(overlap, back[3]))
+
+
+def tracks_overlap(
+    old: NDArray[np.float64], new: NDArray[np.float64], old_from_new: Pose2, reach: float
+) -> float:
+    """The smaller share of either track (k, 3) that passes within `reach` metres of the other."""
+    if not len(old) or not len(new):
+        return 0.0
+    placed = old_from_new.apply(new[:, :2])
+    squared = ((old[:, None, :2] - placed[None]) ** 2).sum(axis=2)
+    near = squared <= reach * reach
+    return float(min(near.any(axis=0).mean(), near.any(axis=1).mean()))
+
+
+def _rank(check: Check) -> float:
+    """What decides between transforms: agreement, and how much of the walls it covers."""
+    return check.score * math.sqrt(check.overlap) if check.score > 0.0 else check.score - 1.0
+
+
+def _agreement(place: Place, points: FloatArray) -> tuple[float, float, int, float]:
+    """Shares of inliers and of contradictions among the points in known area, the count of
+    inliers, and the share of all points in known area.
+    """
+    cells = np.floor((points - place.origin) / place.resolution).astype(np.intp)
+    height, width = place.known.shape
+    inside = ((cells >= 0) & (cells < (width, height))).all(axis=1)
+    columns, rows = cells[inside].T
+    known = place.known[rows, columns]
+    columns, rows = columns[known], rows[known]
+    if not len(rows):
+        return 0.0, 0.0, 0, 0.0
+    distance = place.wall_distance[rows, columns]
+    inliers = int(np.count_nonzero(distance <= _INLIER_M))
+    contradicted = (distance > _CLEAR_M) & (place.depth[rows, columns] > _DEEP_M)
+    return (
+        inliers / len(rows),
+        float(np.count_nonzero(contradicted)) / len(rows),
+        inliers,
+        len(rows) / len(points),
+    )
+
+
+def _candidates(old: Place, new: Place) -> list[Pose2]:
+    """The most promising transforms old_from_new, best first."""
+    aligned = old.direction - new.direction
+    angles = [aligned + k * math.pi / 2 + slack for k in range(4) for slack in _SLACKS_RAD]
+    centre = new.coarse_walls.mean(axis=0)
+    reach = np.abs(np.vstack([new.coarse_walls, new.coarse_free]) - centre).max() * math.sqrt(2.0)
+    side = 2 * math.ceil(reach / COARSE_M) + 3
+    shape = [scipy.fft.next_fast_len(n + side, real=True) for n in old.target.shape]
+    target = scipy.fft.rfft2(old.target, shape)
+    obstacles = scipy.fft.rfft2(old.obstacles, shape)
+    found: list[tuple[float, Pose2]] = []
+    for angle in angles:
+        turn = Pose2(0.0, 0.0, wrap_angle(angle))
+        walls = _picture(turn.apply(new.coarse_walls - centre), shape)
+        free = _picture(turn.apply(new.coarse_free - centre), shape)
+        product = target * np.conj(scipy.fft.rfft2(walls))
+        product -= 0.5 * obstacles * np.conj(scipy.fft.rfft2(free))
+        correlation = scipy.fft.irfft2(product, shape)
+        for value, x, y in _peaks(correlation, old.target.shape):
+            at = Pose2(x + old.coarse_origin[0], y + old.coarse_origin[1], turn.theta)
+            found.append((value, at @ Pose2(-float(centre[0]), -float(centre[1]), 0.0)))
+    found.sort(key=lambda item: -item[0])
+    kept: list[Pose2] = []
+    for _, pose in found:
+        if all(_apart(pose, other, centre) for other in kept):
+            kept.append(pose)
+        if len(kept) == _PEAKS:
+            break
+    return kept
+
+
+def _picture(points: FloatArray, shape: list[int]) -> ImageArray:
+    """Points (N, 2) on a periodic coarse image whose cell [0, 0] is centred on the origin."""
+    columns, rows = np.floor(points / COARSE_M + 0.5).astype(np.intp).T
+    flat = (rows % shape[0]) * shape[1] + columns % shape[1]
+    counts = np.bincount(flat, minlength=shape[0] * shape[1])
+    return np.minimum(counts, 1).astype(np.float32).reshape(shape)
+
+
+def _peaks(
+    correlation: ImageArray, size: tuple[int, ...], count: int = 2
+) -> list[tuple[float, float, float]]:
+    """(value, x, y) of the highest places of a correlation, 1 m apart, from the image's corner."""
+    correlation = correlation.copy()
+    height, width = correlation.shape
+    suppressed = round(1.0 / COARSE_M)
+    found: list[tuple[float, float, float]] = []
+    for _ in range(count):
+        row, column = divmod(int(correlation.argmax()), width)
+        value = float(correlation[row, column])
+        near_rows = np.arange(row - suppressed, row + suppressed + 1) % height
+        near_columns = np.arange(column - suppressed, column + suppressed + 1) % width
+        correlation[np.ix_(near_rows, near_columns)] = -np.inf
+        row -= height if row > (height + size[0]) // 2 else 0
+        column -= width if column > (width + size[1]) // 2 else 0
+        found.append((value, (column + 0.5) * COARSE_M, (row + 0.5) * COARSE_M))
+    return found
+
+
+def _apart(a: Pose2, b: Pose2, centre: FloatArray) -> bool:
+    """Whether two transforms place `centre` 0.5 m, or turn 4 degrees, apart."""
+    shift = a.apply(centre[None])[0] - b.apply(centre[None])[0]
+    turn = abs(wrap_angle(a.theta - b.theta))
+    return math.hypot(*shift.tolist()) > 0.5 or turn > math.radians(4.0)
