@@ -83,9 +83,9 @@ def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> Spl
 
 
 def _undivided(window: GridMap, poses: FloatArray, nodes: FloatArray) -> SplitTest:
-    n = len(nodes)
-    stays = np.ones(len(poses), dtype=bool)
-    return SplitTest(window, poses, nodes, np.ones(1), 0, np.ones(n), np.ones(n, dtype=bool), stays)
+    """The outcome for a map too small for a graph: nothing to split."""
+    every, whole = np.ones(len(nodes), dtype=bool), np.ones(len(poses), dtype=bool)
+    return SplitTest(window, poses, nodes, np.ones(1), 0, np.ones(len(nodes)), every, whole, whole)
 
 
 def _window(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> GridMap:
