@@ -8,12 +8,14 @@ spooled to a temporary file, so that memory does not grow with the scans of a lo
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterable, Sequence
 from types import TracebackType
 
 import numpy as np
 
-from specmap_cli.config import KeyframeConfig
+from specmap_cli.config import GridConfig, KeyframeConfig
 from specmap_cli.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.gridmap import OccupancyGrid
 from specmap_cli.records import PlanarScan, PosedScan
 
 
@@ -35,6 +37,18 @@ class KeyframeSelector:
                 return False
         self._last = scan.map_from_base
         return True
+
+
+def integrate_keyframes(
+    store: KeyframeStore, numbers: Iterable[int], poses: FloatArray, config: GridConfig
+) -> OccupancyGrid:
+    """A grid of keyframes `numbers` of the store taken at `poses` (n, 3), grid frame from base."""
+    grid = OccupancyGrid(config)
+    for number, pose in zip(numbers, poses, strict=True):
+        grid_from_base = Pose2(*pose.tolist())
+        grid.integrate(store.scan(number), grid_from_base @ store.base_from_laser(number))
+        grid.mark_free_disc(grid_from_base.x, grid_from_base.y, config.footprint_m)
+    return grid
 
 
 class KeyframeStore:
@@ -75,6 +89,10 @@ class KeyframeStore:
     def stamps_ns(self) -> list[int]:
         """Header stamp of each keyframe."""
         return self._stamps
+
+    def poses_of(self, numbers: Sequence[int]) -> FloatArray:
+        """(n, 3) map_from_base of some keyframes as registered."""
+        return np.array([self._poses[number] for number in numbers]).reshape(-1, 3)
 
     def pose(self, number: int) -> Pose2:
         """map_from_base of one keyframe as registered."""

@@ -1,0 +1,20 @@
+"""`specmap config`: the effective configuration as TOML."""
+
+from __future__ import annotations
+
+import typer
+
+from specmap_cli.cli import options
+
+
+def show_config(
+    config: options.ConfigFile = None,
+    preset: options.Preset = None,
+    settings: options.Settings = None,
+    as_json: options.Json = False,
+) -> None:
+    """Print the configuration in force as TOML, ready to edit and give back with --config."""
+    from specmap_cli.config import load_config, to_toml
+
+    effective = load_config(config, preset, options.overrides(settings))
+    typer.echo(effective.model_dump_json(indent=2) if as_json else to_toml(effective), nl=as_json)

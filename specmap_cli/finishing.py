@@ -1,0 +1,96 @@
+"""After Algorithm 1's loop: the layout, the topology, the grids and the classifiers of the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from specmap_cli.config import Config
+from specmap_cli.errors import NoResultError
+from specmap_cli.geometry import FloatArray, compose, invert
+from specmap_cli.gridmap import GridMap
+from specmap_cli.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.mapper import Mapper
+from specmap_cli.outputs.tables import Labels
+from specmap_cli.progress import Progress
+from specmap_cli.recognition.training import train_localizer
+from specmap_cli.records import IntArray, Trajectory
+from specmap_cli.topology.graph import build_topology, first_visit_order, settle_labels
+from specmap_cli.topology.relaxation import Layout, corrected, relax
+from specmap_cli.topomap import TopologicalMap
+
+_EXCURSION_M = 0.5  # a shorter stay between two in one submap is part of it
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedMap:
+    """A map ready to be written: row i of `labels` is keyframe number i."""
+
+    topology: TopologicalMap
+    labels: Labels
+    trajectory: Trajectory
+    grid: GridMap
+    classifiers: str
+    layout: Layout
+
+
+def finish_map(mapper: Mapper, progress: Progress) -> FinishedMap:
+    """Lay the submaps out, derive the topology, rebuild the grids, train the classifiers.
+
+    Raises NoResultError when the log left no keyframe.
+    """
+    config, store, clock = mapper.config, mapper.store, mapper.clock
+    if not len(store):
+        raise NoResultError(
+            "no scan could be registered: nothing to map; look at the scans with `specmap info`"
+        )
+    progress.start("layout", None)
+    with clock.stage("layout"):
+        layout = relax(store, mapper.constraints(), mapper.breaks, config.relaxation)
+        trajectory = corrected(mapper.trajectory.trajectory(), store, layout)
+    labels, submap_of_region = _final_labels(mapper, layout.poses)
+    progress.start("grids", len(store))
+    with clock.stage("grids"):
+        whole = integrate_keyframes(store, range(len(store)), layout.poses, config.grid).snapshot()
+        grids = _submap_grids(store, labels, layout.poses, config, progress)
+    topology = build_topology(
+        labels,
+        layout.poses,
+        store.stamps_ns,
+        mapper.breaks,
+        mapper.closures,
+        submap_of_region,
+        grids,
+    )
+    progress.start("training", None)
+    with clock.stage("training"):
+        keyframes = {id_: submap.keyframes for id_, submap in topology.submaps.items()}
+        rng = np.random.default_rng(config.seed)
+        classifiers = train_localizer(store, keyframes, layout.poses, grids, config, rng)
+    table = Labels(np.array(store.stamps_ns, dtype=np.int64), layout.poses, labels)
+    return FinishedMap(topology, table, trajectory, whole, classifiers.to_json(), layout)
+
+
+def _final_labels(mapper: Mapper, poses: FloatArray) -> tuple[IntArray, dict[int, int]]:
+    """The submap id (n,) of each keyframe in order of first visit, and that of each region."""
+    settled = settle_labels(mapper.labels(), poses, _EXCURSION_M)
+    order = first_visit_order(settled.tolist())
+    of_region: dict[int, int] = {}
+    for region, keyframes in mapper.regions.items():
+        kept = order.get(mapper.merger.find(region))
+        of_region[region] = order[int(settled[keyframes[0]])] if kept is None else kept
+    return np.array([order[int(label)] for label in settled], dtype=np.int64), of_region
+
+
+def _submap_grids(
+    store: KeyframeStore, labels: IntArray, poses: FloatArray, config: Config, progress: Progress
+) -> dict[int, GridMap]:
+    """The grid of each submap from all its keyframes, in the frame of its first."""
+    grids = {}
+    for id_ in np.unique(labels).tolist():
+        keyframes = np.flatnonzero(labels == id_)
+        track = compose(invert(poses[keyframes[0]]), poses[keyframes])
+        grids[id_] = integrate_keyframes(store, keyframes.tolist(), track, config.grid).snapshot()
+        progress.advance(len(keyframes))
+    return grids

@@ -1,0 +1,127 @@
+"""From a recorded log to a map directory: the order of the stages."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from specmap_cli import __version__
+from specmap_cli.config import Config
+from specmap_cli.finishing import FinishedMap, finish_map
+from specmap_cli.keyframes import KeyframeStore
+from specmap_cli.logs import Log, open_log
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.mapper import Mapper
+from specmap_cli.outputs.directory import OutputDirectory
+from specmap_cli.outputs.store import MapResult, write_map
+from specmap_cli.outputs.topology import LogInfo
+from specmap_cli.progress import Progress, Silent
+from specmap_cli.segmentation.explain import Explainer
+
+_LIBRARIES = ("kiss-icp", "mcap", "networkx", "numpy", "opencv-python-headless", "rosbags", "scipy")
+
+
+@dataclass(frozen=True, slots=True)
+class BuildReport:
+    """What `build` did, for a person and for a machine."""
+
+    out: Path
+    run: dict[str, Any]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The counts and the directory."""
+        return {"out": str(self.out), **self.run["counts"], "warnings": self.run["warnings"]}
+
+    def lines(self) -> list[str]:
+        """A summary in two lines."""
+        counts = self.run["counts"]
+        return [
+            f"{self.out}: {counts['submaps']} submaps, {counts['edges']} edges, "
+            f"{counts['merges']} loops closed; {counts['scans']:,} scans over "
+            f"{counts['path_m']:.0f} m, {counts['lost']} lost",
+            f"look at {self.out / 'overview.png'}",
+        ]
+
+
+def build_map(
+    logs: Sequence[Path],
+    out: Path,
+    config: Config,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    explain: Path | None = None,
+) -> BuildReport:
+    """Build the map of a recording and write it to the directory `out`, complete or not at all.
+
+    Raises UsageError for an output that cannot be written or topics that must be chosen, LogError
+    for a recording that cannot be used, NoResultError when no scan could be registered.
+    """
+    progress = progress or Silent()
+    observer = Explainer(explain) if explain is not None else None
+    with (
+        OutputDirectory(out, overwrite) as partial,
+        open_log(logs) as log,
+        KeyframeStore() as store,
+    ):
+        stream = SweepStream(log, config.log)
+        progress.note(stream.selection.describe())
+        mapper = Mapper(config, store, progress, observer)
+        progress.start("mapping", stream.expected)
+        for sweep in stream:
+            mapper.add(sweep)
+            progress.advance()
+        mapper.finish()
+        finished = finish_map(mapper, progress)
+        run = _run_record(logs, log, stream, mapper, finished)
+        for warning in run["warnings"]:
+            progress.warn(warning)
+        write_map(partial, _result(log, mapper, finished, run))
+    return BuildReport(out, run)
+
+
+def _result(log: Log, mapper: Mapper, finished: FinishedMap, run: dict[str, Any]) -> MapResult:
+    stamps = finished.trajectory.stamps_ns
+    info = LogInfo(log.name, int(stamps.min()), int(stamps.max()), len(stamps))
+    return MapResult(
+        finished.topology,
+        finished.trajectory,
+        finished.labels,
+        finished.classifiers,
+        info,
+        run,
+        finished.grid,
+    )
+
+
+def _run_record(
+    logs: Sequence[Path], log: Log, stream: SweepStream, mapper: Mapper, finished: FinishedMap
+) -> dict[str, Any]:
+    """The contents of run.json."""
+    counts = {
+        "scans": len(finished.trajectory.stamps_ns),
+        "keyframes": len(mapper.store),
+        "submaps": len(finished.topology.submaps),
+        "edges": len(finished.topology.edges),
+        "merges": sum(closure.merged for closure in finished.topology.closures),
+        "path_m": round(finished.path_m, 3),
+        **stream.counts,
+        **mapper.front_end.counts,
+    }
+    return {
+        "inputs": [path.name for path in logs],
+        "selection": stream.selection.as_dict(),
+        "config": mapper.config.model_dump(),
+        "versions": {
+            "specmap": __version__,
+            "python": platform.python_version(),
+            **{name: version(name) for name in _LIBRARIES},
+        },
+        "counts": counts,
+        "seconds": {name: round(value, 3) for name, value in mapper.clock.seconds.items()},
+        "warnings": [*log.damage, *stream.warnings, *finished.warnings],
+    }
