@@ -44,8 +44,8 @@ def render_labels(
     """The trajectory `places` (n, 2) in the colours of the predicted `submaps` (n,).
 
     NO_SUBMAP is unknown. With a map, `places` are in its frame and lie over its regions; without
-    one they may be in any frame. `truth` (n,) marks the scans that were told another submap. Scans without
-    a place (NaN) are left out.
+    one they may be in any frame. `truth` (n,) marks the scans that were told another submap. Scans
+    without a place (NaN) are left out.
     """
     known = np.isfinite(places[:, :2]).all(axis=1)
     places, submaps = np.asarray(places)[known, :2], np.asarray(submaps)[known]
