@@ -30,6 +30,7 @@ class LogConfig(_Section):
     band_min_m: float = Field(0.15, description="height above the base's floor, lower end")
     band_max_m: float = Field(1.5, description="upper end")
     cloud_beams: int = Field(720, ge=16, description="bearings of the planar scan of a 3D cloud")
+    cloud_range_max_m: float = Field(100.0, gt=0, description="a 3D cloud is cut here")
 
 
 class KeyframeConfig(_Section):
@@ -228,13 +229,20 @@ def load_config(
     if name not in PRESETS:
         raise UsageError(f"unknown preset {name!r}: choose from {', '.join(sorted(PRESETS))}")
     merged = _merge(_merge(_merge({}, PRESETS[name]), from_file), overrides or {})
-    merged["preset"] = name
+    return _validated({**merged, "preset": name}, f"{path}: " if path is not None else "")
+
+
+def with_overrides(config: Config, overrides: dict[str, Any]) -> Config:
+    """The configuration with nested `overrides` over it; UsageError as in `load_config`."""
+    return _validated(_merge(config.model_dump(), overrides), "")
+
+
+def _validated(settings: dict[str, Any], where: str) -> Config:
     try:
-        return Config.model_validate(merged)
+        return Config.model_validate(settings)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        where = f"{path}: " if path is not None else ""
         raise UsageError(
             f"{where}{key}: {first['msg']}; run `specmap config` to see every key and its default"
         ) from None

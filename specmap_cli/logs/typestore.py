@@ -41,19 +41,8 @@ def normalized_type(name: str) -> str:
 
     The two ancestors of `tf2_msgs/msg/TFMessage` have the same fields and get its name.
     """
-    package, _, rest = name.partition("/")
+    package, separator, rest = name.partition("/")
+    if not separator:
+        return name  # not a ROS type
     full = f"{package}/msg/{rest.rpartition('/')[2]}"
     return TF_MESSAGE if full == "tf/msg/tfMessage" else full
-
-
-def time_from_ns(stamp_ns: int) -> Any:
-    """A `builtin_interfaces/msg/Time`; stamps out of its range are clipped to it."""
-    seconds, nanoseconds = divmod(int(stamp_ns), NS_PER_S)
-    limit = 2**31 - 1
-    clipped = min(max(seconds, -limit - 1), limit)
-    return message_class("builtin_interfaces/msg/Time")(sec=clipped, nanosec=nanoseconds)
-
-
-def header(stamp_ns: int, frame_id: str) -> Any:
-    """A `std_msgs/msg/Header`."""
-    return message_class("std_msgs/msg/Header")(stamp=time_from_ns(stamp_ns), frame_id=frame_id)

@@ -10,27 +10,26 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import IO
 
-import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
 from specmap_cli.errors import UsageError
 from specmap_cli.geometry import Pose2
-from specmap_cli.logs.typestore import (
-    LASER_SCAN,
-    ODOMETRY,
-    POINT_CLOUD,
-    TF_MESSAGE,
-    header,
-    message_class,
-    typestore,
+from specmap_cli.logs.encoding import (
+    cloud_cdr,
+    definition,
+    odometry_cdr,
+    placed,
+    scan_cdr,
+    transform_cdr,
 )
+from specmap_cli.logs.typestore import LASER_SCAN, ODOMETRY, POINT_CLOUD, TF_MESSAGE
 
 CHUNK_BYTES = 512 * 1024
-_FLOAT32 = 7  # sensor_msgs/msg/PointField.FLOAT32
+TF_STATIC = "/tf_static"
 
 # The publisher of /tf_static keeps its messages for late subscribers; players read this.
 _LATCHED = (
@@ -70,30 +69,20 @@ class LogWriter:
         stamp_ns: int = 0,
     ) -> None:
         """`parent_from_child`, constant over the recording, on `/tf_static`."""
-        self._transform("/tf_static", parent, child, stamp_ns, xyz, quaternion_xyzw)
+        data = transform_cdr(parent, child, stamp_ns, xyz, quaternion_xyzw)
+        self.raw(TF_STATIC, TF_MESSAGE, data, stamp_ns)
 
     def transform(self, parent: str, child: str, stamp_ns: int, parent_from_child: Pose2) -> None:
         """A motion of the plane at one time, on `/tf`."""
-        xyz, quaternion = _xyz(parent_from_child), _quaternion(parent_from_child)
-        self._transform("/tf", parent, child, stamp_ns, xyz, quaternion)
+        data = transform_cdr(parent, child, stamp_ns, *placed(parent_from_child))
+        self.raw("/tf", TF_MESSAGE, data, stamp_ns)
 
     def odometry(
         self, topic: str, frame_id: str, child_frame_id: str, stamp_ns: int, pose: Pose2
     ) -> None:
         """`pose` is frame_from_child by dead reckoning, as `nav_msgs/msg/Odometry`."""
-        twist = message_class("geometry_msgs/msg/Twist")(linear=_vector(), angular=_vector())
-        placed = _placed(_xyz(pose), _quaternion(pose))
-        message = message_class(ODOMETRY)(
-            header=header(stamp_ns, frame_id),
-            child_frame_id=child_frame_id,
-            pose=message_class("geometry_msgs/msg/PoseWithCovariance")(
-                pose=placed, covariance=np.zeros(36)
-            ),
-            twist=message_class("geometry_msgs/msg/TwistWithCovariance")(
-                twist=twist, covariance=np.zeros(36)
-            ),
-        )
-        self._message(topic, ODOMETRY, message, stamp_ns)
+        data = odometry_cdr(frame_id, child_frame_id, stamp_ns, pose)
+        self.raw(topic, ODOMETRY, data, stamp_ns)
 
     def scan(
         self,
@@ -110,20 +99,18 @@ class LogWriter:
         scan_time: float = 0.0,
     ) -> None:
         """One `sensor_msgs/msg/LaserScan` of ranges (B,) in metres: +inf = no return."""
-        values = np.ascontiguousarray(ranges, dtype=np.float32)
-        message = message_class(LASER_SCAN)(
-            header=header(stamp_ns, frame_id),
-            angle_min=angle_min,
-            angle_max=angle_min + angle_increment * max(len(values) - 1, 0),
-            angle_increment=angle_increment,
-            time_increment=time_increment,
-            scan_time=scan_time,
+        data = scan_cdr(
+            frame_id,
+            stamp_ns,
+            angle_min,
+            angle_increment,
+            ranges,
             range_min=range_min,
             range_max=range_max,
-            ranges=values,
-            intensities=np.zeros(0, dtype=np.float32),
+            time_increment=time_increment,
+            scan_time=scan_time,
         )
-        self._message(topic, LASER_SCAN, message, stamp_ns)
+        self.raw(topic, LASER_SCAN, data, stamp_ns)
 
     def cloud(
         self,
@@ -137,25 +124,7 @@ class LogWriter:
 
         `times_s` (N,), seconds after the stamp, become the field `time`.
         """
-        columns = [np.asarray(points, dtype=np.float32).reshape(-1, 3)]
-        names = ["x", "y", "z"]
-        if times_s is not None:
-            columns.append(np.asarray(times_s, dtype=np.float32)[:, None])
-            names.append("time")
-        table = np.hstack(columns).astype("<f4")
-        field = message_class("sensor_msgs/msg/PointField")
-        message = message_class(POINT_CLOUD)(
-            header=header(stamp_ns, frame_id),
-            height=1,
-            width=len(table),
-            fields=[field(n, 4 * i, _FLOAT32, 1) for i, n in enumerate(names)],
-            is_bigendian=False,
-            point_step=4 * len(names),
-            row_step=table.nbytes,
-            data=np.frombuffer(table.tobytes(), dtype=np.uint8),
-            is_dense=bool(np.isfinite(table).all()),
-        )
-        self._message(topic, POINT_CLOUD, message, stamp_ns)
+        self.raw(topic, POINT_CLOUD, cloud_cdr(frame_id, stamp_ns, points, times_s), stamp_ns)
 
     def raw(self, topic: str, msgtype: str, cdr: bytes, log_time_ns: int) -> None:
         """A message already serialised as CDR; `msgtype` is a ROS 2 name."""
@@ -215,53 +184,10 @@ class LogWriter:
         key = (topic, msgtype)
         if key not in self._channels:
             if msgtype not in self._schemas:
-                text, _ = typestore().generate_msgdef(msgtype, ros_version=2)
-                name = self._writer.register_schema(msgtype, "ros2msg", text.encode())
-                self._schemas[msgtype] = name
-            metadata = {"offered_qos_profiles": _LATCHED} if topic == "/tf_static" else {}
+                number = self._writer.register_schema(msgtype, "ros2msg", definition(msgtype))
+                self._schemas[msgtype] = number
+            metadata = {"offered_qos_profiles": _LATCHED} if topic == TF_STATIC else {}
             self._channels[key] = self._writer.register_channel(
                 topic, "cdr", self._schemas[msgtype], metadata
             )
         return self._channels[key]
-
-    def _message(self, topic: str, msgtype: str, message: Any, stamp_ns: int) -> None:
-        self.raw(topic, msgtype, bytes(typestore().serialize_cdr(message, msgtype)), stamp_ns)
-
-    def _transform(
-        self,
-        topic: str,
-        parent: str,
-        child: str,
-        stamp_ns: int,
-        xyz: Sequence[float],
-        quaternion_xyzw: Sequence[float],
-    ) -> None:
-        stamped = message_class("geometry_msgs/msg/TransformStamped")(
-            header=header(stamp_ns, parent),
-            child_frame_id=child,
-            transform=message_class("geometry_msgs/msg/Transform")(
-                translation=_vector(*xyz), rotation=_rotation(quaternion_xyzw)
-            ),
-        )
-        self._message(topic, TF_MESSAGE, message_class(TF_MESSAGE)([stamped]), stamp_ns)
-
-
-def _xyz(pose: Pose2) -> tuple[float, float, float]:
-    return (pose.x, pose.y, 0.0)
-
-
-def _quaternion(pose: Pose2) -> tuple[float, float, float, float]:
-    return (0.0, 0.0, float(np.sin(0.5 * pose.theta)), float(np.cos(0.5 * pose.theta)))
-
-
-def _vector(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
-    return message_class("geometry_msgs/msg/Vector3")(float(x), float(y), float(z))
-
-
-def _rotation(xyzw: Sequence[float]) -> Any:
-    return message_class("geometry_msgs/msg/Quaternion")(*(float(value) for value in xyzw))
-
-
-def _placed(xyz: Sequence[float], xyzw: Sequence[float]) -> Any:
-    point = message_class("geometry_msgs/msg/Point")(*(float(value) for value in xyz))
-    return message_class("geometry_msgs/msg/Pose")(position=point, orientation=_rotation(xyzw))

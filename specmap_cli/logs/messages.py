@@ -1,0 +1,181 @@
+"""From CDR bytes to plain records: the only place that knows the fields of ROS messages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.serde import SerdeError
+
+from specmap_cli.geometry import FloatArray, rotation_from_quaternion
+from specmap_cli.logs.recording import Message
+from specmap_cli.logs.typestore import (
+    LASER_SCAN,
+    MULTI_ECHO,
+    NS_PER_S,
+    POINT_CLOUD,
+    typestore,
+)
+
+
+class BadMessageError(ValueError):
+    """A message that cannot be used; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanRecord:
+    """A LaserScan as recorded, or the first echoes of a MultiEchoLaserScan."""
+
+    stamp_ns: int
+    frame: str
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    time_increment: float
+    range_min: float
+    range_max: float
+    ranges: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class CloudRecord:
+    """A PointCloud2 as recorded: `points` a structured array (height, width) over its buffer."""
+
+    stamp_ns: int
+    frame: str
+    points: NDArray[np.void]
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryRecord:
+    """frame_from_child (4, 4) at a stamp."""
+
+    stamp_ns: int
+    frame: str
+    child: str
+    frame_from_child: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class TransformRecord:
+    """parent_from_child (4, 4) at a stamp."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    parent_from_child: FloatArray
+
+
+def decode_scan(message: Message) -> ScanRecord | CloudRecord:
+    """The scan in a message of one of SCAN_TYPES; raises BadMessageError."""
+    decoded = _decoded(message)
+    if message.type == POINT_CLOUD:
+        return _cloud(decoded)
+    if message.type == MULTI_ECHO:
+        return _scan(decoded, _first_echoes(decoded.ranges))
+    if message.type == LASER_SCAN:
+        return _scan(decoded, decoded.ranges)
+    raise BadMessageError(f"{message.type} is no scan")
+
+
+def decode_odometry(message: Message) -> OdometryRecord:
+    """The pose in an Odometry message; raises BadMessageError."""
+    decoded = _decoded(message)
+    pose = decoded.pose.pose
+    matrix = _matrix(pose.position, pose.orientation)
+    if not np.isfinite(matrix).all():
+        raise BadMessageError("odometry is not finite")
+    header = decoded.header
+    return OdometryRecord(
+        _stamp(header), frame_name(header.frame_id), frame_name(decoded.child_frame_id), matrix
+    )
+
+
+def decode_transforms(message: Message) -> list[TransformRecord]:
+    """The finite transforms in a TFMessage; raises BadMessageError."""
+    records = [
+        TransformRecord(
+            _stamp(stamped.header),
+            frame_name(stamped.header.frame_id),
+            frame_name(stamped.child_frame_id),
+            _matrix(stamped.transform.translation, stamped.transform.rotation),
+        )
+        for stamped in _decoded(message).transforms
+    ]
+    return [record for record in records if np.isfinite(record.parent_from_child).all()]
+
+
+def frame_name(frame: str) -> str:
+    """A frame without the leading slash that ROS 1 allowed."""
+    return frame.lstrip("/")
+
+
+def _decoded(message: Message) -> Any:
+    try:
+        return typestore().deserialize_cdr(message.data, message.type)
+    except (SerdeError, KeyError, IndexError, MemoryError) as error:
+        raise BadMessageError(f"not a {message.type}: {error}") from None
+
+
+def _stamp(header: Any) -> int:
+    return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
+
+
+def _matrix(translation: Any, rotation: Any) -> FloatArray:
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_from_quaternion(rotation.x, rotation.y, rotation.z, rotation.w)
+    matrix[:3, 3] = translation.x, translation.y, translation.z
+    return matrix
+
+
+def _scan(decoded: Any, ranges: NDArray[np.float32]) -> ScanRecord:
+    return ScanRecord(
+        _stamp(decoded.header),
+        frame_name(decoded.header.frame_id),
+        float(decoded.angle_min),
+        float(decoded.angle_max),
+        float(decoded.angle_increment),
+        float(decoded.time_increment),
+        float(decoded.range_min),
+        float(decoded.range_max),
+        ranges,
+    )
+
+
+def _first_echoes(beams: list[Any]) -> NDArray[np.float32]:
+    """The first echo of each beam, +inf where there is none."""
+    first = [beam.echoes[0] if len(beam.echoes) else np.inf for beam in beams]
+    return np.array(first, dtype=np.float32)
+
+
+# sensor_msgs/msg/PointField.datatype -> numpy, without the byte order
+_DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+
+def _cloud(decoded: Any) -> CloudRecord:
+    order = ">" if decoded.is_bigendian else "<"
+    fields = {f.name: f for f in decoded.fields if f.name and f.datatype in _DATATYPES}
+    height, width, step = int(decoded.height), int(decoded.width), int(decoded.point_step)
+    row = max(int(decoded.row_step), width * step)
+    data = decoded.data
+    if min(height, width) == 0:
+        height = width = 0
+    elif (height - 1) * row + width * step > len(data):
+        raise BadMessageError(f"{len(data)} bytes are too few for {height} x {width} points")
+    try:
+        layout = np.dtype(
+            {
+                "names": list(fields),
+                "formats": [order + _DATATYPES[f.datatype] for f in fields.values()],
+                "offsets": [int(f.offset) for f in fields.values()],
+                "itemsize": step,
+            }
+        )
+        points = np.ndarray((height, width), layout, data, strides=(row, step))
+    except (ValueError, TypeError) as error:
+        raise BadMessageError(f"impossible point layout: {error}") from None
+    if not {"x", "y", "z"} <= set(fields):
+        raise BadMessageError(f"no fields x, y and z among {', '.join(fields) or 'none'}")
+    return CloudRecord(_stamp(decoded.header), frame_name(decoded.header.frame_id), points)

@@ -1,0 +1,180 @@
+"""From laser scans and clouds to `PlanarScan`: level, bearings ascending, one meaning of ranges.
+
+A range is finite where there was a return, +inf where the beam met nothing, NaN where nothing is
+known. Readings below the laser's minimum are invalid; those of 0 m, of the laser's maximum range
+and beyond mean no return, whatever the driver's convention.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from specmap_cli.config import LogConfig
+from specmap_cli.geometry import FloatArray, Pose2, yaw_of
+from specmap_cli.logs.messages import BadMessageError, ScanRecord
+from specmap_cli.records import PlanarScan
+
+_LONGEST_SWEEP_S = 1.0  # a time_increment that gives more is in another unit, and ignored
+_FULL_CIRCLE = 2.0 * math.pi
+_FILLED_SHARE = 0.9  # of the bearings between the outermost ones
+_MAX_HALVINGS = 2
+_NEAR_M = 10.0
+_LOWEST_PERCENT = 2.0
+
+
+class Mount(NamedTuple):
+    """How a planar laser sits on the base, and whether it hangs upside down."""
+
+    base_from_laser: Pose2
+    upside_down: bool
+
+    @classmethod
+    def from_matrix(cls, base_from_laser: FloatArray) -> Mount:
+        """The mount in a transform (4, 4).
+
+        A laser upside down is described by the level frame that shares its x axis, in which its
+        bearings have the opposite sign.
+        """
+        x, y = float(base_from_laser[0, 3]), float(base_from_laser[1, 3])
+        return cls(Pose2(x, y, yaw_of(base_from_laser)), bool(base_from_laser[2, 2] < 0.0))
+
+
+class _Sensor(NamedTuple):
+    """What is the same in all scans of a laser with the same settings."""
+
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    time_increment: float
+    beams: int
+
+
+class _Beams(NamedTuple):
+    bearings: FloatArray
+    times_s: FloatArray | None
+    used: slice  # of the readings as recorded
+    full_circle: bool
+
+
+class ScanLeveller:
+    """Turns the scans of one laser into `PlanarScan`; keeps what they have in common."""
+
+    def __init__(self, mount: Mount) -> None:
+        self.mount = mount
+        self._sensor: _Sensor | None = None
+        self._beams: _Beams | None = None
+
+    def level(self, scan: ScanRecord, stamp_ns: int) -> PlanarScan:
+        """The planar scan; raises BadMessageError for one without beams or without angles."""
+        sensor = _Sensor(
+            scan.angle_min,
+            scan.angle_max,
+            scan.angle_increment,
+            scan.time_increment,
+            len(scan.ranges),
+        )
+        if self._beams is None or sensor != self._sensor:
+            self._beams, self._sensor = _beams(sensor, self.mount.upside_down), sensor
+        bearings, times_s, used, full_circle = self._beams
+        range_max = scan.range_max if scan.range_max > 0.0 else math.inf
+        ranges = _cleaned(scan.ranges[used].astype(np.float64), scan.range_min, range_max)
+        return PlanarScan(stamp_ns, bearings, ranges, range_max, full_circle, times_s)
+
+
+def _cleaned(ranges: FloatArray, range_min: float, range_max: float) -> FloatArray:
+    """Ranges with +inf for no return and NaN for invalid readings; changes its argument."""
+    nothing = (ranges == 0.0) | (ranges >= range_max)
+    ranges[(ranges < range_min) | (ranges < 0.0)] = np.nan
+    ranges[nothing] = np.inf
+    return ranges
+
+
+def _beams(sensor: _Sensor, upside_down: bool) -> _Beams:
+    """The bearings of a sensor, its beam times and which readings are used, in which order."""
+    count, step = sensor.beams, sensor.angle_increment
+    if count == 0:
+        raise BadMessageError("a scan without beams")
+    if not (math.isfinite(step) and step != 0.0) and count > 1:
+        step = (sensor.angle_max - sensor.angle_min) / (count - 1)
+    if not (math.isfinite(sensor.angle_min) and math.isfinite(step)) or (count > 1 and not step):
+        raise BadMessageError("a scan without angles")
+    full_circle = count * abs(step) >= _FULL_CIRCLE - 1.5 * abs(step)
+    if full_circle:  # the last beams may look where the first ones did
+        count = min(count, round(_FULL_CIRCLE / abs(step)))
+    sign = -1.0 if upside_down else 1.0
+    numbers = np.arange(count, dtype=np.float64)
+    bearings: FloatArray = sign * (sensor.angle_min + step * numbers)
+    ascending = sign * step > 0.0 or count == 1
+    used = slice(0, count) if ascending else slice(count - 1, None, -1)
+    order = slice(None) if ascending else slice(None, None, -1)
+    sweep = sensor.time_increment * (count - 1)
+    timed = math.isfinite(sweep) and 0.0 < sweep <= _LONGEST_SWEEP_S
+    times: FloatArray | None = sensor.time_increment * numbers[order] if timed else None
+    bearings = bearings[order].copy()
+    bearings.setflags(write=False)
+    return _Beams(bearings, times, used, full_circle)
+
+
+class CloudFlattener:
+    """Turns clouds in the base frame into planar scans: the nearest return per bearing in a band.
+
+    The band lies between two heights above the floor. A bearing with nothing in the band is +inf
+    where the lidar has had a return at any height in this or an earlier cloud, so that it looked
+    there, and NaN where it never had one, outside its field of view. The number of bearings is
+    that of the settings, halved until the lidar's resolution fills them. A floor of unknown height
+    (None) is taken to be where the lowest returns of the first cloud are.
+    """
+
+    def __init__(
+        self, base_from_laser: FloatArray, floor_m: float | None, config: LogConfig
+    ) -> None:
+        self.mount = Pose2(float(base_from_laser[0, 3]), float(base_from_laser[1, 3]), 0.0)
+        self._floor = floor_m
+        self._band = (config.band_min_m, config.band_max_m)
+        self.range_max = config.cloud_range_max_m
+        self._most_beams = config.cloud_beams
+        self._bearings: FloatArray = np.zeros(0)
+        self._seen = np.zeros(0, dtype=bool)
+
+    def flatten(self, cloud: FloatArray, stamp_ns: int) -> PlanarScan:
+        """The planar scan, seen from the lidar's place, of points (N, 3) in the base frame."""
+        dx, dy = cloud[:, 0] - self.mount.x, cloud[:, 1] - self.mount.y
+        distance = np.hypot(dx, dy)
+        turn = np.arctan2(dy, dx) / _FULL_CIRCLE + 0.5  # [0, 1] from -pi to pi
+        if not len(self._bearings):
+            self._choose_bearings(turn[distance > 0.0])
+        beams = len(self._seen)
+        bins = np.minimum((turn * beams).astype(np.intp), beams - 1)
+        self._seen[bins[distance > 0.0]] = True
+        if self._floor is None:
+            self._floor = lowest_returns(cloud[distance <= _NEAR_M])
+        height = cloud[:, 2] - self._floor
+        inside = (height >= self._band[0]) & (height <= self._band[1])
+        inside &= (distance > 0.0) & (distance <= self.range_max)
+        ranges = np.where(self._seen, np.inf, np.nan)
+        nearest = np.full(beams, np.inf)
+        np.minimum.at(nearest, bins[inside], distance[inside])
+        ranges[np.isfinite(nearest)] = nearest[np.isfinite(nearest)]
+        full_circle = bool(self._seen.mean() >= _FILLED_SHARE)
+        return PlanarScan(stamp_ns, self._bearings, ranges, self.range_max, full_circle)
+
+    def _choose_bearings(self, turn: FloatArray) -> None:
+        """Settle on the bearings from the first cloud's returns at any height."""
+        for halvings in range(_MAX_HALVINGS + 1):
+            beams = self._most_beams >> halvings
+            filled = np.unique((turn * beams).astype(np.intp))
+            if len(filled) and len(filled) >= _FILLED_SHARE * (filled[-1] - filled[0] + 1):
+                break
+        bearings: FloatArray = (np.arange(beams, dtype=np.float64) + 0.5) * (
+            _FULL_CIRCLE / beams
+        ) - math.pi
+        bearings.setflags(write=False)
+        self._bearings, self._seen = bearings, np.zeros(beams, dtype=bool)
+
+
+def lowest_returns(cloud: FloatArray) -> float:
+    """Height of the lowest returns of a cloud (N, 3), a few stray ones aside; 0 when empty."""
+    return float(np.percentile(cloud[:, 2], _LOWEST_PERCENT)) if len(cloud) else 0.0
