@@ -109,7 +109,7 @@ def plan_tour(
     for _ in range(laps):
         targets = _spread_targets(lattice, here, spacing_m, rng)
         distances = _distances(lattice, targets, spacing_m)
-        order = _shortest_order(distances)
+        order = shortest_order(distances)
         for a, b in pairwise(order):
             nodes.append(_way(lattice, int(targets[a]), int(targets[b]), distances[a, b]))
         here = int(targets[order[-1]])
@@ -148,7 +148,7 @@ def _distances(lattice: Lattice, targets: IndexArray, spacing_m: float) -> Float
     return np.asarray(shortest_path(csr_matrix(near), directed=False), dtype=np.float64)
 
 
-def _shortest_order(distances: FloatArray) -> IndexArray:
+def shortest_order(distances: FloatArray) -> IndexArray:
     """An order (t,) of the targets, the first one first: nearest neighbour, then 2-opt."""
     n = len(distances)
     order = [0]
