@@ -67,7 +67,7 @@ class OutputDirectory:
 
     def _sibling(self, role: str) -> Path:
         """A hidden neighbour of the target: same file system, so that a rename is atomic."""
-        return self._target.with_name(f".{self._target.name}.{role}-{self._token}")
+        return self._target.parent / (f".{self._target.name}.{role}-{self._token}")
 
     def _check_target(self) -> None:
         """Refuse a target that must not be replaced."""
@@ -96,7 +96,8 @@ class OutputDirectory:
         while not missing.exists():
             self._parents.append(missing)
             missing = missing.parent
-        self._target.parent.mkdir(parents=True, exist_ok=True)
+        for parent in reversed(self._parents):
+            parent.mkdir(exist_ok=True)
 
     def _remove_parents(self) -> None:
         """Take back the parents made on entering, deepest first, while they are empty."""

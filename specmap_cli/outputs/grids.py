@@ -21,6 +21,8 @@ from specmap_cli.topomap import Submap
 
 OCCUPIED_THRESHOLD = 0.65
 FREE_THRESHOLD = 0.196
+# Cells by which corners may be off for their sums not being exact.
+_SLACK = 1e-6
 _GREY = np.zeros(256, dtype=np.uint8)
 _GREY[[FREE, OCCUPIED, UNKNOWN]] = (254, 0, 205)
 _PNG_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 6, cv2.IMWRITE_PNG_STRATEGY, 0]
@@ -66,8 +68,8 @@ def lay_out(submaps: Iterable[Submap]) -> GridMap:
         return GridMap(np.full((1, 1), UNKNOWN, dtype=np.uint8), 0.05)
     resolution = members[0].grid.resolution
     corners = [grid_corners(m.grid, m.map_from_submap) for m in members]
-    low = np.floor(np.min([c.min(axis=0) for c in corners], axis=0) / resolution)
-    high = np.ceil(np.max([c.max(axis=0) for c in corners], axis=0) / resolution)
+    low = np.floor(np.min([c.min(axis=0) for c in corners], axis=0) / resolution + _SLACK)
+    high = np.ceil(np.max([c.max(axis=0) for c in corners], axis=0) / resolution - _SLACK)
     width, height = (high - low).astype(int).tolist()
     origin = (float(low[0] * resolution), float(low[1] * resolution))
     canvas = GridMap(np.full((height, width), UNKNOWN, dtype=np.uint8), resolution, origin)

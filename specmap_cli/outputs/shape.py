@@ -71,7 +71,10 @@ def _contour(region: BoolArray) -> FloatArray:
     )
     contours, _ = cv2.findContours(doubled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     ring = max(contours, key=cv2.contourArea)
-    corners = (cv2.approxPolyDP(ring, 2.0, True).reshape(-1, 2).astype(np.float64) - 0.5) / 2.0
+    simple = cv2.approxPolyDP(ring, 2.0, True)
+    if cv2.contourArea(simple) < 0.8 * cv2.contourArea(ring):  # a region thinner than the tolerance
+        simple = ring
+    corners = (simple.reshape(-1, 2).astype(np.float64) - 0.5) / 2.0
     x, y = corners.T
     turning = float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
     return corners if turning >= 0.0 else corners[::-1]

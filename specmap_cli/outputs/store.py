@@ -7,7 +7,7 @@ out, so that the map appears complete or not at all.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -128,6 +128,11 @@ class StoredMap:
             self._grids[submap] = self._read_grid(node)
         return self._grids[submap]
 
+    @property
+    def grids(self) -> Mapping[int, GridMap]:
+        """The grids of all submaps in their own frames, each read when asked for."""
+        return _Grids(self)
+
     @cached_property
     def map_grid(self) -> GridMap:
         """The grid of the whole map."""
@@ -175,6 +180,22 @@ class StoredMap:
 
     def _read_grid(self, node: NodeRecord) -> GridMap:
         return read_grid((self.path / node.image).with_suffix(".yaml"))
+
+
+class _Grids(Mapping[int, GridMap]):
+    """The grids of a stored map by submap id."""
+
+    def __init__(self, stored: StoredMap) -> None:
+        self._stored = stored
+
+    def __getitem__(self, submap: int) -> GridMap:
+        return self._stored.grid(submap)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._stored.ids)
+
+    def __len__(self) -> int:
+        return len(self._stored.ids)
 
 
 def read_map(path: Path) -> StoredMap:
