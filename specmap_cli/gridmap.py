@@ -205,18 +205,14 @@ def _carved(
     scale = 1 << _SUBPIXEL_BITS
     # cv2 counts pixel centres at whole numbers, the grid counts cell corners there
     fixed = np.round((ends - 0.5) * scale).astype(np.int32)
-    centre = np.round((start - 0.5) * scale).astype(np.int32)
-    beams = np.empty((int(returned.sum()), 2, 2), dtype=np.int32)
-    beams[:, 0], beams[:, 1] = centre, fixed[returned]
-    cv2.polylines(picture, list(beams), False, 1, 1, cv2.LINE_8, _SUBPIXEL_BITS)
+    centre = np.round((start[None] - 0.5) * scale).astype(np.int32)
     same = returned[1:] & returned[:-1]
     same &= np.hypot(*(ends[1:] - ends[:-1]).T) * config.resolution_m <= config.surface_gap_m
-    first = np.flatnonzero(same)
-    if len(first):
-        fans = np.empty((len(first), 3, 2), dtype=np.int32)
-        fans[:, 0], fans[:, 1], fans[:, 2] = centre, fixed[first], fixed[first + 1]
-        for fan in fans:
-            cv2.fillConvexPoly(picture, fan, 1, cv2.LINE_8, _SUBPIXEL_BITS)
+    firsts = np.flatnonzero(~same) + 1
+    for first, surface in zip([0, *firsts.tolist()], np.split(fixed, firsts), strict=True):
+        if returned[first]:  # then all of them did; of a single beam the fan is a line
+            fan = np.concatenate([centre, surface])
+            cv2.fillPoly(picture, [fan], 1, cv2.LINE_8, _SUBPIXEL_BITS)
     return picture
 
 
