@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from specmap_cli.errors import UsageError
 
 _NS = 1_000_000_000
 _DECIMALS = 6
@@ -67,3 +71,17 @@ def decimal(value: float, places: int = _DECIMALS) -> str:
     """Fixed decimals, without a negative zero."""
     text = f"{value:.{places}f}"
     return text[1:] if text.startswith("-") and float(text) == 0.0 else text
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file that appears complete or not at all. UsageError when it cannot be written."""
+    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError as error:
+        raise UsageError(
+            f"{path}: cannot be written: {error.strerror}; choose another place"
+        ) from None
+    finally:
+        partial.unlink(missing_ok=True)

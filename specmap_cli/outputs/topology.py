@@ -80,7 +80,8 @@ def from_record(
     """The map of a topology.json; grids and keyframe numbers come from the files beside it."""
     return TopologicalMap(
         submaps={
-            node.id: _submap(node, grid_of(node), keyframes_of(node.id)) for node in record.nodes
+            node.id: _submap(node, grid_of(node), keyframes_of(node.id) if node.scans else [])
+            for node in record.nodes
         },
         edges={(edge.source, edge.target): _edge(edge) for edge in record.edges},
         closures=[_closure(closure) for closure in record.graph.closures],

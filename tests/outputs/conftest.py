@@ -41,7 +41,7 @@ def result() -> MapResult:
         1: _submap(1, Pose2(-3.0, 3.5, 0.3), (3.0, 4.0)),
         2: _submap(2, Pose2(3.0, 3.5, -2.0), (4.0, 3.0)),
     }
-    crossing = Traversal(START_NS + 10_000_000_000, 0, 1, Pose2(-3.0, 1.25, 1.5))
+    crossing = Traversal(1_700_000_010_000_001_000, 0, 1, Pose2(-3.0, 1.25, 1.5))
     edges = {
         (0, 1): Edge(0, 1, "traversed", [crossing], Pose2(-3.0, 3.5, 0.3)),
         (0, 2): Edge(0, 2, "closure", [], Pose2(3.0, 3.5, -2.0)),
