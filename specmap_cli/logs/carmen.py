@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -23,6 +24,7 @@ from specmap_cli.logs.recording import (
     Contents,
     Message,
     Recording,
+    TopicInfo,
     seconds,
     survey,
     unreadable,
@@ -31,6 +33,7 @@ from specmap_cli.logs.typestore import LASER_SCAN, NS_PER_S, ODOMETRY, TF_MESSAG
 
 KEYWORDS = ("FLASER", "RLASER", "ROBOTLASER1", "ODOM")
 ODOM_FRAME, BASE_FRAME = "odom", "base_link"
+ODOM_TOPIC, TF_STATIC = "/odom", "/tf_static"
 RANGE_MAX_M = 80.0  # FLASER lines do not say; readings from here on mean no return
 _MAX_LINE_BYTES = 1 << 20
 _SAME_MOUNT_M, _SAME_MOUNT_RAD = 0.01, 0.01
@@ -68,27 +71,36 @@ class CarmenFile(Recording):
         except OSError as error:
             raise unreadable(path, error) from None
 
-    @cached_property
+    @property
     def contents(self) -> Contents:
         """From one pass over the file, as there is no index."""
-        return survey((m.topic, m.type, m.time_ns) for m in self.messages())
+        return self._survey[0]
 
     @cached_property
-    def _mounts(self) -> dict[str, Pose2]:
-        """base_from_laser by topic, for lasers whose lines all give the same."""
-        mounts: dict[str, Pose2 | None] = {}
-        first: dict[str, int] = {}
+    def _survey(self) -> tuple[Contents, dict[str, Pose2]]:
+        """The contents, and base_from_laser by topic of lasers whose lines all give the same."""
+        compared: dict[str, Pose2 | None] = {}
+        contents = survey(self._entries(compared))
+        mounts = {topic: mount for topic, mount in compared.items() if mount is not None}
+        if mounts:
+            placings = TopicInfo(TF_STATIC, TF_MESSAGE, len(mounts))
+            contents = replace(contents, topics=(*contents.topics, placings))
+        return contents, mounts
+
+    def _entries(self, mounts: dict[str, Pose2 | None]) -> Iterator[tuple[str, str, int]]:
+        """Topic, type and time of every message but the mountings, which go into `mounts`."""
         for line in self._lines():
-            if line.odom_from_laser is None:
-                continue
-            mount = line.odom_from_base.inverse() @ line.odom_from_laser
-            known = mounts.setdefault(line.topic, mount)
-            first.setdefault(line.topic, line.stamp_ns)
-            if known is not None:
-                off = known.inverse() @ mount
-                if off.distance > _SAME_MOUNT_M or abs(off.theta) > _SAME_MOUNT_RAD:
-                    mounts[line.topic] = None  # the laser's pose was corrected by someone
-        return {topic: mount for topic, mount in mounts.items() if mount is not None}
+            yield ODOM_TOPIC, ODOMETRY, line.stamp_ns
+            if line.odom_from_laser is not None:
+                yield line.topic, LASER_SCAN, line.stamp_ns
+                mount = line.odom_from_base.inverse() @ line.odom_from_laser
+                known = mounts.setdefault(line.topic, mount)
+                if known is not None and not _same(known, mount):
+                    mounts[line.topic] = None  # someone corrected the laser's poses
+
+    @property
+    def _mounts(self) -> dict[str, Pose2]:
+        return self._survey[1]
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics`, in the order of the lines."""
@@ -105,9 +117,9 @@ class CarmenFile(Recording):
             if line.topic in self._mounts:
                 mount = placed(self._mounts[line.topic])
                 data = transform_cdr(BASE_FRAME, line.frame, time_ns, *mount)
-                yield Message("/tf_static", TF_MESSAGE, time_ns, data)
+                yield Message(TF_STATIC, TF_MESSAGE, time_ns, data)
         data = odometry_cdr(ODOM_FRAME, BASE_FRAME, time_ns, line.odom_from_base)
-        yield Message("/odom", ODOMETRY, time_ns, data)
+        yield Message(ODOM_TOPIC, ODOMETRY, time_ns, data)
         if line.ranges is not None:
             data = scan_cdr(
                 line.frame,
@@ -151,7 +163,7 @@ class CarmenFile(Recording):
 def _parse(keyword: str, words: list[bytes]) -> _Line:
     """One line from its words; raises ValueError or IndexError when it is not whole."""
     if keyword == "ODOM":
-        return _Line("/odom", _stamp(words, 7, 9), _pose(words, 1))
+        return _Line(ODOM_TOPIC, _stamp(words, 7, 9), _pose(words, 1))
     topic = f"/{keyword.lower()}"
     if keyword == "ROBOTLASER1":
         count = int(words[8])
@@ -188,10 +200,15 @@ def flaser_angles(beams: int) -> tuple[float, float]:
     return -0.5 * view, view / gaps
 
 
+def _same(a: Pose2, b: Pose2) -> bool:
+    off = a.inverse() @ b
+    return off.distance <= _SAME_MOUNT_M and abs(off.theta) <= _SAME_MOUNT_RAD
+
+
 def _ranges(words: list[bytes], start: int, count: int) -> FloatArray:
     if count < 1 or len(words) < start + count:
         raise ValueError(count)
-    return np.array(words[start : start + count], dtype=np.float64)
+    return np.array([float(word) for word in words[start : start + count]])
 
 
 def _pose(words: list[bytes], start: int) -> Pose2:

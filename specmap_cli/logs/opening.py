@@ -36,7 +36,7 @@ def open_log(paths: Path | str | Sequence[Path | str]) -> Log:
     try:
         for path in given:
             recordings.extend(_recordings_at(Path(path)))
-        log = Log(recordings)
+        log = Log(recordings, [Path(path) for path in given])
         _refuse_rubble(log)
     except BaseException:
         for recording in recordings:

@@ -82,15 +82,25 @@ class Recording(ABC):
 
 
 class Log:
-    """Recordings joined in time: what `open_log` returns. Use it in a `with` block."""
+    """Recordings joined in time: what `open_log` returns. Use it in a `with` block.
 
-    def __init__(self, recordings: Sequence[Recording]) -> None:
+    `given` are the paths the user named, files or directories.
+    """
+
+    def __init__(self, recordings: Sequence[Recording], given: Sequence[Path]) -> None:
+        self.given = list(given)
         self._recordings = sorted(recordings, key=lambda r: (r.contents.start_ns, str(r.path)))
 
     @property
     def paths(self) -> list[Path]:
         """The files, earliest first."""
         return [recording.path for recording in self._recordings]
+
+    @property
+    def name(self) -> str:
+        """What to call the log in messages."""
+        more = len(self.given) - 1
+        return f"{self.given[0]}" + (f" and {more} more" if more else "")
 
     @property
     def format(self) -> str:

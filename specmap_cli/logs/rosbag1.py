@@ -92,7 +92,7 @@ class Rosbag1File(ChunkedFile):
         if found != expected or not set(counts) <= set(self.channels) or not refs:
             return None
         index = Index(self._contents_of(counts, refs), tuple(refs))
-        broken = self._broken_record(refs[-1].offset)
+        broken = self._broken_record(sorted(ref.offset for ref in refs))
         if broken is not None:
             self.report(
                 f"the record at byte {broken} is damaged and was passed over: "
@@ -100,20 +100,23 @@ class Rosbag1File(ChunkedFile):
             )
         return index
 
-    def _broken_record(self, end: int) -> int | None:
-        """Offset of the record before `end` after which no record follows, None when all is well.
+    def _broken_record(self, chunks: list[int]) -> int | None:
+        """Offset of a record that does not lead to the next chunk, None when all is well.
 
         Looks at so many records only, as it explains damage but is not needed for reading.
         """
         offset = before = self._first
-        for _ in range(_RECORDS_CHECKED):
-            if offset >= end:
-                break
-            try:
-                record = self._record(offset)
-            except (BadRecordError, KeyError):
+        checked = 0
+        for chunk in chunks:
+            while offset < chunk and checked < _RECORDS_CHECKED:
+                try:
+                    record = self._record(offset)
+                except (BadRecordError, KeyError):
+                    return before
+                before, offset = offset, record.start + record.length
+                checked += 1
+            if offset > chunk:
                 return before
-            before, offset = offset, record.start + record.length
         return None
 
     def _is_chunk(self, ref: ChunkRef) -> bool:

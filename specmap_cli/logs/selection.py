@@ -116,7 +116,7 @@ def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
     if not found:
         there = ", ".join(f"{t.name} ({t.type})" for t in log.topics()) or "no messages at all"
         raise LogError(
-            f"{_name(log)}: no LaserScan, MultiEchoLaserScan or PointCloud2 in it; it has {there}"
+            f"{log.name}: no LaserScan, MultiEchoLaserScan or PointCloud2 in it; it has {there}"
         )
     return _only(log, found, "--scan-topic", "scans")
 
@@ -132,7 +132,7 @@ def choose_odometry_topic(log: Log, asked: str | None) -> TopicInfo | None:
 def _only(log: Log, found: list[TopicInfo], option: str, what: str) -> TopicInfo:
     if len(found) > 1:
         choices = " or ".join(f"`{option} {t.name}` ({_describe(t)})" for t in found)
-        raise UsageError(f"{_name(log)}: {len(found)} topics carry {what}: choose {choices}")
+        raise UsageError(f"{log.name}: {len(found)} topics carry {what}: choose {choices}")
     return found[0]
 
 
@@ -142,17 +142,12 @@ def _asked(log: Log, found: list[TopicInfo], asked: str, option: str, what: str)
             return topic
     choices = ", ".join(f"{t.name} ({_describe(t)})" for t in found) or "none"
     raise UsageError(
-        f"{_name(log)}: {option} {asked}: no {what} on such a topic; topics with {what}: {choices}"
+        f"{log.name}: {option} {asked}: no {what} on such a topic; topics with {what}: {choices}"
     )
 
 
 def _describe(topic: TopicInfo) -> str:
     return f"{topic.type.rpartition('/')[2]}, {topic.count:,} messages"
-
-
-def _name(log: Log) -> str:
-    more = len(log.paths) - 1
-    return f"{log.paths[0]}" + (f" and {more} more" if more else "")
 
 
 def _first_scan(log: Log, topic: TopicInfo) -> tuple[ScanRecord | CloudRecord, bool]:
@@ -167,7 +162,7 @@ def _first_scan(log: Log, topic: TopicInfo) -> tuple[ScanRecord | CloudRecord, b
         if len(records) == _CLOCK_PEEKED:
             break
     if not records:
-        raise LogError(f"{_name(log)}: {topic.name}: no usable scan: {reason}")
+        raise LogError(f"{log.name}: {topic.name}: no usable scan: {reason}")
     return records[0], all(record.stamp_ns == 0 for record in records)
 
 
