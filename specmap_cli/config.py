@@ -17,7 +17,7 @@ from specmap_cli.errors import UsageError
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class LogConfig(_Section):
@@ -85,8 +85,8 @@ class SegmentationConfig(_Section):
     eigenvalue_min: float = Field(0.7, gt=0, lt=1, description="k counts the eigenvalues above")
     labels: Literal["flood", "nearest"] = Field("flood", description="how cells get their label")
     merge: bool = Field(True, description="join clusters whose border is as wide as they are")
-    merge_ratio: float = Field(0.9, gt=0, description="border width over room width that joins")
-    width_percentile: float = Field(75.0, ge=0, le=100, description="of local widths: a room's")
+    merge_ratio: float = Field(0.85, gt=0, description="border width over room width that joins")
+    width_percentile: float = Field(60.0, ge=0, le=100, description="of local widths: a room's")
     door_min_m: float = Field(0.3, ge=0, description="narrower contacts of regions are no doorway")
     test_every: Literal["metres", "keyframes"] = Field("metres", description="pace of the tests")
     test_metres: float = Field(1.0, gt=0, description="travelled between two tests")
@@ -164,7 +164,7 @@ class Config(_Section):
     """All settings of a run."""
 
     preset: Literal["default", "paper"] = "default"
-    seed: int = 0
+    seed: int = Field(0, ge=0)
     log: LogConfig = LogConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     registration: RegistrationConfig = RegistrationConfig()
@@ -226,10 +226,13 @@ def load_config(
     """
     from_file = _read_toml(path) if path is not None else {}
     name = preset or from_file.get("preset", "default")
-    if name not in PRESETS:
-        raise UsageError(f"unknown preset {name!r}: choose from {', '.join(sorted(PRESETS))}")
+    where = f"{path}: " if path is not None else ""
+    if not isinstance(name, str) or name not in PRESETS:
+        choices = ", ".join(sorted(PRESETS))
+        source = where if preset is None else ""
+        raise UsageError(f"{source}unknown preset {name!r}: choose from {choices}")
     merged = _merge(_merge(_merge({}, PRESETS[name]), from_file), overrides or {})
-    return _validated({**merged, "preset": name}, f"{path}: " if path is not None else "")
+    return _validated({**merged, "preset": name}, where)
 
 
 def with_overrides(config: Config, overrides: dict[str, Any]) -> Config:
@@ -269,7 +272,7 @@ def to_toml(config: Config) -> str:
 def _toml_value(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_toml_value(each) for each in value) + "]"
-    return json.dumps(value)
+    return json.dumps(value, ensure_ascii=False)
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

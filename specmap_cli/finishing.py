@@ -34,6 +34,12 @@ class FinishedMap:
     classifiers: str
     layout: Layout
 
+    @property
+    def path_m(self) -> float:
+        """Length of the trajectory over its keyframes."""
+        steps = np.diff(self.labels.poses[:, :2], axis=0)
+        return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+
 
 def finish_map(mapper: Mapper, progress: Progress) -> FinishedMap:
     """Lay the submaps out, derive the topology, rebuild the grids, train the classifiers.

@@ -12,15 +12,16 @@ from typing import Any
 from specmap_cli import __version__
 from specmap_cli.config import Config
 from specmap_cli.finishing import FinishedMap, finish_map
+from specmap_cli.geometry import Pose2
 from specmap_cli.keyframes import KeyframeStore
 from specmap_cli.logs import Log, open_log
+from specmap_cli.logs.selection import Selection
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.mapper import Mapper
 from specmap_cli.outputs.directory import OutputDirectory
 from specmap_cli.outputs.store import MapResult, write_map
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.progress import Progress, Silent
-from specmap_cli.segmentation.explain import Explainer
 
 _LIBRARIES = ("kiss-icp", "mcap", "networkx", "numpy", "opencv-python-headless", "rosbags", "scipy")
 
@@ -62,14 +63,14 @@ def build_map(
     for a recording that cannot be used, NoResultError when no scan could be registered.
     """
     progress = progress or Silent()
-    observer = Explainer(explain) if explain is not None else None
+    observer = None
     with (
         OutputDirectory(out, overwrite) as partial,
         open_log(logs) as log,
         KeyframeStore() as store,
     ):
         stream = SweepStream(log, config.log)
-        progress.note(stream.selection.describe())
+        progress.note(stream.selection.note)
         mapper = Mapper(config, store, progress, observer)
         progress.start("mapping", stream.expected)
         for sweep in stream:
@@ -77,14 +78,14 @@ def build_map(
             progress.advance()
         mapper.finish()
         finished = finish_map(mapper, progress)
-        run = _run_record(logs, log, stream, mapper, finished)
+        run = _run_record(logs, stream, mapper, finished)
         for warning in run["warnings"]:
             progress.warn(warning)
-        write_map(partial, _result(log, mapper, finished, run))
+        write_map(partial, _result(log, finished, run))
     return BuildReport(out, run)
 
 
-def _result(log: Log, mapper: Mapper, finished: FinishedMap, run: dict[str, Any]) -> MapResult:
+def _result(log: Log, finished: FinishedMap, run: dict[str, Any]) -> MapResult:
     stamps = finished.trajectory.stamps_ns
     info = LogInfo(log.name, int(stamps.min()), int(stamps.max()), len(stamps))
     return MapResult(
@@ -99,7 +100,7 @@ def _result(log: Log, mapper: Mapper, finished: FinishedMap, run: dict[str, Any]
 
 
 def _run_record(
-    logs: Sequence[Path], log: Log, stream: SweepStream, mapper: Mapper, finished: FinishedMap
+    logs: Sequence[Path], stream: SweepStream, mapper: Mapper, finished: FinishedMap
 ) -> dict[str, Any]:
     """The contents of run.json."""
     counts = {
@@ -114,7 +115,7 @@ def _run_record(
     }
     return {
         "inputs": [path.name for path in logs],
-        "selection": stream.selection.as_dict(),
+        "selection": _selected(stream.selection),
         "config": mapper.config.model_dump(),
         "versions": {
             "specmap": __version__,
@@ -123,5 +124,20 @@ def _run_record(
         },
         "counts": counts,
         "seconds": {name: round(value, 3) for name, value in mapper.clock.seconds.items()},
-        "warnings": [*log.damage, *stream.warnings, *finished.warnings],
+        "warnings": [*stream.warnings, *finished.layout.warnings],
+    }
+
+
+def _selected(selection: Selection) -> dict[str, Any]:
+    """Which topics and frames were read."""
+    mounting = Pose2.from_matrix(selection.base_from_laser)
+    return {
+        "scan_topic": selection.scan_topic,
+        "scan_type": selection.scan_type,
+        "odometry": selection.odometry,
+        "odom_topics": list(selection.odom_topics),
+        "base_frame": selection.base_frame,
+        "laser_frame": selection.laser_frame,
+        "base_from_laser": [round(value, 6) for value in mounting],
+        "height_band_m": selection.band_m,
     }

@@ -1,0 +1,89 @@
+"""An existing occupancy grid into submaps: from a map file to a directory, without a robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from specmap_cli.config import Config
+from specmap_cli.geometry import IDENTITY
+from specmap_cli.outputs.directory import OutputDirectory
+from specmap_cli.outputs.regions import Regions
+from specmap_cli.outputs.store import write_segmentation
+from specmap_cli.outputs.topology import LogInfo
+from specmap_cli.segmentation.floorplan import (
+    FloorplanResult,
+    load_floorplan,
+    segment_floorplan,
+    submap_grid,
+)
+from specmap_cli.topomap import Edge, Submap, TopologicalMap
+
+
+@dataclass(frozen=True, slots=True)
+class PartitionReport:
+    """What `segment` did."""
+
+    out: Path
+    result: FloorplanResult
+
+    def as_dict(self) -> dict[str, Any]:
+        """Counts and areas."""
+        return {
+            "out": str(self.out),
+            "submaps": len(self.result.submaps),
+            "edges": len(self.result.edges),
+            "area_m2": round(sum(submap.area_m2 for submap in self.result.submaps), 3),
+        }
+
+    def lines(self) -> list[str]:
+        """A summary in two lines."""
+        counts = self.as_dict()
+        return [
+            f"{self.out}: {counts['submaps']} submaps, {counts['edges']} edges, "
+            f"{counts['area_m2']:.0f} m2",
+            f"look at {self.out / 'overview.png'}",
+        ]
+
+
+def partition_map(
+    path: Path,
+    out: Path,
+    config: Config,
+    *,
+    resolution: float | None = None,
+    overwrite: bool = False,
+) -> PartitionReport:
+    """Divide the grid in a map file into submaps and write them to the directory `out`.
+
+    `resolution` (metres a pixel) is needed for a bare picture. Raises MapError for a file that is
+    no map, NoResultError when it has no room for a node, UsageError for an output in the way.
+    """
+    grid = load_floorplan(path, resolution)
+    result = segment_floorplan(grid, config.segmentation)
+    regions = Regions.of(grid, np.asarray(result.segmentation.labels, dtype=np.int64))
+    with OutputDirectory(out, overwrite) as partial:
+        write_segmentation(partial, _topology(result), regions, LogInfo(path.name))
+    return PartitionReport(out, result)
+
+
+def _topology(result: FloorplanResult) -> TopologicalMap:
+    """The regions as submaps, all in the frame of the map, with an edge for each doorway."""
+    topology = TopologicalMap()
+    for region in result.submaps:
+        topology.submaps[region.id] = Submap(
+            region.id, IDENTITY, [], [], submap_grid(result, region.id), region.polygon
+        )
+    for found in result.edges:
+        door = found.doorways[0]
+        topology.edges[found.source, found.target] = Edge(
+            found.source,
+            found.target,
+            "doorway",
+            doorway=(door.x, door.y),
+            width_m=door.width_m,
+        )
+    return topology
