@@ -119,14 +119,16 @@ class RecognitionConfig(_Section):
     refresh_growth: float = Field(0.25, ge=0, description="retrain once the submaps grew by this")
     xi_threshold: float = Field(0.175, ge=0, le=1, description="eq. 5, judge without `verify`")
     verify: bool = Field(True, description="a closure needs a match of the two grids")
-    candidates: int = Field(5, ge=1, description="best ranked old submaps whose grids are matched")
+    candidates: int = Field(4, ge=1, description="best ranked old submaps whose grids are matched")
     members: int = Field(2, ge=1, description="visits of an old submap whose grids are matched")
     min_score: float = Field(0.75, le=1, description="inliers less twice the contradictions")
-    min_inliers: int = Field(60, ge=1, description="wall points that agree")
-    min_overlap: float = Field(0.3, ge=0, le=1, description="of the smaller submap's walls")
+    min_lead: float = Field(0.1, ge=0, description="over the next best match, or it is ambiguous")
+    min_inliers: int = Field(100, ge=1, description="wall points that agree")
+    min_overlap: float = Field(0.4, ge=0, le=1, description="shared part of one's walls")
+    least_overlap: float = Field(0.15, ge=0, le=1, description="shared part of the other's walls")
     merge_overlap: float = Field(0.4, ge=0, le=1, description="of both tracks, for a merge")
     merge_reach_m: float = Field(1.0, gt=0, description="tracks this close overlap")
-    max_drift: float = Field(0.1, ge=0, description="metres per metre driven that a merge may mend")
+    max_drift: float = Field(0.1, ge=0, description="metres per metre driven that a closure may mend")
 
 
 class RelaxationConfig(_Section):

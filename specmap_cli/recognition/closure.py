@@ -131,7 +131,7 @@ class LoopCloser:
             reason = (
                 "xi passes the threshold" if merged else "xi below the threshold or not the best"
             )
-            closures.append(_closure(visit.id, old, claims[old], None, merged, reason))
+            closures.append(_closure(visit.id, old, claims[old], None, False, merged, reason))
         return closures
 
     def _verified(self, visit: _Visit, claims: Mapping[int, Claims]) -> list[Closure]:
@@ -162,27 +162,29 @@ class LoopCloser:
                 continue
             check = verify(member.place, visit.place)
             self._checked[key] = check
-            merged, reason = self._judge(member, visit, check)
-            closure = _closure(visit.id, member.id, claims, check, merged, reason)
-            if best is None or (closure.merged, closure.score) > (best.merged, best.score):
+            verdict = self._judge(member, visit, check)
+            closure = _closure(visit.id, member.id, claims, check, *verdict)
+            if best is None or _merit(closure) > _merit(best):
                 best = closure
         return [best] if best is not None else []
 
-    def _judge(self, member: _Visit, visit: _Visit, check: Check | None) -> tuple[bool, str]:
-        """Whether a checked pair is one submap, and why or why not."""
+    def _judge(self, member: _Visit, visit: _Visit, check: Check | None) -> tuple[bool, bool, str]:
+        """Whether a checked pair matches, whether it is one submap, and why or why not."""
         config = self.config
         if check is None or check.score < config.min_score:
-            return False, "the grids do not match"
+            return False, False, "the grids do not match"
         if check.inliers < config.min_inliers:
-            return False, "too few wall points match"
-        if check.overlap < config.min_overlap:
-            return False, "the grids overlap too little"
+            return False, False, "too few wall points match"
+        if check.overlap < config.min_overlap or check.least_overlap < config.least_overlap:
+            return False, False, "the grids overlap too little"
+        if check.lead < config.min_lead:
+            return False, False, "ambiguous: the grids match in more than one way"
+        if not self._plausible(member, visit, check.old_from_new):
+            return False, False, "ambiguous: looks the same but is too far away, a twin"
         shared = tracks_overlap(member.track, visit.track, check.old_from_new, config.merge_reach_m)
         if shared < config.merge_overlap:
-            return False, "the grids match but the robot's tracks do not overlap"
-        if not self._plausible(member, visit, check.old_from_new):
-            return False, "ambiguous: a twin of a place too near to be the same"
-        return True, "the grids match and the tracks overlap"
+            return True, False, "the grids match, the robot's tracks do not overlap"
+        return True, True, "the grids match and the tracks overlap"
 
     def _plausible(self, member: _Visit, visit: _Visit, old_from_new: Pose2) -> bool:
         """Whether registration can have drifted as far as a merge would say it has."""
@@ -195,9 +197,14 @@ class LoopCloser:
 
 
 def _closure(
-    new: int, old: int, claims: Claims, check: Check | None, merged: bool, reason: str
+    new: int,
+    old: int,
+    claims: Claims,
+    check: Check | None,
+    verified: bool,
+    merged: bool,
+    reason: str,
 ) -> Closure:
-    verified = check is not None and reason.startswith(("the grids match", "ambiguous"))
     return Closure(
         new=new,
         old=old,
@@ -233,3 +240,8 @@ def _likely_duplicates(
     # submaps two edges apart share a neighbour: the usual place of a duplicate
     order = {2: 0, 1: 1, 3: 2}
     return [(a, b) for hops, a, b in sorted(pairs, key=lambda p: (order[p[0]], p[1], p[2]))]
+
+
+def _merit(closure: Closure) -> tuple[bool, bool, float]:
+    """What makes one match with a submap better than another."""
+    return closure.merged, closure.verified, closure.score

@@ -16,6 +16,7 @@ from specmap_cli.recognition.sampling import evenly
 
 COARSE_M = 0.2
 FIELD_SIGMA_M = 0.15
+WIDE_SIGMA_M = 0.3
 KNOWN_MARGIN_M = 0.15
 _MOST_POINTS = 1200
 
@@ -36,6 +37,7 @@ class Place:
     walls: FloatArray
     direction: float
     field: ScoreField
+    wide: ScoreField
     wall_distance: ImageArray
     depth: ImageArray
     known: NDArray[np.bool_]
@@ -63,6 +65,7 @@ def prepare(grid: GridMap) -> Place | None:
         walls=grid.centres_of(kept),
         direction=wall_direction(grid),
         field=ScoreField.from_grid(grid, FIELD_SIGMA_M),
+        wide=ScoreField.from_grid(grid, WIDE_SIGMA_M),
         wall_distance=_distance((grid.cells != OCCUPIED), grid.resolution),
         depth=_distance(grid.free, grid.resolution),
         known=np.asarray(known > 0),

@@ -9,7 +9,7 @@ stand where the other saw free space: a right transform contradicts nothing.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.fft
@@ -18,9 +18,12 @@ from numpy.typing import NDArray
 from specmap_cli.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.matching import refine
 from specmap_cli.recognition.place import COARSE_M, ImageArray, Place
+from specmap_cli.recognition.sampling import evenly
 
 _SLACKS_RAD = (0.0, math.radians(-3.0), math.radians(3.0))
-_PEAKS = 6
+_PEAKS = 8
+_REFINED = 4
+_HOPELESS = 0.4
 _REFINE_POINTS = 250
 _INLIER_M = 0.15
 _DEEP_M = 0.25
@@ -32,32 +35,40 @@ class Check:
     """The best transform between two grids and how well they agree under it.
 
     `score` is the smaller share of inliers less twice the larger share of contradictions, at most
-    1; `inliers` the smaller count of wall points confirmed; `overlap` the larger share of a
-    place's walls that the other one knows about.
+    1; `inliers` the smaller count of wall points confirmed; `overlap` and `least_overlap` the
+    larger and the smaller share of a place's walls that the other one knows about; `lead` how much
+    better it is than the next best transform that is a different one.
     """
 
     old_from_new: Pose2
     score: float
     inliers: int
     overlap: float
+    least_overlap: float
+    lead: float = 0.0
 
 
 def verify(old: Place, new: Place) -> Check | None:
     """The best transform between two places and its judgement; None when nothing overlaps."""
-    best: Check | None = None
-    points = new.walls[
-        np.linspace(0, len(new.walls) - 1, min(len(new.walls), _REFINE_POINTS), dtype=int)
-    ]
-    for guess in _candidates(old, new):
-        match = refine(old.field, points, guess, iterations=12, max_shift=0.6)
-        check = judge(old, new, match.pose)
-        if best is None or _rank(check) > _rank(best):
-            best = check
-    if best is None:
+    points = evenly(new.walls, _REFINE_POINTS)
+    guesses = _candidates(old, new)
+    likely = np.argsort([-old.wide.score(points, guess) for guess in guesses], kind="stable")
+    checks = []
+    for k in likely[:_REFINED]:
+        match = refine(old.field, points, guesses[k], iterations=8, max_shift=0.6)
+        checks.append(judge(old, new, match.pose))
+    if not checks:
         return None
+    checks.sort(key=_rank, reverse=True)
+    best = checks[0]
+    if best.score < _HOPELESS:
+        return best
     match = refine(old.field, new.walls, best.old_from_new, max_shift=0.2)
     final = judge(old, new, match.pose)
-    return final if final.score >= best.score else best
+    centre = new.coarse_walls.mean(axis=0)
+    rivals = [c for c in checks[1:] if _apart(c.old_from_new, best.old_from_new, centre, 1.0, 10.0)]
+    lead = _rank(best) - max((_rank(rival) for rival in rivals), default=-1.0)
+    return replace(final if final.score >= best.score else best, lead=lead)
 
 
 def judge(old: Place, new: Place, old_from_new: Pose2) -> Check:
@@ -65,7 +76,8 @@ def judge(old: Place, new: Place, old_from_new: Pose2) -> Check:
     inlier, contra, inliers, overlap = _agreement(old, old_from_new.apply(new.walls))
     back = _agreement(new, old_from_new.inverse().apply(old.walls))
     score = min(inlier, back[0]) - 2.0 * max(contra, back[1])
-    return Check(old_from_new, score, min(inliers, back[2]), max(overlap, back[3]))
+    overlaps = overlap, back[3]
+    return Check(old_from_new, score, min(inliers, back[2]), max(overlaps), min(overlaps))
 
 
 def tracks_overlap(
@@ -132,7 +144,7 @@ def _candidates(old: Place, new: Place) -> list[Pose2]:
     found.sort(key=lambda item: -item[0])
     kept: list[Pose2] = []
     for _, pose in found:
-        if all(_apart(pose, other, centre) for other in kept):
+        if all(_apart(pose, other, centre, 0.5, 2.0) for other in kept):
             kept.append(pose)
         if len(kept) == _PEAKS:
             break
@@ -167,8 +179,8 @@ def _peaks(
     return found
 
 
-def _apart(a: Pose2, b: Pose2, centre: FloatArray) -> bool:
-    """Whether two transforms place `centre` 0.5 m, or turn 4 degrees, apart."""
+def _apart(a: Pose2, b: Pose2, centre: FloatArray, metres: float, degrees: float) -> bool:
+    """Whether two transforms place `centre` (2,) some metres, or turn some degrees, apart."""
     shift = a.apply(centre[None])[0] - b.apply(centre[None])[0]
     turn = abs(wrap_angle(a.theta - b.theta))
-    return math.hypot(*shift.tolist()) > 0.5 or turn > math.radians(4.0)
+    return math.hypot(*shift.tolist()) > metres or turn > math.radians(degrees)
