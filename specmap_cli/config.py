@@ -82,7 +82,7 @@ class SegmentationConfig(_Section):
     clearance_m: float = Field(0.25, ge=0, description="nodes and sight lines keep this off walls")
     sight_m: float = Field(5.0, gt=0, description="longest sight line")
     neighbours: int = Field(0, ge=0, description="l of eq. 1; 0: all visible nodes")
-    eigenvalue_min: float = Field(0.7, gt=0, lt=1, description="k counts the eigenvalues above")
+    eigenvalue_min: float = Field(0.75, gt=0, lt=1, description="k counts the eigenvalues above")
     labels: Literal["flood", "nearest"] = Field("flood", description="how cells get their label")
     merge: bool = Field(True, description="join clusters whose border is as wide as they are")
     merge_ratio: float = Field(0.85, gt=0, description="border width over room width that joins")

@@ -47,41 +47,60 @@ def join_wide(
 ) -> list[int]:
     """New label of each cluster after joining pairs, the widest border in proportion first.
 
-    `widths` holds the local widths of each cluster's nodes; a pair joins while its border is at
-    least `ratio` times the smaller of the two clusters' `percentile` width.
+    `widths` holds the local widths of each cluster's nodes. A pair joins while its border is at
+    least `ratio` times the geometric mean of the two clusters' `percentile` widths: a corridor
+    goes on where its width goes on, and ends where it opens into a hall or a room.
     """
-    parent = list(range(len(widths)))
-    members = list(widths)
-    width = [float(np.percentile(w, percentile)) if len(w) else 0.0 for w in widths]
-    touching: list[dict[int, float]] = [{} for _ in widths]
-    for (a, b), value in borders.items():
-        touching[a][b] = touching[b][a] = value
-    while True:
-        best, pair = ratio, None
-        for a, around in enumerate(touching):
-            for b, value in around.items():
-                score = value / max(min(width[a], width[b]), 1e-9)
-                if a < b and (score > best or (pair is None and score >= best)):
-                    best, pair = score, (a, b)
-        if pair is None:
-            return _roots(parent)
-        keep, gone = pair
-        parent[gone] = keep
-        members[keep] = np.concatenate([members[keep], members[gone]])
-        width[keep] = float(np.percentile(members[keep], percentile))
-        for other, value in touching[gone].items():
-            del touching[other][gone]
+    clusters = _Clusters(borders, widths, percentile)
+    while (pair := clusters.widest(ratio)) is not None:
+        clusters.join(*pair)
+    return clusters.names()
+
+
+class _Clusters:
+    """Clusters, their widths and the widths of their borders while they are being joined."""
+
+    def __init__(
+        self, borders: dict[Pair, float], widths: list[FloatArray], percentile: float
+    ) -> None:
+        self._percentile = percentile
+        self._nodes = list(widths)
+        self._width = [self._width_of(nodes) for nodes in widths]
+        self._parent = list(range(len(widths)))
+        self._touching: list[dict[int, float]] = [{} for _ in widths]
+        for (one, other), border in borders.items():
+            self._touching[one][other] = self._touching[other][one] = border
+
+    def _width_of(self, nodes: FloatArray) -> float:
+        return float(np.percentile(nodes, self._percentile)) if len(nodes) else 0.0
+
+    def widest(self, ratio: float) -> Pair | None:
+        """The pair whose border is widest in proportion, the first of equals; None below `ratio`."""
+        best, pair = ratio - 1e-9, None
+        for one, around in enumerate(self._touching):
+            for other, border in around.items():
+                mean = (self._width[one] * self._width[other]) ** 0.5
+                if one < other and border > best * mean + 1e-12:
+                    best, pair = border / max(mean, 1e-9), (one, other)
+        return pair
+
+    def join(self, keep: int, gone: int) -> None:
+        """Make cluster `gone` a part of `keep`."""
+        self._parent[gone] = keep
+        self._nodes[keep] = np.concatenate([self._nodes[keep], self._nodes[gone]])
+        self._width[keep] = self._width_of(self._nodes[keep])
+        for other, border in self._touching[gone].items():
+            del self._touching[other][gone]
             if other != keep:
-                wider = max(value, touching[keep].get(other, 0.0))
-                touching[keep][other] = touching[other][keep] = wider
-        touching[gone] = {}
+                wider = max(border, self._touching[keep].get(other, 0.0))
+                self._touching[keep][other] = self._touching[other][keep] = wider
+        self._touching[gone] = {}
 
-
-def _roots(parent: list[int]) -> list[int]:
-    """The kept label of every label, renumbered 0, 1, ... in order."""
-    root = list(range(len(parent)))
-    for label in root:
-        while parent[root[label]] != root[label]:
-            root[label] = parent[root[label]]
-    names = {label: number for number, label in enumerate(sorted(set(root)))}
-    return [names[label] for label in root]
+    def names(self) -> list[int]:
+        """The label of every cluster: those that were kept are numbered 0, 1, ... in order."""
+        root = list(range(len(self._parent)))
+        for label in root:
+            while self._parent[root[label]] != root[label]:
+                root[label] = self._parent[root[label]]
+        numbers = {label: number for number, label in enumerate(sorted(set(root)))}
+        return [numbers[label] for label in root]
