@@ -2,7 +2,7 @@
 
 Every scan is registered; only those taken after the robot moved or turned are kept, and these are
 spooled to a temporary file, so that memory does not grow with the scans of a log: only the poses
-(24 bytes a keyframe) stay in memory.
+(some 300 bytes a keyframe) stay in memory.
 """
 
 from __future__ import annotations
