@@ -104,32 +104,22 @@ class CarmenFile(Recording):
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics`, in the order of the lines."""
-        placed_lasers: set[str] = set()
+        started: set[str] = set()  # lasers whose mounting has been told
         for line in self._lines():
-            for message in self._messages_of(line, placed_lasers):
-                if topics is None or message.topic in topics:
-                    yield message
+            if line.ranges is not None and line.topic not in started:
+                started.add(line.topic)
+                if line.topic in self._mounts and _wanted(TF_STATIC, topics):
+                    yield self._mounting(line)
+            if _wanted(ODOM_TOPIC, topics):
+                data = odometry_cdr(ODOM_FRAME, BASE_FRAME, line.stamp_ns, line.odom_from_base)
+                yield Message(ODOM_TOPIC, ODOMETRY, line.stamp_ns, data)
+            if line.ranges is not None and _wanted(line.topic, topics):
+                yield _scan(line, line.ranges)
 
-    def _messages_of(self, line: _Line, placed_lasers: set[str]) -> Iterator[Message]:
-        time_ns = line.stamp_ns
-        if line.ranges is not None and line.topic not in placed_lasers:
-            placed_lasers.add(line.topic)
-            if line.topic in self._mounts:
-                mount = placed(self._mounts[line.topic])
-                data = transform_cdr(BASE_FRAME, line.frame, time_ns, *mount)
-                yield Message(TF_STATIC, TF_MESSAGE, time_ns, data)
-        data = odometry_cdr(ODOM_FRAME, BASE_FRAME, time_ns, line.odom_from_base)
-        yield Message(ODOM_TOPIC, ODOMETRY, time_ns, data)
-        if line.ranges is not None:
-            data = scan_cdr(
-                line.frame,
-                time_ns,
-                line.angle_min,
-                line.angle_increment,
-                np.where(line.ranges >= line.range_max, np.inf, line.ranges),
-                range_max=line.range_max,
-            )
-            yield Message(line.topic, LASER_SCAN, time_ns, data)
+    def _mounting(self, line: _Line) -> Message:
+        mount = placed(self._mounts[line.topic])
+        data = transform_cdr(BASE_FRAME, line.frame, line.stamp_ns, *mount)
+        return Message(TF_STATIC, TF_MESSAGE, line.stamp_ns, data)
 
     def _lines(self) -> Iterator[_Line]:
         """The lines that carry data; one that cannot be parsed is reported and left out."""
@@ -158,6 +148,22 @@ class CarmenFile(Recording):
     def close(self) -> None:
         """Release the file."""
         self._file.close()
+
+
+def _wanted(topic: str, topics: Collection[str] | None) -> bool:
+    return topics is None or topic in topics
+
+
+def _scan(line: _Line, ranges: FloatArray) -> Message:
+    data = scan_cdr(
+        line.frame,
+        line.stamp_ns,
+        line.angle_min,
+        line.angle_increment,
+        np.where(ranges >= line.range_max, np.inf, ranges),
+        range_max=line.range_max,
+    )
+    return Message(line.topic, LASER_SCAN, line.stamp_ns, data)
 
 
 def _parse(keyword: str, words: list[bytes]) -> _Line:

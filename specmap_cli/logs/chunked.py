@@ -115,7 +115,7 @@ class ChunkedFile(Recording):
     def read_at(self, offset: int, length: int) -> bytes:
         """Up to `length` bytes from `offset` on; fewer at the end of the file."""
         try:
-            return os.pread(self._fd, length, offset)
+            return os.pread(self._fd, max(min(length, self.size - offset), 0), offset)
         except OSError as error:
             raise unreadable(self.path, error) from None
 

@@ -132,6 +132,8 @@ class McapFile(ChunkedFile):
         while offset + _RECORD.size <= self.size:
             opcode, length = _RECORD.unpack(self.read_at(offset, _RECORD.size))
             if opcode in (DATA_END, FOOTER):
+                if self.read_at(self.size - len(MAGIC), len(MAGIC)) != MAGIC:
+                    self.report(f"cut off in the index after byte {offset}: no message is lost")
                 return
             start = offset + _RECORD.size
             if opcode == 0 or _LAST_OPCODE < opcode < 0x80:

@@ -19,6 +19,8 @@ from typing import ClassVar, NamedTuple
 
 from specmap_cli.errors import LogError
 
+MAX_DAMAGE_LINES = 20  # a file, then one that says there is more
+
 
 class Message(NamedTuple):
     """One message: `time_ns` is the recorder's log time, `data` ROS 2 CDR of `type`."""
@@ -77,7 +79,9 @@ class Recording(ABC):
     def report(self, damage: str) -> None:
         """Note what was lost, once however often the file is read."""
         line = f"{self.path}: {damage}"
-        if line not in self.damage:
+        if len(self.damage) == MAX_DAMAGE_LINES:
+            line = f"{self.path}: there is more damage than is listed here"
+        if line not in self.damage and len(self.damage) <= MAX_DAMAGE_LINES:
             self.damage.append(line)
 
 

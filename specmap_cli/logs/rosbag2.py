@@ -31,8 +31,13 @@ class Rosbag2File(Recording):
         location = f"file:{quote(str(path.resolve()))}?{options}"
         try:
             self._db = sqlite3.connect(location, uri=True)
+            self._db.execute("PRAGMA writable_schema = ON")  # lets a cut-off file be read at all
             rows = self._db.execute("SELECT id, name, type FROM topics")
-            self._topics = {number: (name, normalized_type(kind)) for number, name, kind in rows}
+            self._topics = {
+                number: (name, normalized_type(kind))
+                for number, name, kind in rows
+                if isinstance(name, str) and isinstance(kind, str)  # a cut-off file has holes
+            }
             self._sorted = self._has_time_index()
         except sqlite3.Error as error:
             raise LogError(f"{path}: no readable rosbag2 file: {error}") from None
@@ -52,7 +57,12 @@ class Rosbag2File(Recording):
             start, end = times.fetchone()
         except sqlite3.Error:
             self._sorted = False  # the index may be lost as well: read in the order of recording
-            return survey((m.topic, m.type, m.time_ns) for m in self.messages())
+            found = survey((m.topic, m.type, m.time_ns) for m in self.messages())
+            if not self.damage:
+                self.report("damaged or cut off: some messages are lost")
+            return found
+        if not self._topics:
+            self.report("the list of topics is lost")
         topics = [TopicInfo(*self._topics[n], counts.get(n, 0)) for n in self._topics]
         ordered = sorted(topics, key=lambda topic: (topic.name, topic.type))
         return Contents(tuple(ordered), start or 0, end or 0)
@@ -63,6 +73,8 @@ class Rosbag2File(Recording):
         last, read = 0, 0
         try:
             for number, time_ns, data in self._db.execute(*self._query(wanted)):
+                if not isinstance(time_ns, int) or not isinstance(data, bytes):
+                    continue
                 last, read = time_ns, read + 1
                 if compression_of(data[:4]) == "zstd":  # rosbag2's compression of single messages
                     data, _ = decompress(data, "zstd")
