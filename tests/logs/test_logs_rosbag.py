@@ -104,7 +104,9 @@ def test_what_a_cut_database_still_holds_is_read(
         found, said = read_rest(path)
         assert said
         assert all(str(path) in line for line in said)
-        assert found == [m for m in drive_messages if m in found]
+        sound = [m for m in found if m in drive_messages]
+        assert sound == [m for m in drive_messages if m in found]
+        assert len(found) - len(sound) <= 1, "only the message that was cut through"
         outcomes.add(bool(found))
     assert outcomes == {True, False}
 
