@@ -11,6 +11,7 @@ import os
 import shutil
 import signal
 import threading
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,6 +38,9 @@ class OutputDirectory:
         self._token = os.urandom(4).hex()
         self._partial = self._sibling("partial")
         self._parents: list[Path] = []
+        # Also runs at the exit of the interpreter: an interruption between the lines of the
+        # methods below leaves nothing behind either.
+        self._clean_up = weakref.finalize(self, _remove, self._partial, self._parents)
 
     def __enter__(self) -> Path:
         try:
@@ -44,7 +48,7 @@ class OutputDirectory:
             self._make_parents()
             self._partial.mkdir()
         except OSError as error:
-            self._remove_parents()
+            self._clean_up()
             raise UsageError(
                 f"{self.path}: cannot write there: {self._target.parent}: {error.strerror}; "
                 "choose another output directory"
@@ -61,13 +65,11 @@ class OutputDirectory:
             if kind is None:
                 self._commit()
         finally:
-            if self._partial.exists():
-                shutil.rmtree(self._partial, ignore_errors=True)
-                self._remove_parents()
+            self._clean_up()
 
     def _sibling(self, role: str) -> Path:
         """A hidden neighbour of the target: same file system, so that a rename is atomic."""
-        return self._target.parent / (f".{self._target.name}.{role}-{self._token}")
+        return self._target.parent / f".{self._target.name}.{role}-{self._token}"
 
     def _check_target(self) -> None:
         """Refuse a target that must not be replaced."""
@@ -99,14 +101,6 @@ class OutputDirectory:
         for parent in reversed(self._parents):
             parent.mkdir(exist_ok=True)
 
-    def _remove_parents(self) -> None:
-        """Take back the parents made on entering, deepest first, while they are empty."""
-        for parent in self._parents:
-            try:
-                parent.rmdir()
-            except OSError:
-                return
-
     def _commit(self) -> None:
         """Put the finished directory in place of the target."""
         replaced = self._sibling("replaced")
@@ -133,9 +127,23 @@ class OutputDirectory:
             raise
 
 
+def _remove(partial: Path, parents: list[Path]) -> None:
+    """Take back what entering made: the partial directory, and its parents while they are empty.
+
+    After the partial directory was renamed there is nothing to take back.
+    """
+    with _signals_held():
+        shutil.rmtree(partial, ignore_errors=True)
+        for parent in parents:
+            try:
+                parent.rmdir()
+            except OSError:
+                return
+
+
 @contextmanager
 def _signals_held() -> Iterator[None]:
-    """Hold SIGINT and SIGTERM back for the few system calls inside, then deliver them."""
+    """Hold SIGINT and SIGTERM back while the few system calls inside run, then deliver them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

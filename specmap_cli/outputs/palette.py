@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 
 from specmap_cli.geometry import FloatArray
-from specmap_cli.outputs.regions import NOBODY, Regions
-from specmap_cli.records import IntArray
+from specmap_cli.outputs.regions import NOBODY, OwnerArray, Regions
 from specmap_cli.topomap import TopologicalMap
 
 Colour = tuple[int, int, int]  # blue, green, red
@@ -30,8 +29,10 @@ _FILLS = (
 FILLS: tuple[Colour, ...] = tuple(
     (int(code[4:], 16), int(code[2:4], 16), int(code[:2], 16)) for code in _FILLS
 )
+# Regions this near, across a wall, are neighbours; looked for on cells of this size.
+_NEAR_M, _THINNED_M = 0.6, 0.15
 # Two fills further apart than this in CIELAB are told apart at a glance.
-_DISTINCT = 40.0
+DISTINCT = 40.0
 
 
 def darker(colour: Colour, share: float = 0.55) -> Colour:
@@ -63,9 +64,9 @@ def colours_of(topology: TopologicalMap, regions: Regions) -> dict[int, Colour]:
 
     Neighbours are submaps with an edge, and regions that touch or lie across a wall.
     """
-    pairs = set(topology.edges) | touching(
-        regions.owner, max(1, round(0.6 / regions.grid.resolution))
-    )
+    thin = max(1, round(_THINNED_M / regions.grid.resolution))
+    reach = max(1, round(_NEAR_M / regions.grid.resolution / thin))
+    pairs = set(topology.edges) | touching(regions.owner[::thin, ::thin], reach)
     return colour_graph(sorted(topology.submaps), pairs)
 
 
@@ -79,14 +80,14 @@ def colour_graph(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> dict[i
     uses = np.zeros(len(FILLS), dtype=np.int64)
     for id_ in ids:
         near = sorted({chosen[other] for other in neighbours.get(id_, ()) if other in chosen})
-        gaps = _DISTANCES[:, near].min(axis=1) if near else np.full(len(FILLS), _DISTINCT)
-        rank = np.lexsort((uses, -np.minimum(gaps, _DISTINCT)))
+        gaps = _DISTANCES[:, near].min(axis=1) if near else np.full(len(FILLS), DISTINCT)
+        rank = np.lexsort((uses, -np.minimum(gaps, DISTINCT)))
         chosen[id_] = int(rank[0])
         uses[chosen[id_]] += 1
     return {id_: FILLS[index] for id_, index in chosen.items()}
 
 
-def touching(owner: IntArray, reach: int) -> set[tuple[int, int]]:
+def touching(owner: OwnerArray, reach: int) -> set[tuple[int, int]]:
     """Pairs (smaller id, larger id) of regions that come within `reach` cells along an axis."""
     found: set[tuple[int, int]] = set()
     for step in sorted({1, max(1, reach // 2), reach}):
@@ -97,11 +98,11 @@ def touching(owner: IntArray, reach: int) -> set[tuple[int, int]]:
     return found
 
 
-def _lab_distances() -> FloatArray:
+def fill_distances() -> FloatArray:
     """(F, F) CIELAB distances between the fills."""
     fills = np.array(FILLS, dtype=np.float32)[None] / 255.0
     lab = cv2.cvtColor(fills, cv2.COLOR_BGR2Lab)[0].astype(np.float64)
     return np.asarray(np.linalg.norm(lab[:, None] - lab[None], axis=-1))
 
 
-_DISTANCES = _lab_distances()
+_DISTANCES = fill_distances()

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from specmap_cli.gridmap import FREE, UNKNOWN, BoolArray, GridMap
@@ -19,6 +21,8 @@ from specmap_cli.outputs.shape import NOTHING, Outline, outline_of
 from specmap_cli.outputs.tables import Labels
 from specmap_cli.records import IntArray
 from specmap_cli.topomap import Submap
+
+OwnerArray = NDArray[np.signedinteger[Any]]
 
 NOBODY = -1
 _FAR = np.float32(1e6)
@@ -33,11 +37,11 @@ class Regions:
     """
 
     grid: GridMap
-    owner: IntArray
+    owner: OwnerArray
     outlines: dict[int, Outline]
 
     @classmethod
-    def of(cls, grid: GridMap, owner: IntArray) -> Regions:
+    def of(cls, grid: GridMap, owner: OwnerArray) -> Regions:
         """The regions with their outlines."""
         outlines = {}
         for id_, window in enumerate(ndimage.find_objects(owner + 1)):
@@ -55,7 +59,7 @@ class Regions:
 
 def divide(whole: GridMap, submaps: Iterable[Submap], labels: Labels) -> Regions:
     """Give each free cell of `whole` to a submap that saw it, the one with the nearest keyframe."""
-    owner = np.full(whole.cells.shape, NOBODY, dtype=np.int64)
+    owner = np.full(whole.cells.shape, NOBODY, dtype=np.int32)
     nearest = np.full(whole.cells.shape, np.inf, dtype=np.float32)
     for submap in sorted(submaps, key=lambda submap: submap.id):
         window, cells = warp(submap.grid.cells, submap.grid, submap.map_from_submap, whole, UNKNOWN)
@@ -64,7 +68,7 @@ def divide(whole: GridMap, submaps: Iterable[Submap], labels: Labels) -> Regions
         places = whole.cells_of(labels.poses[labels.submaps == submap.id, :2])
         corner = np.array([window[0].start, window[1].start])
         distance = _distance(places - corner, cells.shape)
-        seen = (cells == FREE) & whole.free[window]
+        seen = (cells == FREE) & (whole.cells[window] == FREE)
         better: BoolArray = seen & (distance < nearest[window])
         owner[window][better] = submap.id
         nearest[window][better] = distance[better]

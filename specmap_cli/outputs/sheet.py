@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.geometry import FloatArray
-from specmap_cli.gridmap import OCCUPIED, UNKNOWN
+from specmap_cli.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap
 from specmap_cli.outputs.canvas import Canvas, text_width
 from specmap_cli.outputs.palette import INK, PAPER, QUIET, SHADE, Colour
-from specmap_cli.outputs.regions import NOBODY, Regions
+from specmap_cli.outputs.regions import NOBODY, OwnerArray, Regions
 
 LONG_SIDE = 1800
 NARROWEST = 1100
@@ -22,6 +22,8 @@ MARGIN = 56
 TITLE = 122
 _ROW = 44
 _LETTERS = 14.0
+# A wall of one cell is drawn as if it were at least this many pixels wide.
+_WALL_STRENGTH = 1.6
 
 Symbol = Callable[[Canvas, float, float], None]
 
@@ -65,49 +67,26 @@ class Sheet:
 
     def ground(self, regions: Regions, fills: Mapping[int, Colour]) -> None:
         """Paint regions in their colours, unowned free cells grey, walls dark."""
-        grid = regions.grid
-        table = np.full((max(fills, default=0) + 2, 3), SHADE, dtype=np.uint8)
+        grid, owner, walls = _at_most_a_pixel_each(regions, self.pixels_per_m)
+        table = np.full((max([int(owner.max(initial=0)), *fills]) + 2, 3), SHADE, dtype=np.uint8)
         for id_, fill in fills.items():
             table[id_ + 1] = fill
-        colours = table[np.where(np.isin(regions.owner, list(fills)), regions.owner, NOBODY) + 1]
-        colours[grid.cells == UNKNOWN] = PAPER
-        walls = (grid.cells == OCCUPIED).astype(np.float32)
-        # a wall is drawn by its own share of the pixel, over the colour of the room beside it
-        under = colours.copy()
-        under[grid.cells == OCCUPIED] = PAPER
-        self._blend(grid.origin, grid.resolution, under, walls)
-
-    def _blend(
-        self,
-        origin: tuple[float, float],
-        resolution: float,
-        colours: NDArray[np.uint8],
-        walls: NDArray[np.float32],
-    ) -> None:
-        """Resample the cells to pixels; walls keep a stroke's width however far it shrinks."""
-        scale = resolution * self.pixels_per_m
-        corner = self.pixels(np.array([origin]))[0]
-        height, width = walls.shape
-        # pixel of a cell's centre, rows running up: u = corner + scale * (column + 1/2)
+        colours = table[owner + 1]
+        colours[grid.cells != FREE] = PAPER
+        scale = grid.resolution * self.pixels_per_m
+        left, bottom = self.pixels(np.array([grid.origin]))[0]
+        # the pixel of the centre of cell (row, column); pixel centres are whole numbers
         to_pixels = np.array(
             [
-                [scale, 0.0, corner[0] + 0.5 * scale - 0.5],
-                [0.0, -scale, corner[1] - 0.5 * scale - 0.5],
+                [scale, 0.0, left + 0.5 * scale - 0.5],
+                [0.0, -scale, bottom - 0.5 * scale - 0.5],
             ]
         )
-        ground: NDArray[Any] = colours
-        cover: NDArray[Any] = walls
-        if scale < 1.0:
-            shrunk = (max(1, round(width * scale)), max(1, round(height * scale)))
-            ground = cv2.resize(ground, shrunk, interpolation=cv2.INTER_AREA)
-            cover = cv2.resize(cover, shrunk, interpolation=cv2.INTER_AREA)
-            to_pixels[0, 0] *= width / shrunk[0]
-            to_pixels[1, 1] *= height / shrunk[1]
-            cover = np.minimum(cover * 1.6 / scale, 1.0)
         size = (self.canvas.image.shape[1], self.canvas.image.shape[0])
-        ground = cv2.warpAffine(ground, to_pixels, size, flags=cv2.INTER_LINEAR, borderValue=PAPER)
-        cover = cv2.warpAffine(cover, to_pixels, size, flags=cv2.INTER_LINEAR)[..., None]
-        inked = ground * (1.0 - cover) + np.array(INK, dtype=np.float32) * cover
+        painted = cv2.warpAffine(colours, to_pixels, size, borderValue=PAPER)
+        cover = cv2.warpAffine(walls.astype(np.float32), to_pixels, size)[..., None]
+        cover = np.minimum(cover * max(1.0, _WALL_STRENGTH / scale), 1.0)
+        inked = painted * (1.0 - cover) + np.array(INK, dtype=np.float32) * cover
         inside = slice(TITLE, TITLE + self.map_height)
         self.canvas.image[inside] = np.round(inked[inside]).astype(np.uint8)
 
@@ -131,6 +110,26 @@ class Sheet:
                 symbol(self.canvas, x + 22, y)
                 self.canvas.text(x + 52, y, words, _LETTERS)
                 x += _entry_width(words)
+
+
+def _at_most_a_pixel_each(
+    regions: Regions, pixels_per_m: float
+) -> tuple[GridMap, OwnerArray, BoolArray]:
+    """Cells, owners and walls, thinned out until a cell is more than half a pixel.
+
+    Blocks of cells keep the state and the owner of their middle one, and are walls when any is.
+    """
+    cells, owner = regions.grid.cells, regions.owner
+    step = max(1, int(1.0 / (regions.grid.resolution * pixels_per_m)))
+    if step > 1:
+        margins = [(0, -side % step) for side in cells.shape]
+        cells = np.pad(cells, margins, constant_values=UNKNOWN)
+        owner = np.pad(owner, margins, constant_values=NOBODY)
+    height, width = cells.shape
+    walls = (cells == OCCUPIED).reshape(height // step, step, width // step, step).any(axis=(1, 3))
+    middle = (slice(step // 2, None, step), slice(step // 2, None, step))
+    thinned = GridMap(cells[middle], regions.grid.resolution * step, regions.grid.origin)
+    return thinned, owner[middle], walls
 
 
 def extent_of(regions: Regions) -> tuple[FloatArray, FloatArray]:
