@@ -50,7 +50,7 @@ class RegistrationConfig(_Section):
     min_points: int = Field(10, ge=3, description="a scan with fewer walls is lost")
     cloud_range_m: float = Field(40.0, gt=0, description="as max_range_m, for 3D clouds")
     cloud_voxel_m: float = Field(0.2, gt=0, description="as voxel_m, for 3D clouds")
-    window_keyframes: int = Field(40, ge=1, description="keyframes in the local map")
+    window_keyframes: int = Field(80, ge=1, description="keyframes in the local map")
     keyframe_m: float = Field(0.3, gt=0, description="motion between keyframes of the local map")
     keyframe_rad: float = Field(0.25, gt=0, description="turn between them")
     guess_margin: float = Field(

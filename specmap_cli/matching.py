@@ -57,18 +57,17 @@ class ScoreField:
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         if not len(points):
             return cls(np.zeros((1, 1), dtype=np.float32), resolution, (0.0, 0.0))
-        low, high = points.min(axis=0), points.max(axis=0)
-        if (high - low > max_side).any():
-            middle = np.median(points, axis=0)
-            low = np.maximum(low, middle - max_side / 2)
-            high = np.minimum(high, middle + max_side / 2)
+        x, y = np.ascontiguousarray(points.T)
+        (left, right), (below, above) = (_extent(c, max_side) for c in (x, y))
         margin = math.ceil(_REACH_SIGMAS * sigma / resolution)
-        corner = np.floor(low / resolution).astype(np.intp) - margin
-        columns, rows = np.floor(high / resolution).astype(np.intp) - corner + 1 + margin
-        cells = np.floor(points / resolution).astype(np.intp) - corner
-        inside = ((cells >= 0) & (cells < (columns, rows))).all(axis=1)
-        empty = np.ones((int(rows), int(columns)), dtype=np.uint8)
-        empty[cells[inside, 1], cells[inside, 0]] = 0
+        corner = (math.floor(left / resolution) - margin, math.floor(below / resolution) - margin)
+        columns = np.floor(x / resolution).astype(np.intp) - corner[0]
+        rows = np.floor(y / resolution).astype(np.intp) - corner[1]
+        width = math.floor(right / resolution) - corner[0] + 1 + margin
+        height = math.floor(above / resolution) - corner[1] + 1 + margin
+        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        empty = np.ones((height, width), dtype=np.uint8)
+        empty[rows[inside], columns[inside]] = 0
         origin = (float(corner[0] * resolution), float(corner[1] * resolution))
         return cls(_field_values(empty, resolution, sigma), resolution, origin)
 
@@ -98,6 +97,10 @@ class ScoreField:
     def scores(self, points: NDArray[Any], poses: NDArray[Any]) -> FloatArray:
         """(K,) mean values of points (N, 2) placed at each of the poses (K, 3)."""
         return np.array([self.score(points, Pose2(*map(float, p))) for p in np.asarray(poses)])
+
+    def sharper(self) -> ScoreField:
+        """The field with half its sigma, for the last refinement: walls drawn half as wide."""
+        return ScoreField(np.square(np.square(self.values)), self.resolution, self.origin)
 
     def coarser(self, factor: int) -> ScoreField:
         """The maximum over blocks of `factor` x `factor` cells: never below the fine field."""
@@ -252,6 +255,15 @@ def covariance(
     centred = poses - weights @ poses
     spread: FloatArray = (centred * weights[:, None]).T @ centred
     return spread
+
+
+def _extent(values: FloatArray, longest: float) -> tuple[float, float]:
+    """Smallest and largest value, cut to half of `longest` on either side of the median."""
+    low, high = float(values.min()), float(values.max())
+    if high - low <= longest:
+        return low, high
+    middle = float(np.median(values))
+    return max(low, middle - longest / 2), min(high, middle + longest / 2)
 
 
 def _field_values(empty: NDArray[np.uint8], resolution: float, sigma: float) -> FieldArray:

@@ -25,6 +25,8 @@ from specmap_cli.registration.localmap import LocalMap
 from specmap_cli.registration.motion import MotionModel, Step, agrees
 from specmap_cli.registration.points import thinned, thinned_to
 
+_KERNELS = (2.0, 1.0, 0.5, 0.25)  # in voxels, coarse to fine
+_COARSE = 0.5  # kernels above this many voxels need neither all points nor full convergence
 _MAX_STEP_M, _MAX_STEP_RAD, _MAX_TILT = 1.5, 0.8, 0.3
 
 
@@ -33,6 +35,7 @@ class _View:
     """What one sweep offers: `cloud` (N, 3) to register, `walls` (M, 2) to insert and score."""
 
     cloud: FloatArray
+    sparse: FloatArray
     walls: FloatArray
     probe: FloatArray
 
@@ -63,6 +66,7 @@ class FrontEnd:
             ("registered", "lost", "searched", "wide_searched", "breaks", "odometry_jumps"), 0
         )
         self._icp = Registration(config.iterations, 1e-4, max_num_threads=1)
+        self._rough = Registration(config.iterations, 1e-3, max_num_threads=1)
         self._motion = MotionModel()
         self._map: LocalMap | None = None
         self._pose = np.eye(4)
@@ -86,8 +90,9 @@ class FrontEnd:
             local.insert(view.cloud, view.walls, guess)
             self._keyframe = fit.planar
         else:
+            guess = self._better_guess(view, guess, local, step)
             fit, doubted = self._locate(view, guess, local, step)
-            agreed = agrees(Pose2.from_matrix(guess), fit.planar, step.motion)
+            agreed = agrees(Pose2.from_matrix(guess), fit.planar, step)
             lost = self._is_lost(fit.score, doubted, agreed)
         if lost:
             fit = _Fit(guess, fit.score)
@@ -118,11 +123,12 @@ class FrontEnd:
         walls = thinned_to(hits, config.voxel_m / 2, config.max_points)
         probe = thinned(walls, config.voxel_m)
         if sweep.cloud is None:
-            return _View(np.column_stack([walls, np.zeros(len(walls))]), walls, probe)
+            return _View(_in_space(walls), _in_space(probe), walls, probe)
         cloud = moved_returns(sweep.cloud, sweep.cloud_times_s, step.motion, step.interval_s)
         distance = np.sqrt((cloud[:, :2] ** 2).sum(axis=1))
         cloud = cloud[(distance > config.min_range_m) & (distance <= config.cloud_range_m)]
-        return _View(thinned(cloud, config.cloud_voxel_m), walls, probe)
+        cloud = thinned(cloud, config.cloud_voxel_m)
+        return _View(cloud, thinned(cloud, 2 * config.cloud_voxel_m), walls, probe)
 
     def _local_map(self, sweep: Sweep) -> LocalMap:
         """The local map, made for the sensor of the first sweep."""
@@ -133,11 +139,26 @@ class FrontEnd:
             self._map = LocalMap(config.window_keyframes, voxel, reach, config.voxel_m / 2)
         return self._map
 
+    def _better_guess(
+        self, view: _View, guess: FloatArray, local: LocalMap, step: Step
+    ) -> FloatArray:
+        """The motion before carried on, where odometry puts the sweep visibly off the walls.
+
+        Stamps of wheels and laser may be apart: in turns odometry is then off by many degrees.
+        """
+        if not step.measured:
+            return guess
+        other = self._pose @ self._motion.carried_on().matrix()
+        by_odometry, by_motion = (
+            local.field.score(view.probe, Pose2.from_matrix(pose)) for pose in (guess, other)
+        )
+        return other if by_motion > by_odometry + self.config.guess_margin else guess
+
     def _locate(
         self, view: _View, guess: FloatArray, local: LocalMap, step: Step
     ) -> tuple[_Fit, bool]:
         """The best pose found from a guess, and whether a search was called for."""
-        fit = self._align(view, guess, local, (2.0, 1.0, 0.5))
+        fit = self._align(view, guess, local, _KERNELS)
         away = Pose2.from_matrix(guess).inverse() @ fit.planar
         doubted = fit.score <= 0.75 or away.distance >= 0.15 or abs(away.theta) >= 0.1
         if doubted:
@@ -147,11 +168,11 @@ class FrontEnd:
                 if step.measured
                 else Window(0.3, 0.5, 0.05, None, 1.0, 0.4)
             )
-            fit = self._search(view, guess, local, window, (2.0, 1.0, 0.5), fit)
+            fit = self._search(view, guess, local, window, _KERNELS, fit)
         if fit.score < 0.5:
             self.counts["wide_searched"] += 1
             window = Window(1.0, 1.6, 0.1, None, 0.15, 0.05)
-            fit = self._search(view, guess, local, window, (4.0, 2.0, 1.0, 0.5), fit)
+            fit = self._search(view, guess, local, window, (4.0, *_KERNELS), fit)
         return fit, doubted
 
     def _search(
@@ -177,9 +198,9 @@ class FrontEnd:
         pose = guess
         for kernel in kernels:
             width = kernel * local.voxel_m
-            found = self._icp.align_points_to_map(
-                view.cloud, local.voxels, pose, 3.0 * width, width
-            )
+            coarse = kernel > _COARSE
+            icp, cloud = (self._rough, view.sparse) if coarse else (self._icp, view.cloud)
+            found = icp.align_points_to_map(cloud, local.voxels, pose, 3.0 * width, width)
             if not _bounded(guess, found):
                 break
             pose = found
@@ -211,6 +232,11 @@ class FrontEnd:
                 return
         local.insert(view.cloud, view.walls, fit.pose)
         self._keyframe = fit.planar
+
+
+def _in_space(points: FloatArray) -> FloatArray:
+    """Points (N, 2) of the plane as (N, 3) with z = 0."""
+    return np.column_stack([points, np.zeros(len(points))])
 
 
 def _bounded(guess: FloatArray, found: FloatArray) -> bool:

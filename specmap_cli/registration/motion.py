@@ -45,24 +45,28 @@ class MotionModel:
             motion = before.inverse() @ now
             if motion.distance <= _JUMP_M + _JUMP_SPEED * interval_s:
                 return Step(motion, interval_s, True)
-            return Step(self._carried_on(), interval_s, False, True)
-        return Step(self._carried_on(), interval_s, False)
+            return Step(self.carried_on(), interval_s, False, True)
+        return Step(self.carried_on(), interval_s, False)
 
     def conclude(self, motion: Pose2) -> None:
         """Remember the motion since the sweep before."""
         self._last = motion
 
-    def _carried_on(self) -> Pose2:
+    def carried_on(self) -> Pose2:
         """The last motion, clipped to what a robot does within a sweep."""
         x = float(np.clip(self._last.x, -_FORWARD_M, _FORWARD_M))
         y = float(np.clip(self._last.y, -_SIDEWAYS_M, _SIDEWAYS_M))
         return Pose2(x, y, float(np.clip(self._last.theta, -_TURN_RAD, _TURN_RAD)))
 
 
-def agrees(guess: Pose2, found: Pose2, motion: Pose2) -> bool:
-    """Whether a result is as near its guess as odometry of a moving robot would have it."""
-    away = guess.inverse() @ found
+def agrees(guess: Pose2, found: Pose2, step: Step) -> bool:
+    """Whether a result is as near its guess as the robot's motion can have been.
+
+    Odometry is held to its errors; a motion carried on also to how a robot speeds up and turns in.
+    """
+    motion, away = step.motion, guess.inverse() @ found
     if motion.distance >= 0.5 or abs(motion.theta) >= 0.5:
         return False
-    near = away.distance < 0.05 + 0.2 * motion.distance
-    return near and abs(away.theta) < 0.03 + 0.3 * abs(motion.theta)
+    slack_m, slack_rad = (0.05, 0.03) if step.measured else (0.1, 0.12)
+    near = away.distance < slack_m + 0.2 * motion.distance
+    return near and abs(away.theta) < slack_rad + 0.3 * abs(motion.theta)

@@ -95,14 +95,15 @@ def verified(
     coarse = Window(drift_m, drift_rad, 0.2, None, 0.01, 0.05)
     rough = search(field.coarser(4), _thinned(source, 0.25), guess, coarse)
     fine = search(field, _thinned(source, 0.2), rough.pose, Window(0.3, 0.09, 0.1))
-    match = refine(field, probe, fine.pose)
-    if match.score < config.loop_score:
+    near = refine(field, probe, fine.pose, 8)
+    if near.score < config.loop_score:
         return None
-    spread = covariance(field, _thinned(source, 0.2), match.pose)
+    pose = refine(field.sharper(), _thinned(source, 0.05), near.pose).pose
+    spread = covariance(field, _thinned(source, 0.2), pose)
     turn = np.eye(3)
-    turn[:2, :2] = match.pose.rotation().T  # errors are weighed in the source's own frame
+    turn[:2, :2] = pose.rotation().T  # errors are weighed in the source's own frame
     information = np.linalg.inv(turn @ spread @ turn.T + _FLOOR)
-    return match.pose, np.asarray(information, dtype=np.float64)
+    return pose, np.asarray(information, dtype=np.float64)
 
 
 class NearbyPasses:

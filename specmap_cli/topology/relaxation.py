@@ -121,8 +121,8 @@ class _Relaxation:
             source, target = int(self.nodes[k]), int(self.nodes[k + 1])
             step = Pose2(*motion.tolist())
             if target in self.breaks:
-                information = np.diag([0.3, 0.3, 0.2]) ** -2.0
-                links.append(Link(source, target, step, np.diag(np.diag(information)), "loose"))
+                information = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
+                links.append(Link(source, target, step, information, "loose"))
                 continue
             position, angle = 0.01 + 0.03 * step.distance, 0.003 + 0.02 * abs(step.theta)
             information = np.diag([position**-2, position**-2, angle**-2])
