@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from specmap_cli.errors import UsageError
 from specmap_cli.evaluation.driving import Drive, drive
@@ -62,6 +62,12 @@ class SimulationOptions(BaseModel):
     max_duration_s: float | None = Field(None, gt=0, description="the recording ends here")
     seed: int = Field(0, ge=0)
 
+    @model_validator(mode="after")
+    def _sweeps_do_not_overlap(self) -> SimulationOptions:
+        if self.sweep_s > 1.0 / self.rate_hz:
+            raise ValueError(f"sweep_s is longer than the {1.0 / self.rate_hz:g} s between scans")
+        return self
+
 
 def simulation_options(**values: Any) -> SimulationOptions:
     """Options by name. Raises UsageError naming the option that is unknown or out of range."""
@@ -69,8 +75,9 @@ def simulation_options(**values: Any) -> SimulationOptions:
         return SimulationOptions(**values)
     except ValidationError as error:
         first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
-        raise UsageError(f"{name}: {first['msg']}, found {first['input']!r}") from None
+        if not first["loc"]:  # a check of several options together, which names them itself
+            raise UsageError(str(first["ctx"]["error"])) from None
+        raise UsageError(f"{first['loc'][0]}: {first['msg']}, found {first['input']!r}") from None
 
 
 @dataclass(frozen=True, slots=True)

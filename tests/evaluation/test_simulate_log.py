@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import shlex
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +27,7 @@ from specmap_cli.evaluation.simulate import (
 )
 from specmap_cli.evaluation.worlds import RoomTruth
 from specmap_cli.geometry import Pose2
-from specmap_cli.gridmap import GridMap
+from specmap_cli.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.records import Sweep
 from tests.conftest import SAMPLE_LOGS
 
@@ -141,12 +144,20 @@ def test_the_mounting_reaches_the_static_transform(flat: GridMap, tmp_path: Path
         ({"beams": 1}, "beams: .*greater than or equal to 8.*found 1"),
         ({"speed_mps": float("nan")}, "speed_mps: .*finite"),
         ({"lapse": 3}, "lapse: .*found 3"),
+        ({"sweep_s": 0.3, "rate_hz": 5}, "sweep_s is longer than the 0.2 s between scans"),
     ],
 )
 def test_options_out_of_range_are_one_line(values: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message) as caught:
         simulation_options(**values)
     assert "\n" not in str(caught.value)
+
+
+def test_a_robot_that_just_fits_records_where_it_stands(tmp_path: Path) -> None:
+    cells = np.full((30, 30), OCCUPIED, dtype=np.uint8)
+    cells[9:22, 9:22] = FREE
+    made = simulate(GridMap(cells, 0.05), SimulationOptions(beams=16), tmp_path / "a.mcap")
+    assert (made.scans, made.distance_m) == (1, 0.0)
 
 
 def test_a_truth_that_cannot_be_written_leaves_no_recording(flat: GridMap, tmp_path: Path) -> None:
@@ -175,3 +186,26 @@ def test_the_sample_logs_visit_every_room(office_rooms: RoomTruth, name: str, vi
     counts = Counter(int(stay[0]) for stay in stays if len(stay) >= 20)
     assert set(counts) == set(range(1, office_rooms.count + 1))
     assert min(counts.values()) >= visits
+
+
+def readme_lines() -> list[list[str]]:
+    """The `specmap simulate` lines of the README of the sample logs, as arguments."""
+    text = (SAMPLE_LOGS / "README.md").read_text().replace("\\\n", " ")
+    lines = [line for line in text.splitlines() if line.startswith("specmap simulate")]
+    return [shlex.split(line)[1:] for line in lines]
+
+
+@pytest.mark.parametrize("arguments", readme_lines(), ids=lambda a: Path(a[3]).stem)
+def test_the_lines_of_the_readme_make_the_sample_logs(arguments: list[str], tmp_path: Path) -> None:
+    sample = SAMPLE_LOGS.parent / arguments[3]
+    arguments = [*arguments[:3], str(tmp_path / "made.mcap"), *arguments[4:]]
+    command = [sys.executable, "-m", "specmap_cli", *arguments, "--quiet"]
+    subprocess.run(command, check=True, cwd=SAMPLE_LOGS.parent)
+    # other versions of the libraries may round and compress otherwise
+    assert (tum(tmp_path / "made.tum")[:, 0] == tum(sample.with_suffix(".tum"))[:, 0]).all()
+    for (topic, time, made), (kept_topic, kept_time, kept) in zip(
+        messages(tmp_path / "made.mcap"), messages(sample), strict=True
+    ):
+        assert (topic, time) == (kept_topic, kept_time)
+        if topic == "/scan":
+            np.testing.assert_allclose(made.ranges, kept.ranges, atol=0.0011)
