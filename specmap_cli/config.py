@@ -83,9 +83,11 @@ class SegmentationConfig(_Section):
     sight_m: float = Field(5.0, gt=0, description="longest sight line")
     neighbours: int = Field(0, ge=0, description="l of eq. 1; 0: all visible nodes")
     eigenvalue_min: float = Field(0.75, gt=0, lt=1, description="k counts the eigenvalues above")
+    refine: bool = Field(True, description="look for two clusters inside each cluster again")
+    refine_eigenvalue: float = Field(0.7, gt=0, lt=1, description="second one that halves it")
     labels: Literal["flood", "nearest"] = Field("flood", description="how cells get their label")
     merge: bool = Field(True, description="join clusters whose border is as wide as they are")
-    merge_ratio: float = Field(0.85, gt=0, description="border width over room width that joins")
+    merge_ratio: float = Field(0.8, gt=0, description="border width over room width that joins")
     width_percentile: float = Field(60.0, ge=0, le=100, description="of local widths: a room's")
     door_min_m: float = Field(0.3, ge=0, description="narrower contacts of regions are no doorway")
     test_every: Literal["metres", "keyframes"] = Field("metres", description="pace of the tests")
@@ -190,6 +192,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "sight_m": 20.0,
             "neighbours": 7,
             "eigenvalue_min": 0.9,
+            "refine": False,
             "labels": "nearest",
             "merge": False,
             "test_every": "keyframes",

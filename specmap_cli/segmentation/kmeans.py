@@ -29,6 +29,14 @@ def kmeans_unit(rows: FloatArray, clusters: int, first: list[int]) -> LabelArray
     return best
 
 
+def bisect(first: FloatArray, other: FloatArray) -> LabelArray:
+    """Algorithm 2 with k = 2 on two eigenvectors (n,): the (n,) labels 0 and 1."""
+    X = np.column_stack([first, other])
+    Y = X / np.maximum(np.hypot(first, other), 1e-12)[:, None]  # Algorithm 2, line 5
+    angle = np.arctan2(Y[:, 1], Y[:, 0])
+    return kmeans_unit(Y, 2, [int(angle.argmax())])  # Algorithm 2, line 6
+
+
 def _orthogonal_start(rows: FloatArray, clusters: int, first: int) -> list[int]:
     """Numbers of `clusters` rows, each the least similar to those before it."""
     taken = [first]

@@ -75,7 +75,7 @@ class _Clusters:
         return float(np.percentile(nodes, self._percentile)) if len(nodes) else 0.0
 
     def widest(self, ratio: float) -> Pair | None:
-        """The pair whose border is widest in proportion, the first of equals; None below `ratio`."""
+        """The pair with the widest border in proportion, the first of equals, or None."""
         best, pair = ratio - 1e-9, None
         for one, around in enumerate(self._touching):
             for other, border in around.items():

@@ -22,6 +22,7 @@ from specmap_cli.segmentation.clutter import WorkingGrid, small_obstacles, worki
 from specmap_cli.segmentation.flood import flood_labels, nearest_labels, spread_labels
 from specmap_cli.segmentation.kmeans import LabelArray, kmeans_unit
 from specmap_cli.segmentation.merging import border_widths, join_wide, local_widths
+from specmap_cli.segmentation.refining import split_again
 from specmap_cli.segmentation.spectrum import eigenpairs_above
 from specmap_cli.segmentation.visibility import (
     IndexArray,
@@ -51,7 +52,7 @@ class Segmentation:
 
     `labels` (H, W) int32: -1 unlabelled, otherwise 0, 1, ... by falling area; `nodes` (n, 2) x and
     y in metres with their `node_labels` (n,); `pairs` (m, 2) mutually visible nodes; `spectrum` the
-    eigenpairs and the clusters before merging.
+    eigenpairs and the clusters they gave.
     """
 
     labels: LabelArray
@@ -78,7 +79,10 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     work = working_grid(opened, grid.resolution, config.cell_m)
     graph = build_graph(work, config)
     spectrum = spectral_clusters(graph, config)
-    cells, clusters = _label_cells(work, graph, spectrum.labels, config)
+    clusters = spectrum.labels
+    if config.refine:
+        clusters = split_again(graph, clusters, config.neighbours, config.refine_eigenvalue)
+    cells, clusters = _label_cells(work, graph, clusters, config)
     fine = spread_labels(work.refine(cells, opened.shape), opened)
     turned, names = _by_area(fine if config.fill else np.where(free, fine, np.int32(-1)))
     labels = np.full(grid.cells.shape, -1, dtype=np.int32)

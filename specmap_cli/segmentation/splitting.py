@@ -21,7 +21,7 @@ from specmap_cli.gridmap import BoolArray, GridMap
 from specmap_cli.segmentation.affinity import local_scales, normalised, similarity
 from specmap_cli.segmentation.clutter import WorkingGrid, small_obstacles, working_grid
 from specmap_cli.segmentation.flood import flood_labels
-from specmap_cli.segmentation.kmeans import LabelArray, kmeans_unit
+from specmap_cli.segmentation.kmeans import LabelArray, bisect
 from specmap_cli.segmentation.spectrum import largest_eigenpairs
 from specmap_cli.segmentation.visibility import IndexArray, sample_nodes, visibility_graph
 
@@ -166,10 +166,7 @@ def _dividing(
     than `share` of the way. Number 0 and one side when none does.
     """
     for column in range(1, vectors.shape[1]):
-        X = vectors[:, [0, column]]
-        Y = X / np.maximum(np.hypot(X[:, 0], X[:, 1]), 1e-12)[:, None]  # Algorithm 2, line 5
-        angle = np.arctan2(Y[:, 1], Y[:, 0])
-        sides = kmeans_unit(Y, 2, [int(angle.argmax())])  # Algorithm 2, line 6
+        sides = bisect(vectors[:, 0], vectors[:, column])
         part = float(weight[sides[home] == 1].sum() / weight.sum())
         if share == 0.0 or share <= part <= 1.0 - share:
             return column, sides
