@@ -69,6 +69,7 @@ class GridConfig(_Section):
     surface_gap_m: float = Field(0.3, gt=0, description="returns this close bound one surface")
     footprint_m: float = Field(0.2, ge=0, description="radius of the robot, free where it stood")
     max_extent_m: float = Field(1000.0, gt=0, description="a grid never grows past this side")
+    max_area_m2: float = Field(100_000.0, gt=0, description="nor past this area")
 
 
 class SegmentationConfig(_Section):

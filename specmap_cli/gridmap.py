@@ -179,7 +179,8 @@ class OccupancyGrid:
             new_low = np.where(low < corner, low - _GROWTH_CELLS, corner)
             new_high = np.where(high > old_high, high + _GROWTH_CELLS, old_high)
         size = new_high - new_low
-        if (size * self.resolution > self.config.max_extent_m).any():
+        sides = size * self.resolution
+        if max(sides) > self.config.max_extent_m or math.prod(sides) > self.config.max_area_m2:
             return False
         hits = np.zeros((int(size[1]), int(size[0])), dtype=np.int32)
         misses = np.zeros_like(hits)

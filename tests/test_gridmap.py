@@ -130,15 +130,16 @@ def test_a_shift_by_whole_cells_shifts_the_grid(
     assert len(different) <= 2
 
 
-def test_a_grid_never_grows_past_its_limit() -> None:
-    grid = OccupancyGrid(GridConfig(resolution_m=CELL, max_extent_m=40.0))
+@pytest.mark.parametrize("limit", [{"max_extent_m": 40.0}, {"max_area_m2": 1600.0}])
+def test_a_grid_never_grows_past_its_limit(limit: dict[str, float]) -> None:
+    grid = OccupancyGrid(GridConfig(resolution_m=CELL, **limit))
     grid.integrate(one_beam(0.0, 2.0), Pose2(0.0, 0.0, 0.0))
     before = grid.snapshot()
     grid.integrate(one_beam(0.0, 2.0), Pose2(500.0, 0.0, 0.0))
     grid.mark_free_disc(0.0, -500.0, 0.3)
     np.testing.assert_array_equal(grid.snapshot().cells, before.cells)
     grid.integrate(one_beam(0.0, 2.0), Pose2(5.0, 5.0, 0.0))
-    assert max(grid.snapshot().cells.shape) * CELL <= 40.0
+    assert grid.snapshot().cells.size * CELL**2 <= 1600.0
     assert grid.snapshot().values_at(np.array([[7.0, 5.0]]))[0] == OCCUPIED
 
 
