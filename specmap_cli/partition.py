@@ -10,13 +10,13 @@ import numpy as np
 
 from specmap_cli.config import Config
 from specmap_cli.geometry import IDENTITY
+from specmap_cli.mapfiles import read_grid
 from specmap_cli.outputs.directory import OutputDirectory
 from specmap_cli.outputs.regions import Regions
 from specmap_cli.outputs.store import write_segmentation
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.segmentation.floorplan import (
     FloorplanResult,
-    load_floorplan,
     segment_floorplan,
     submap_grid,
 )
@@ -62,7 +62,7 @@ def partition_map(
     `resolution` (metres a pixel) is needed for a bare picture. Raises MapError for a file that is
     no map, NoResultError when it has no room for a node, UsageError for an output in the way.
     """
-    grid = load_floorplan(path, resolution)
+    grid = read_grid(path, resolution)
     result = segment_floorplan(grid, config.segmentation)
     regions = Regions.of(grid, np.asarray(result.segmentation.labels, dtype=np.int64))
     with OutputDirectory(out, overwrite) as partial:

@@ -17,8 +17,8 @@ from specmap_cli.evaluation.simulate import (
 from specmap_cli.evaluation.worlds import RoomTruth, read_rooms
 from specmap_cli.geometry import Pose2
 from specmap_cli.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.mapfiles import read_grid
 from specmap_cli.records import Sweep
-from specmap_cli.segmentation.floorplan import load_floorplan
 
 settings.register_profile("specmap", derandomize=True, deadline=None, max_examples=40)
 settings.load_profile("specmap")
@@ -75,7 +75,7 @@ def flat_log(
 @pytest.fixture(scope="session")
 def office() -> GridMap:
     """The plan of the sample logs."""
-    return load_floorplan(SAMPLE_LOGS / "office.yaml")
+    return read_grid(SAMPLE_LOGS / "office.yaml")
 
 
 @pytest.fixture(scope="session")

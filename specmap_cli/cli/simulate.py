@@ -56,7 +56,7 @@ def simulate(
     from specmap_cli.cli.console import ConsoleProgress, print_result
     from specmap_cli.errors import UsageError
     from specmap_cli.evaluation import simulate as simulation
-    from specmap_cli.segmentation.floorplan import load_floorplan
+    from specmap_cli.mapfiles import read_grid
 
     robot = simulation.simulation_options(
         field_of_view_deg=fov,
@@ -76,7 +76,7 @@ def simulate(
     if out.exists() and not overwrite:
         raise UsageError(f"{out}: exists already: choose another name or say --overwrite")
     with ConsoleProgress(quiet) as progress:
-        made = simulation.simulate(load_floorplan(plan, resolution), robot, out, progress=progress)
+        made = simulation.simulate(read_grid(plan, resolution), robot, out, progress=progress)
     print_result(
         {
             "log": str(made.log),

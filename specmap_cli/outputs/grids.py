@@ -1,8 +1,7 @@
 """Occupancy grids as files: a trinary PNG and a YAML beside it, in the map_server convention.
 
-0 is occupied, 254 free and 205 unknown; the thresholds are those with which map_server and Nav2
-read the three back as they are (an unknown grey of 205 would load as free at 0.25). The first row
-of the image is the highest y.
+0 is occupied, 254 free and 205 unknown; the first row of the image is the highest y. `mapfiles`
+reads them back.
 """
 
 from __future__ import annotations
@@ -17,10 +16,9 @@ from numpy.typing import NDArray
 
 from specmap_cli.geometry import FloatArray, Pose2
 from specmap_cli.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
+from specmap_cli.mapfiles import FREE_THRESHOLD, OCCUPIED_THRESHOLD
 from specmap_cli.topomap import Submap
 
-OCCUPIED_THRESHOLD = 0.65
-FREE_THRESHOLD = 0.196
 # Cells by which corners may be off for their sums not being exact.
 _SLACK = 1e-6
 _GREY = np.zeros(256, dtype=np.uint8)

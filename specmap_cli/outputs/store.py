@@ -19,8 +19,8 @@ from pydantic import ValidationError
 from specmap_cli.config import Config
 from specmap_cli.errors import MapError
 from specmap_cli.gridmap import GridMap
+from specmap_cli.mapfiles import read_grid
 from specmap_cli.outputs.grids import lay_out, write_grid, write_png
-from specmap_cli.outputs.mapserver import read_grid
 from specmap_cli.outputs.regions import Regions, divide
 from specmap_cli.outputs.render import render_overview, render_segmentation
 from specmap_cli.outputs.schema import SCHEMA_VERSION, NodeRecord, TopologyRecord

@@ -13,7 +13,6 @@ from specmap_cli.errors import NoResultError
 from specmap_cli.geometry import FloatArray
 from specmap_cli.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
 from specmap_cli.segmentation.kmeans import LabelArray
-from specmap_cli.segmentation.mapfiles import load_floorplan
 from specmap_cli.segmentation.spectral import Segmentation, segment
 
 __all__ = [
@@ -22,7 +21,6 @@ __all__ = [
     "FloorplanResult",
     "FloorplanSubmap",
     "label_image",
-    "load_floorplan",
     "segment_floorplan",
     "submap_grid",
 ]

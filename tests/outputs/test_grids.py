@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from specmap_cli.errors import MapError
 from specmap_cli.geometry import Pose2
 from specmap_cli.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.mapfiles import read_grid
 from specmap_cli.outputs.grids import lay_out, write_grid
-from specmap_cli.outputs.mapserver import read_grid, read_image_grid
 from specmap_cli.topomap import Submap
 
 YAML = "image: m.png\nresolution: 0.1\norigin: [-1.0, 2.5, 0.0]\nnegate: 0\n"
@@ -94,20 +94,36 @@ def test_colours_and_transparency(tmp_path: Path) -> None:
     assert read_grid(write_image(tmp_path, image)).cells.tolist() == [[FREE, UNKNOWN]]
     deep = np.array([[0, 65535]], dtype=np.uint16)
     assert read_grid(write_image(tmp_path, deep)).cells.tolist() == [[OCCUPIED, FREE]]
-    assert read_image_grid(tmp_path / "m.png", 0.2).resolution == 0.2
+    assert read_grid(tmp_path / "m.png", 0.2).resolution == 0.2
+
+
+def test_percent_as_they_stand(tmp_path: Path) -> None:
+    image = np.array([[0, 100, 50, 255]], dtype=np.uint8)
+    grid = read_grid(write_image(tmp_path, image, YAML + "mode: raw\n"))
+    assert grid.cells.tolist() == [[FREE, OCCUPIED, UNKNOWN, UNKNOWN]]
+
+
+def test_a_given_resolution_wins(tmp_path: Path) -> None:
+    path = write_image(tmp_path, np.zeros((2, 2), dtype=np.uint8))
+    assert read_grid(path, 0.25).resolution == 0.25
+    with pytest.raises(MapError, match="above 0"):
+        read_grid(path, -1.0)
+    with pytest.raises(MapError, match="--resolution"):
+        read_grid(tmp_path / "m.png")
 
 
 @pytest.mark.parametrize(
     ("yaml", "complaint"),
     [
         ("resolution: 0.1\norigin: [0, 0, 0]\n", "no `image`"),
-        (YAML.replace("0.1", "0"), "resolution is '0'"),
+        (YAML.replace("0.1", "0"), "resolution is 0"),
         (YAML.replace("0.1", "fine"), "resolution is 'fine'"),
         (YAML.replace("resolution", "scale"), "no `resolution`"),
         (YAML.replace("[-1.0, 2.5, 0.0]", "[1]"), "origin"),
         (YAML.replace("0.0]", "0.7]"), "turned by 0.7"),
         (YAML + "occupied_thresh: 65\n", "occupied_thresh"),
-        (YAML + "mode: raw\n", "mode 'raw'"),
+        (YAML + "mode: cubic\n", "mode is 'cubic'"),
+        (YAML + "free_thresh: 0.7\n", "free_thresh 0.7 is not below"),
         (YAML.replace("m.png", "gone.png"), "gone.png"),
         (YAML.replace("m.png", "m.yaml"), "not an image"),
     ],
@@ -124,7 +140,7 @@ def test_unreadable_files_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "empty.png").write_bytes(b"")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(MapError, match="not an image"):
-        read_image_grid(tmp_path / "empty.png", 0.1)
+        read_grid(tmp_path / "empty.png", 0.1)
     with pytest.raises(MapError, match="No such file"):
         read_grid(tmp_path / "gone.yaml")
     with pytest.raises(MapError, match="not a text file"):

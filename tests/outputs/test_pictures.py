@@ -170,9 +170,7 @@ class TestPredictions:
 
 class TestConfusion:
     def test_right_and_wrong(self) -> None:
-        image = render_confusion(
-            np.array([[9, 1, 0], [0, 10, 0]]), ["0", "1"], ["0", "1", "?"]
-        )
+        image = render_confusion(np.array([[9, 1, 0], [0, 10, 0]]), ["0", "1"], ["0", "1", "?"])
         assert near(image, palette.TRAVERSED) > 500  # all of row 1
         assert near(image, palette.SHADE) > 500
 

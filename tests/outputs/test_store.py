@@ -18,8 +18,8 @@ from specmap_cli.config import Config
 from specmap_cli.errors import MapError
 from specmap_cli.geometry import Pose2
 from specmap_cli.gridmap import GridMap
+from specmap_cli.mapfiles import read_grid
 from specmap_cli.outputs import schema
-from specmap_cli.outputs.mapserver import read_grid
 from specmap_cli.outputs.regions import NOBODY, Regions
 from specmap_cli.outputs.store import MapResult, read_map, write_map, write_segmentation
 from specmap_cli.outputs.topology import LogInfo
