@@ -19,6 +19,7 @@ FLOOR = {
     "geometry",
     "gridmap",
     "keyframes",
+    "mapfiles",
     "matching",
     "progress",
     "records",
