@@ -14,6 +14,7 @@ _LONGEST_SWEEP_S = 2.0  # times that span more are nanoseconds
 _FARTHEST_S = 10.0  # times further from the stamp are not of this sweep
 
 
+@np.errstate(all="ignore")  # damaged messages hold any bits
 def cloud_points(
     record: CloudRecord, stamp_ns: int, range_max: float
 ) -> tuple[FloatArray, FloatArray | None]:

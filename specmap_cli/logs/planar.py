@@ -67,6 +67,7 @@ class ScanLeveller:
         self._sensor: _Sensor | None = None
         self._beams: _Beams | None = None
 
+    @np.errstate(all="ignore")  # damaged messages hold any bits
     def level(self, scan: ScanRecord, stamp_ns: int) -> PlanarScan:
         """The planar scan; raises BadMessageError for one without beams or without angles."""
         sensor = _Sensor(

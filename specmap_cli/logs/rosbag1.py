@@ -156,7 +156,7 @@ class Rosbag1File(ChunkedFile):
 
     def _walk(self) -> Iterator[Entry]:
         offset, last = self._first, 0
-        while offset < self.size:
+        while offset < self.size or offset == self._first:
             try:
                 record = self._record(offset)
                 opcode = record.opcode

@@ -60,14 +60,14 @@ class SweepStream:
     def warnings(self) -> list[str]:
         """What to know about the input: assumptions, and messages that were not as they should."""
         said = [
-            ("unusable_scans", "scans could not be read and were left out"),
-            ("blank_scans", "scans have no return at all"),
-            ("without_odometry", "scans have no odometry near their stamp"),
-            ("backward_stamps", "scans are stamped before the one ahead of them"),
-            ("repeated_stamps", "scans repeat the stamp of the one ahead of them"),
-            ("unusable_odometry", "odometry messages could not be read and were left out"),
+            ("unusable_scans", "scans that could not be read and were left out"),
+            ("blank_scans", "scans without any return"),
+            ("without_odometry", "scans without odometry near their stamp"),
+            ("backward_stamps", "scans stamped before the one ahead of them"),
+            ("repeated_stamps", "scans that repeat the stamp of the one ahead of them"),
+            ("unusable_odometry", "odometry messages that could not be read and were left out"),
         ]
-        found = [f"{self.counts[key]:,} {text}" for key, text in said if self.counts[key]]
+        found = [f"{text}: {self.counts[key]:,}" for key, text in said if self.counts[key]]
         return [*self.log.damage, *self.selection.warnings, *found]
 
     def __iter__(self) -> Iterator[Sweep]:
