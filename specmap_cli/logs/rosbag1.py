@@ -20,10 +20,11 @@ from specmap_cli.logs.recording import Contents, TopicInfo, seconds
 from specmap_cli.logs.typestore import NS_PER_S, normalized_type
 
 MAGIC = b"#ROSBAG V"
-MESSAGE, BAG_HEADER, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 5, 6, 7
-_OPCODES = frozenset(range(2, 8))
+MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
+_OPCODES = frozenset(bytes([opcode]) for opcode in range(2, 8))
 _MAX_HEADER_BYTES = 1 << 20
 _RECORDS_CHECKED = 20_000
+_INDEX_ENTRY_BYTES = 12
 _U32, _U64, _U32_PAIR = struct.Struct("<I"), struct.Struct("<Q"), struct.Struct("<II")
 
 Fields = dict[bytes, bytes]
@@ -39,6 +40,10 @@ class _Record(NamedTuple):
     @property
     def opcode(self) -> int:
         return self.fields[b"op"][0]
+
+    @property
+    def end(self) -> int:
+        return self.start + self.length
 
 
 class BadRecordError(ValueError):
@@ -88,7 +93,7 @@ class Rosbag1File(ChunkedFile):
                     refs.append(ref)
                     for connection, count in contained.items():
                         counts[connection] = counts.get(connection, 0) + count
-            position = record.start + record.length
+            position = record.end
         if found != expected or not set(counts) <= set(self.channels) or not refs:
             return None
         index = Index(self._contents_of(counts, refs), tuple(refs))
@@ -109,12 +114,10 @@ class Rosbag1File(ChunkedFile):
         checked = 0
         for chunk in chunks:
             while offset < chunk and checked < _RECORDS_CHECKED:
-                try:
-                    record = self._record(offset)
-                except (BadRecordError, KeyError):
+                record = self._record_or_none(offset)
+                if record is None:
                     return before
-                before, offset = offset, record.start + record.length
-                checked += 1
+                before, offset, checked = offset, record.end, checked + 1
             if offset > chunk:
                 return before
         return None
@@ -123,8 +126,8 @@ class Rosbag1File(ChunkedFile):
         """Whether a chunk record starts where the index says; if not, it is reported."""
         try:
             record = self._record(ref.offset)
-            sound = record.opcode == CHUNK and record.start + record.length <= self.size
-        except (BadRecordError, KeyError):
+            sound = record.opcode == CHUNK and record.end <= self.size
+        except BadRecordError:
             sound = False
         if not sound:
             self._report_lost(ref)
@@ -157,32 +160,49 @@ class Rosbag1File(ChunkedFile):
     def _walk(self) -> Iterator[Entry]:
         offset, last = self._first, 0
         while offset < self.size or offset == self._first:
-            try:
-                record = self._record(offset)
-                opcode = record.opcode
-            except (BadRecordError, KeyError):
+            record = self._record_or_none(offset)
+            if record is None:
                 break
-            if opcode == CHUNK:
-                data, complete = self._opened(record)
-                for entry in self._entries(data):
-                    last = entry.time_ns
-                    yield entry
-                if not complete and record.start + record.length <= self.size:
-                    self.report(f"chunk at byte {offset} is damaged after {seconds(last)}")
-            elif opcode in (MESSAGE, CONNECTION) and record.start + record.length <= self.size:
-                whole = self.read_at(offset, record.start + record.length - offset)
-                for entry in self._entries(whole):
-                    last = entry.time_ns
-                    yield entry
-            if record.start + record.length > self.size:
+            for entry in self._held(offset, record):
+                last = entry.time_ns
+                yield entry
+            if record.end > self.size:
                 break
-            offset = record.start + record.length
+            offset = self._following(offset, record)
         else:
             return
         self.report(
             f"cut off or damaged at byte {offset} of {self.size}: "
             f"what followed {seconds(last)} is lost"
         )
+
+    def _held(self, offset: int, record: _Record) -> Iterator[Entry]:
+        """The messages in a record met on the walk, or in its readable part."""
+        if record.opcode == CHUNK:
+            data, complete = self._opened(record)
+            yield from self._entries(data)
+            if not complete and record.end <= self.size:
+                self.report(f"chunk at byte {offset} is damaged: some of its messages are lost")
+        elif record.opcode in (MESSAGE, CONNECTION) and record.end <= self.size:
+            yield from self._entries(self.read_at(offset, record.end - offset))
+
+    def _following(self, offset: int, record: _Record) -> int:
+        """Where the next record starts: some writers give their index records a wrong length."""
+        end = record.end
+        count = record.fields.get(b"count", b"")
+        if record.opcode != INDEX or len(count) != 4 or self._record_or_none(end) is not None:
+            return end
+        counted = record.start + _INDEX_ENTRY_BYTES * _U32.unpack(count)[0]
+        if counted == end or self._record_or_none(counted) is None:
+            return end
+        self.report(f"the record at byte {offset} is damaged and was passed over")
+        return int(counted)
+
+    def _record_or_none(self, offset: int) -> _Record | None:
+        try:
+            return self._record(offset)
+        except BadRecordError:
+            return None
 
     def _record(self, offset: int) -> _Record:
         """The record at `offset`; raises BadRecordError where there is none."""
@@ -237,7 +257,7 @@ def _parse(data: bytes, position: int) -> _Record:
     except struct.error:
         raise BadRecordError(position) from None
     fields = _fields(data, position + 4, start)
-    if fields.get(b"op", b"")[:1] not in [bytes([opcode]) for opcode in _OPCODES]:
+    if fields.get(b"op", b"")[:1] not in _OPCODES:
         raise BadRecordError(position)
     return _Record(fields, start + 4, length)
 

@@ -88,4 +88,5 @@ def test_a_damaged_bag_cut_off_keeps_its_first_chunk(tmp_path: Path) -> None:
     path.write_bytes((DATA / "damaged/laser_scan_matcher_demo.bag").read_bytes()[:800_000])
     summary = summary_of(str(path))
     assert 278 <= summary.messages < 360
-    assert "what followed" in summary.damage[0]
+    assert "the record at byte 792650 is damaged" in summary.damage[0]
+    assert "what followed" in summary.damage[1]
