@@ -11,7 +11,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from specmap_cli.errors import UsageError
 
@@ -31,6 +31,12 @@ class LogConfig(_Section):
     band_max_m: float = Field(1.5, description="upper end")
     cloud_beams: int = Field(720, ge=16, description="bearings of the planar scan of a 3D cloud")
     cloud_range_max_m: float = Field(100.0, gt=0, description="a 3D cloud is cut here")
+
+    @model_validator(mode="after")
+    def _band_has_height(self) -> LogConfig:
+        if self.band_min_m >= self.band_max_m:
+            raise ValueError("band_min_m must be below band_max_m")
+        return self
 
 
 class KeyframeConfig(_Section):
@@ -103,6 +109,7 @@ class SegmentationConfig(_Section):
     path_band_m: float = Field(2.0, ge=0, description="nodes lie this near the path; 0: anywhere")
     region_min_m: float = Field(1.0, ge=0, description="shortest way that is split off or goes on")
     regrow: bool = Field(True, description="a region the robot comes straight back to goes on")
+    refine: bool = Field(True, description="submaps end where the finished map's regions do")
 
 
 class RecognitionConfig(_Section):
@@ -204,6 +211,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "path_band_m": 0.0,
             "region_min_m": 0.0,
             "regrow": False,
+            "refine": False,
         },
         "recognition": {
             "feature_set": "table1",

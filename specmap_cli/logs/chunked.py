@@ -73,7 +73,11 @@ class ChunkedFile(Recording):
             raise unreadable(path, error) from None
         self.size = os.fstat(self._fd).st_size
         self.channels: dict[int, Channel] = {}
-        self._index = self._read_index()
+        try:
+            self._index = self._read_index()
+        except BaseException:
+            self.close()
+            raise
 
     @abstractmethod
     def _read_index(self) -> Index | None:

@@ -31,6 +31,9 @@ class Rosbag2File(Recording):
         location = f"file:{quote(str(path.resolve()))}?{options}"
         try:
             self._db = sqlite3.connect(location, uri=True)
+        except sqlite3.Error as error:
+            raise LogError(f"{path}: cannot read: {error}") from None
+        try:
             self._db.execute("PRAGMA writable_schema = ON")  # lets a cut-off file be read at all
             rows = self._db.execute("SELECT id, name, type FROM topics")
             self._topics = {
@@ -40,6 +43,7 @@ class Rosbag2File(Recording):
             }
             self._sorted = self._has_time_index()
         except sqlite3.Error as error:
+            self._db.close()
             raise LogError(f"{path}: no readable rosbag2 file: {error}") from None
 
     def _has_time_index(self) -> bool:

@@ -81,6 +81,11 @@ def select(log: Log, config: LogConfig) -> Selection:
     tree = read_tree(log, first.frame, bases)
     placement = place_laser(tree, first.frame, config.base_frame, child)
     warnings = list(placement.warnings)
+    if child is not None and tree.lookup(child, placement.base_frame) is None:
+        warnings.append(
+            f"the odometry moves {child!r}, which no transform joins to "
+            f"{placement.base_frame!r}: the two are taken to be the same"
+        )
     if use_log_time:
         warnings.append(f"{scan.name}: header stamps are zero: the recorder's times are used")
     if isinstance(first, CloudRecord) and placement.floor_m is None:
@@ -147,7 +152,8 @@ def _asked(log: Log, found: list[TopicInfo], asked: str, option: str, what: str)
 
 
 def _describe(topic: TopicInfo) -> str:
-    return f"{topic.type.rpartition('/')[2]}, {topic.count:,} messages"
+    noun = "message" if topic.count == 1 else "messages"
+    return f"{topic.type.rpartition('/')[2]}, {topic.count:,} {noun}"
 
 
 def _first_scan(log: Log, topic: TopicInfo) -> tuple[ScanRecord | CloudRecord, bool]:

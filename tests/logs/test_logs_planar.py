@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.config import LogConfig
@@ -180,6 +181,11 @@ def test_a_bearing_is_empty_where_the_lidar_looks_and_unknown_where_it_never_did
     assert not scan.full_circle
     later = flattener.flatten(floor[:50], 2)
     assert np.isposinf(later.ranges[left]).all(), "it looked there before"
+
+
+def test_a_band_without_height_is_refused() -> None:
+    with pytest.raises(ValidationError, match="band_min_m must be below band_max_m"):
+        LogConfig(band_min_m=2.0)
 
 
 def test_a_coarse_lidar_gets_fewer_bearings() -> None:

@@ -54,8 +54,8 @@ def test_several_scan_topics_are_listed_ready_to_paste(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as caught:
         choose(path)
     assert str(caught.value) == (
-        f"{path}: 2 topics carry scans: choose `--scan-topic /front` (LaserScan, 1 messages) "
-        "or `--scan-topic /points` (PointCloud2, 1 messages)"
+        f"{path}: 2 topics carry scans: choose `--scan-topic /front` (LaserScan, 1 message) "
+        "or `--scan-topic /points` (PointCloud2, 1 message)"
     )
     assert choose(path, scan_topic="/points").scan_topic == "/points"
     assert choose(path, scan_topic="front").scan_topic == "/front"
@@ -105,6 +105,19 @@ def test_an_unknown_mounting_is_said(tmp_path: Path) -> None:
     assert chosen.base_frame == "base_link"
     assert len(chosen.warnings) == 1
     assert "the laser is taken to sit at the origin of 'base_link'" in chosen.warnings[0]
+
+
+def test_odometry_of_a_frame_on_its_own_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        log.static_transform("base_link", "laser", (0.1, 0.0, 0.0), stamp_ns=START)
+        log.odometry("/odom", "odom", "body", START, Pose2(0.0, 0.0, 0.0))
+        log.scan("/scan", "laser", START, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
+    chosen = choose(path)
+    assert chosen.base_frame == "base_link"
+    assert (
+        "the odometry moves 'body', which no transform joins to 'base_link'" in (chosen.warnings[0])
+    )
 
 
 def test_a_tilted_laser_is_said(tmp_path: Path) -> None:
