@@ -18,7 +18,6 @@ from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.outputs.grids import write_png
 from specmap_cli.outputs.predictions import render_labels
-from specmap_cli.outputs.regions import divide
 from specmap_cli.outputs.store import StoredMap
 from specmap_cli.outputs.tables import NO_SUBMAP
 from specmap_cli.outputs.text import stamp_text, write_text
@@ -169,10 +168,9 @@ def write_plot(path: Path, report: LocalizationReport, stored: StoredMap, metric
         track = np.array([scan.track_from_base[:2] for scan in report.scans])
         write_png(path, render_labels(track, submaps, title))
         return
-    topology = stored.topology
-    regions = divide(stored.map_grid, topology.submaps.values(), stored.labels)
     places = np.array([_place(scan, stored) for scan in report.scans])
-    picture = render_labels(places, submaps, title, map_with_regions=(topology, regions))
+    ground = (stored.topology, stored.regions)
+    picture = render_labels(places, submaps, title, map_with_regions=ground)
     write_png(path, picture)
 
 

@@ -1,12 +1,11 @@
 """Which submap each cell of the whole map belongs to.
 
-The grids of neighbouring submaps overlap: each robot saw through the door into the other. A cell
-that several grids call free belongs to the submap whose keyframes came nearest to it.
+The grids of neighbouring submaps overlap: the robot saw through each door from both sides. So a
+cell belongs to the submap from which the robot would reach it first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,17 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from specmap_cli.gridmap import FREE, UNKNOWN, BoolArray, GridMap
-from specmap_cli.outputs.grids import warp
+from specmap_cli.gridmap import BoolArray, GridMap
 from specmap_cli.outputs.shape import NOTHING, Outline, outline_of
-from specmap_cli.outputs.tables import Labels
-from specmap_cli.records import IntArray
-from specmap_cli.topomap import Submap
+from specmap_cli.outputs.tables import NO_SUBMAP, Labels
 
 OwnerArray = NDArray[np.signedinteger[Any]]
 
 NOBODY = -1
-_FAR = np.float32(1e6)
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,31 +53,40 @@ class Regions:
         return self.outlines.get(submap, NOTHING)
 
 
-def divide(whole: GridMap, submaps: Iterable[Submap], labels: Labels) -> Regions:
-    """Give each free cell of `whole` to a submap that saw it, the one with the nearest keyframe."""
-    owner = np.full(whole.cells.shape, NOBODY, dtype=np.int32)
-    nearest = np.full(whole.cells.shape, np.inf, dtype=np.float32)
-    for submap in sorted(submaps, key=lambda submap: submap.id):
-        window, cells = warp(submap.grid.cells, submap.grid, submap.map_from_submap, whole, UNKNOWN)
-        if not cells.size:
-            continue
-        places = whole.cells_of(labels.poses[labels.submaps == submap.id, :2])
-        corner = np.array([window[0].start, window[1].start])
-        distance = _distance(places - corner, cells.shape)
-        seen = (cells == FREE) & (whole.cells[window] == FREE)
-        better: BoolArray = seen & (distance < nearest[window])
-        owner[window][better] = submap.id
-        nearest[window][better] = distance[better]
+def divide(whole: GridMap, labels: Labels) -> Regions:
+    """Give each free cell of `whole` to the submap of the keyframe that is nearest on foot.
+
+    The keyframes flood the free cells, so that regions are connected and end at walls. Cells that
+    no keyframe reaches, such as those seen through a window, are nobody's.
+    """
+    places = whole.cells_of(labels.poses[:, :2])
+    inside = whole.inside(places) & (labels.submaps != NO_SUBMAP)
+    rows, columns = places[inside].T
+    passable = whole.free
+    passable[rows, columns] = True  # where the robot stood, whatever was found there later
+    markers = np.zeros(passable.shape, dtype=np.int32)
+    markers[rows, columns] = labels.submaps[inside] + 1
+    owner = _flood(passable, markers) - 1
+    owner[~whole.free | ~_reached(passable, markers)] = NOBODY
     return Regions.of(whole, owner)
 
 
-def _distance(
-    places: IntArray, shape: tuple[int, ...]
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """(H, W) cells to the nearest of the places (N, 2) that lie inside; far when none does."""
-    inside = ((places >= 0) & (places < shape)).all(axis=1)
-    if not inside.any():
-        return np.full(shape, _FAR, dtype=np.float32)
-    picture = np.ones(shape, dtype=np.uint8)
-    picture[places[inside, 0], places[inside, 1]] = 0
-    return np.asarray(cv2.distanceTransform(picture, cv2.DIST_L2, 5), dtype=np.float32)
+def _flood(passable: BoolArray, markers: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(H, W) the marker that reaches each cell first.
+
+    The watershed grows all markers a ring at a time over equal cells, and crosses an edge of the
+    picture only when nothing else is left. It leaves lines one cell wide where fronts meet.
+    """
+    picture = np.pad(np.where(passable, np.uint8(0), np.uint8(255)), 1, constant_values=255)
+    flooded = cv2.watershed(cv2.merge([picture] * 3), np.pad(markers, 1))
+    closed = cv2.dilate(flooded.astype(np.float32), _CROSS)  # ids are exact in single precision
+    fronts = (flooded < 0) & (picture == 0)
+    return np.where(fronts, closed, flooded).astype(np.int32)[1:-1, 1:-1]
+
+
+def _reached(passable: BoolArray, markers: NDArray[np.int32]) -> BoolArray:
+    """(H, W) the passable cells connected to a marker."""
+    _, parts = cv2.connectedComponents(passable.astype(np.uint8), connectivity=4)
+    reached = np.zeros(int(parts.max()) + 1, dtype=np.bool_)
+    reached[parts[markers > 0]] = True
+    return np.asarray(reached[parts])

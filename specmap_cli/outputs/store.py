@@ -62,7 +62,7 @@ def write_map(directory: Path, result: MapResult) -> None:
     """Write all files of a map into an existing, empty directory."""
     submaps = result.topology.submaps
     whole = lay_out(submaps.values()) if result.map_grid is None else result.map_grid
-    regions = divide(whole, submaps.values(), result.labels)
+    regions = divide(whole, result.labels)
     write_topology(directory, result.topology, regions, result.log, result.frame)
     write_grid(directory / "map", whole)
     overview = render_overview(result.topology, regions, result.trajectory, result.log)
@@ -150,7 +150,7 @@ class StoredMap:
     @cached_property
     def regions(self) -> Regions:
         """The whole map divided among the submaps, as in overview.png."""
-        return divide(self.map_grid, self.topology.submaps.values(), self.labels)
+        return divide(self.map_grid, self.labels)
 
     @cached_property
     def labels(self) -> Labels:

@@ -26,8 +26,7 @@ from specmap_cli.topomap import Submap, TopologicalMap
 
 
 def regions_of(result: MapResult) -> Regions:
-    submaps = result.topology.submaps.values()
-    return divide(lay_out(submaps), submaps, result.labels)
+    return divide(lay_out(result.topology.submaps.values()), result.labels)
 
 
 def near(image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], colour: palette.Colour) -> int:

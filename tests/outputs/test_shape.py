@@ -7,14 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from specmap_cli.geometry import Pose2
-from specmap_cli.gridmap import FREE, UNKNOWN, GridMap
-from specmap_cli.outputs.grids import lay_out
+from specmap_cli.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.outputs.regions import NOBODY, Regions, divide
 from specmap_cli.outputs.shape import outline
-from specmap_cli.outputs.store import MapResult
-from specmap_cli.outputs.tables import Labels
-from specmap_cli.topomap import Submap
+from specmap_cli.outputs.tables import NO_SUBMAP, Labels
 
 
 def grid_of(picture: list[str], resolution: float = 0.5) -> GridMap:
@@ -67,27 +63,67 @@ def test_nothing_free() -> None:
     assert (len(shape.polygon), shape.centroid, shape.area_m2) == (0, None, 0.0)
 
 
+def labels_at(places: dict[int, tuple[float, float]]) -> Labels:
+    """One keyframe in each submap."""
+    poses = np.array([(x, y, 0.0) for x, y in places.values()])
+    return Labels(np.arange(len(places)), poses, np.array(list(places)))
+
+
 def test_shared_cells_go_to_the_nearest_keyframe() -> None:
     grid = GridMap(np.full((4, 10), FREE, dtype=np.uint8), 1.0)
-    here = Pose2(0.0, 0.0, 0.0)
-    submaps = [Submap(3, here, [0], [], grid), Submap(5, here, [1], [], grid)]
-    poses = np.array([(1.5, 1.5, 0.0), (8.5, 1.5, 0.0)])
-    labels = Labels(np.array([1, 2]), poses, np.array([3, 5]))
-    regions = divide(grid, submaps, labels)
-    assert (regions.owner[:, :5] == 3).all()
-    assert (regions.owner[:, 5:] == 5).all()
-    assert {id_: shape.area_m2 for id_, shape in regions.outlines.items()} == {3: 20.0, 5: 20.0}
+    regions = divide(grid, labels_at({3: (1.5, 1.5), 5: (8.5, 1.5)}))
+    assert (regions.owner[:, :4] == 3).all()
+    assert (regions.owner[:, 6:] == 5).all()
+    assert set(np.unique(regions.owner)) == {3, 5}
 
 
-def test_every_free_cell_of_the_layout_has_an_owner_who_saw_it(result: MapResult) -> None:
-    submaps = result.topology.submaps
-    whole = lay_out(submaps.values())
-    regions = divide(whole, submaps.values(), result.labels)
-    assert ((regions.owner != NOBODY) == whole.free).all()
-    for id_, submap in submaps.items():
-        cells = np.argwhere(regions.owner == id_)
-        seen = submap.map_from_submap.inverse().apply(whole.centres_of(cells))
-        assert (submap.grid.values_at(seen) == FREE).all()
+def test_near_is_on_foot_not_through_a_wall() -> None:
+    cells = np.full((30, 41), FREE, dtype=np.uint8)
+    cells[:24, 20] = OCCUPIED  # a wall with an opening at the far end
+    grid = GridMap(cells, 1.0)
+    regions = divide(grid, labels_at({0: (18.5, 1.5), 1: (39.5, 28.5)}))
+    assert (regions.owner[:4, :20] == 0).all()
+    assert (regions.owner[:4, 21:] == 1).all()  # nearer to keyframe 0 as the crow flies
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_regions_are_connected_and_hold_their_keyframes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cells = np.where(rng.random((60, 80)) < 0.04, OCCUPIED, FREE).astype(np.uint8)
+    grid = GridMap(cells, 0.1)
+    places = {id_: tuple(rng.uniform((0.2, 0.2), (7.8, 5.8))) for id_ in range(6)}
+    regions = divide(grid, labels_at(places))
+    for id_, place in places.items():
+        row, column = grid.cells_of(np.array([place]))[0]
+        region = regions.owner == id_
+        assert region[row, column] or cells[row, column] == OCCUPIED
+        count, _, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8))
+        largest = stats[1:, cv2.CC_STAT_AREA].max() if count > 1 else 0
+        assert largest >= 0.97 * region.sum()
+    owned = regions.owner != NOBODY
+    assert (owned <= grid.free).all()
+    assert owned.sum() > 0.97 * grid.free.sum()
+
+
+def test_what_no_keyframe_reaches_is_nobodys() -> None:
+    cells = np.full((9, 20), FREE, dtype=np.uint8)
+    cells[:, 10] = OCCUPIED
+    regions = divide(GridMap(cells, 1.0), labels_at({0: (3.0, 3.0)}))
+    assert (regions.owner[:, :10] == 0).all()
+    assert (regions.owner[:, 10:] == NOBODY).all()
+
+
+def test_where_the_robot_stood_is_reached_even_when_marked_occupied() -> None:
+    cells = np.full((9, 20), FREE, dtype=np.uint8)
+    cells[4, 4] = OCCUPIED
+    regions = divide(GridMap(cells, 1.0), labels_at({0: (4.5, 4.5)}))
+    assert regions.outline(0).area_m2 == 9 * 20 - 1
+
+
+def test_no_keyframes_and_keyframes_off_the_grid() -> None:
+    grid = GridMap(np.full((4, 4), FREE, dtype=np.uint8), 1.0)
+    for labels in (labels_at({0: (100.0, 0.0)}), labels_at({NO_SUBMAP: (1.0, 1.0)})):
+        assert (divide(grid, labels).owner == NOBODY).all()
 
 
 def test_a_region_without_a_cell_has_no_outline() -> None:
