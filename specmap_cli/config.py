@@ -90,8 +90,8 @@ class SegmentationConfig(_Section):
     sight_m: float = Field(5.0, gt=0, description="longest sight line")
     neighbours: int = Field(0, ge=0, description="l of eq. 1; 0: all visible nodes")
     eigenvalue_min: float = Field(0.75, gt=0, lt=1, description="k counts the eigenvalues above")
-    refine: bool = Field(True, description="look for two clusters inside each cluster again")
-    refine_eigenvalue: float = Field(0.7, gt=0, lt=1, description="second one that halves it")
+    halve: bool = Field(True, description="look for two clusters inside each cluster again")
+    halve_eigenvalue: float = Field(0.7, gt=0, lt=1, description="its second one that halves it")
     labels: Literal["flood", "nearest"] = Field("flood", description="how cells get their label")
     merge: bool = Field(True, description="join clusters whose border is as wide as they are")
     merge_ratio: float = Field(0.8, gt=0, description="border width over room width that joins")
@@ -200,6 +200,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "sight_m": 20.0,
             "neighbours": 7,
             "eigenvalue_min": 0.9,
+            "halve": False,
             "refine": False,
             "labels": "nearest",
             "merge": False,
@@ -211,6 +212,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "path_band_m": 0.0,
             "region_min_m": 0.0,
             "regrow": False,
+            "halve": False,
             "refine": False,
         },
         "recognition": {

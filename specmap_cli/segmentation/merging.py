@@ -11,16 +11,20 @@ from specmap_cli.segmentation.visibility import IndexArray
 Pair = tuple[int, int]
 
 
-def local_widths(clearance: FloatArray, lengths: FloatArray, pairs: IndexArray) -> FloatArray:
+def local_widths(
+    clearance: FloatArray, lengths: FloatArray, pairs: IndexArray, widest: float
+) -> FloatArray:
     """(n,) local thickness at each node: the largest free disc of a visible node that covers it.
 
     `clearance` (n,) is each node's own, `lengths` (m,) the distances of the visible `pairs` (m, 2).
+    Widths end at `widest`: a hall is cut into pieces no larger than a sight line, and what is
+    wide in proportion to those has to count as wide.
     """
     widths = clearance.copy()
     for one, other in ((pairs[:, 0], pairs[:, 1]), (pairs[:, 1], pairs[:, 0])):
         covered = lengths < clearance[other]
         np.maximum.at(widths, one[covered], clearance[other[covered]])
-    return widths
+    return np.minimum(widths, widest)
 
 
 def border_widths(labels: LabelArray, clearance: FloatArray) -> dict[Pair, float]:

@@ -20,9 +20,9 @@ from specmap_cli.gridmap import BoolArray, GridMap
 from specmap_cli.segmentation.affinity import local_scales, normalised, similarity
 from specmap_cli.segmentation.clutter import WorkingGrid, small_obstacles, working_grid
 from specmap_cli.segmentation.flood import flood_labels, nearest_labels, spread_labels
+from specmap_cli.segmentation.halving import split_again
 from specmap_cli.segmentation.kmeans import LabelArray, kmeans_unit
 from specmap_cli.segmentation.merging import border_widths, join_wide, local_widths
-from specmap_cli.segmentation.refining import split_again
 from specmap_cli.segmentation.spectrum import eigenpairs_above
 from specmap_cli.segmentation.visibility import (
     IndexArray,
@@ -80,8 +80,8 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     graph = build_graph(work, config)
     spectrum = spectral_clusters(graph, config)
     clusters = spectrum.labels
-    if config.refine:
-        clusters = split_again(graph, clusters, config.neighbours, config.refine_eigenvalue)
+    if config.halve:
+        clusters = split_again(graph, clusters, config.neighbours, config.halve_eigenvalue)
     cells, clusters = _label_cells(work, graph, clusters, config)
     fine = spread_labels(work.refine(cells, opened.shape), opened)
     turned, names = _by_area(fine if config.fill else np.where(free, fine, np.int32(-1)))
@@ -149,7 +149,7 @@ def _label_cells(
         cells = flood_labels(work.clearance, graph.nodes, clusters)
     if config.merge and len(clusters):
         own = work.clearance[graph.nodes[:, 0], graph.nodes[:, 1]]
-        widths = local_widths(own, graph.lengths, graph.pairs)
+        widths = local_widths(own, graph.lengths, graph.pairs, 0.5 * config.sight_m / work.cell_m)
         groups = [widths[clusters == label] for label in range(int(clusters.max()) + 1)]
         borders = border_widths(cells, work.clearance)
         joined = np.array(

@@ -51,7 +51,9 @@ def sample_nodes(clearance: FloatArray, step: int, least: float, choice: str) ->
     rows, columns = -(-height // step), -(-width // step)
     padded = np.zeros((rows * step, columns * step))
     padded[:height, :width] = clearance
-    blocks = padded.reshape(rows, step, columns, step).swapaxes(1, 2).reshape(rows, columns, -1)
+    blocks = (
+        padded.reshape(rows, step, columns, step).swapaxes(1, 2).reshape(rows, columns, step**2)
+    )
     if choice == "clearest":
         chosen = blocks.argmax(axis=2)
     else:

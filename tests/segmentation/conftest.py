@@ -1,0 +1,42 @@
+"""Floor plans drawn in code, shared by the tests of the segmentation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from specmap_cli.gridmap import FREE, OCCUPIED, GridMap
+
+PlanBuilder = Callable[..., GridMap]
+
+
+def _plan(width_m: float, height_m: float, *open_boxes: tuple[float, ...]) -> GridMap:
+    """A solid block with boxes (x0, y0, x1, y1) carved out of it; 0.05 m a cell."""
+    cells = np.full((round(height_m / 0.05), round(width_m / 0.05)), OCCUPIED, dtype=np.uint8)
+    for x0, y0, x1, y1 in open_boxes:
+        rows = slice(round(y0 / 0.05), round(y1 / 0.05))
+        cells[rows, round(x0 / 0.05) : round(x1 / 0.05)] = FREE
+    return GridMap(cells, 0.05)
+
+
+@pytest.fixture
+def plan() -> PlanBuilder:
+    return _plan
+
+
+@pytest.fixture
+def two_rooms() -> GridMap:
+    """Rooms of 5 x 4 and 4 x 4 m, a wall of 0.2 m, a door of 0.9 m."""
+    return _plan(9.8, 4.6, (0.3, 0.3, 5.3, 4.3), (5.5, 0.3, 9.5, 4.3), (5.3, 1.5, 5.5, 2.4))
+
+
+@pytest.fixture
+def office() -> GridMap:
+    """Three rooms of different sizes on either side of a corridor."""
+    rooms = [(0.3, 0.3, 4.3, 4.5), (4.5, 0.3, 9.3, 4.5), (9.5, 0.3, 14.6, 4.5)]
+    rooms += [(0.3, 6.5, 5.3, 10.0), (5.5, 6.5, 9.0, 10.0), (9.2, 6.5, 14.6, 10.0)]
+    doors = [(x, 4.5, x + 0.9, 4.7) for x in (1.5, 6.0, 12.0)]
+    doors += [(x, 6.3, x + 0.9, 6.5) for x in (2.5, 7.0, 10.0)]
+    return _plan(15.0, 10.4, (0.3, 4.7, 14.6, 6.3), *rooms, *doors)

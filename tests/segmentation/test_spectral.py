@@ -1,0 +1,166 @@
+"""The division of a map: properties it must have on any map, and plans with a known answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from sklearn.metrics import adjusted_rand_score
+
+from specmap_cli.config import SegmentationConfig, load_config
+from specmap_cli.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.segmentation.spectral import segment
+
+DEFAULT = SegmentationConfig()
+PAPER = load_config(preset="paper").segmentation
+
+
+def same_parts(one: NDArray[np.int32], other: NDArray[np.int32]) -> bool:
+    """Equal labels up to their names, unlabelled cells included."""
+    pairs = np.unique(np.stack([one.ravel(), other.ravel()]), axis=1)
+    return (
+        one.shape == other.shape
+        and len(np.unique(pairs[0])) == pairs.shape[1] == len(np.unique(pairs[1]))
+        and bool(((one < 0) == (other < 0)).all())
+    )
+
+
+def test_two_rooms_joined_by_a_door_become_two(two_rooms: GridMap) -> None:
+    found = segment(two_rooms, DEFAULT)
+    assert found.count == 2
+    left = found.labels[:, : round(5.2 / 0.05)]
+    right = found.labels[:, round(5.7 / 0.05) :]
+    assert set(np.unique(left[left >= 0])) == {0}
+    assert set(np.unique(right[right >= 0])) == {1}
+
+
+def test_an_office_becomes_its_rooms_and_its_corridor(office: GridMap) -> None:
+    found = segment(office, DEFAULT)
+    assert found.count == 7
+    truth = _rooms_by_closing_doors(office)
+    both = (truth >= 0) & (found.labels >= 0)
+    assert adjusted_rand_score(truth[both], found.labels[both]) > 0.99
+
+
+def _rooms_by_closing_doors(grid: GridMap) -> NDArray[np.int32]:
+    core = cv2.erode(grid.free.astype(np.uint8), np.ones((21, 21), dtype=np.uint8))
+    _, labels = cv2.connectedComponents(core)
+    return np.asarray(labels - 1, dtype=np.int32)
+
+
+@pytest.mark.parametrize("size", [(1.0, 1.0), (3.0, 4.0), (30.0, 2.0), (25.0, 18.0), (60.0, 45.0)])
+def test_a_convex_room_of_any_size_stays_one(
+    plan: Callable[..., GridMap], size: tuple[float, float]
+) -> None:
+    width, height = size
+    grid = plan(width + 0.6, height + 0.6, (0.3, 0.3, 0.3 + width, 0.3 + height))
+    assert segment(grid, DEFAULT).count == 1
+
+
+def test_a_round_hall_stays_one() -> None:
+    cells = np.full((420, 420), OCCUPIED, dtype=np.uint8)
+    cv2.circle(cells, (210, 210), 200, FREE, cv2.FILLED)
+    assert segment(GridMap(cells, 0.05), DEFAULT).count == 1
+
+
+@pytest.mark.parametrize("config", [DEFAULT, PAPER], ids=["default", "paper"])
+@pytest.mark.parametrize("turn", [1, 2, 3])
+def test_turning_the_map_turns_the_labels(
+    office: GridMap, turn: int, config: SegmentationConfig
+) -> None:
+    turned = GridMap(np.ascontiguousarray(np.rot90(office.cells, turn)), office.resolution)
+    labels = segment(turned, config).labels
+    assert same_parts(np.rot90(labels, -turn), segment(office, config).labels)
+
+
+@given(up=st.integers(0, 17), right=st.integers(0, 17))
+@settings(derandomize=True, max_examples=8)
+def test_shifting_the_map_shifts_the_labels(up: int, right: int) -> None:
+    cells = np.full((110, 190), OCCUPIED, dtype=np.uint8)
+    cells[6:86, 6:106] = cells[6:86, 110:180] = cells[30:48, 106:110] = FREE
+    shifted = np.pad(cells, ((up, 3), (right, 5)), constant_values=OCCUPIED)
+    labels = segment(GridMap(shifted, 0.05), DEFAULT).labels
+    inner = labels[up : up + 110, right : right + 190]
+    np.testing.assert_array_equal(inner, segment(GridMap(cells, 0.05), DEFAULT).labels)
+
+
+LENGTHS = [
+    "cell_m", "obstacle_m", "node_step_m", "clearance_m", "sight_m",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("factor", [2.0, 0.1, 3.0])
+def test_scaling_resolution_and_lengths_together_changes_nothing(
+    office: GridMap, factor: float
+) -> None:
+    scaled = DEFAULT.model_copy(update={name: getattr(DEFAULT, name) * factor for name in LENGTHS})
+    larger = GridMap(office.cells, office.resolution * factor)
+    np.testing.assert_array_equal(segment(larger, scaled).labels, segment(office, DEFAULT).labels)
+
+
+@pytest.mark.parametrize("config", [DEFAULT, PAPER], ids=["default", "paper"])
+def test_every_free_cell_reachable_from_a_node_is_labelled(
+    office: GridMap, config: SegmentationConfig
+) -> None:
+    cells = office.cells.copy()
+    rng = np.random.default_rng(3)
+    cells[rng.random(cells.shape) < 0.002] = OCCUPIED
+    cells[40:44, 100:104] = FREE  # a pocket in a wall, and a slit into it of one cell
+    found = segment(GridMap(cells, office.resolution), config)
+    _, piece = cv2.connectedComponents((cells == FREE).astype(np.uint8), connectivity=4)
+    nodes = office.cells_of(found.nodes)
+    reached = np.unique(piece[nodes[:, 0], nodes[:, 1]])
+    inside = np.isin(piece, reached[reached > 0])
+    assert inside.any()
+    assert (found.labels[inside] >= 0).all()
+
+
+def test_labels_are_numbered_by_falling_area(office: GridMap) -> None:
+    labels = segment(office, DEFAULT).labels
+    sizes = np.bincount(labels[labels >= 0])
+    assert (np.diff(sizes) <= 0).all()
+
+
+def test_nodes_lie_in_the_region_of_their_label(office: GridMap) -> None:
+    found = segment(office, DEFAULT)
+    cells = office.cells_of(found.nodes)
+    np.testing.assert_array_equal(found.labels[cells[:, 0], cells[:, 1]], found.node_labels)
+
+
+def test_a_map_without_free_space_has_no_region() -> None:
+    found = segment(GridMap(np.full((40, 50), OCCUPIED, dtype=np.uint8), 0.05), DEFAULT)
+    assert found.count == 0
+    assert found.labels.shape == (40, 50)
+
+
+def test_chairs_do_not_split_a_room_and_are_filled(plan: Callable[..., GridMap]) -> None:
+    grid = plan(6.6, 6.6, (0.3, 0.3, 6.3, 6.3))
+    cells = grid.cells.copy()
+    for row in range(20, 110, 18):
+        for column in range(60, 70, 8):
+            cells[row : row + 8, column : column + 4] = OCCUPIED
+    cluttered = GridMap(cells, 0.05)
+    filled = segment(cluttered, DEFAULT)
+    assert filled.count == 1
+    np.testing.assert_array_equal(filled.labels >= 0, grid.free)
+    bare = segment(cluttered, DEFAULT.model_copy(update={"fill": False}))
+    np.testing.assert_array_equal(bare.labels >= 0, cluttered.free)
+
+
+def test_the_paper_preset_uses_only_the_paper(office: GridMap) -> None:
+    found = segment(office, PAPER)
+    assert found.count >= 7
+    used = found.spectrum.used
+    assert (found.spectrum.eigenvalues[:used] > PAPER.eigenvalue_min).all()
+    cells = np.argwhere(found.labels >= 0)[::97]
+    points = office.centres_of(cells)
+    distance = np.hypot(*(points[:, None] - found.nodes[None]).transpose(2, 0, 1))
+    nearest = np.sort(distance, axis=1)
+    clear = nearest[:, 1] - nearest[:, 0] > 2 * PAPER.cell_m  # ties within a working cell aside
+    expected = found.node_labels[distance.argmin(axis=1)]
+    np.testing.assert_array_equal(found.labels[cells[:, 0], cells[:, 1]][clear], expected[clear])
