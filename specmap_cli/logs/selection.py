@@ -80,37 +80,51 @@ def select(log: Log, config: LogConfig) -> Selection:
     bases = [frame for frame in (config.base_frame, child) if frame]
     tree = read_tree(log, first.frame, bases)
     placement = place_laser(tree, first.frame, config.base_frame, child)
-    warnings = list(placement.warnings)
-    if child is not None and tree.lookup(child, placement.base_frame) is None:
-        warnings.append(
-            f"the odometry moves {child!r}, which no transform joins to "
-            f"{placement.base_frame!r}: the two are taken to be the same"
+    source, topics, odom_frame = _odometry_source(log, config, odometry, tree, placement)
+    is_cloud = isinstance(first, CloudRecord)
+    return Selection(
+        scan_topic=scan.name,
+        scan_type=scan.type,
+        scans=scan.count,
+        laser_frame=first.frame,
+        base_frame=placement.base_frame,
+        base_from_laser=placement.base_from_laser,
+        floor_m=placement.floor_m,
+        odometry=source,
+        odom_topics=topics,
+        odom_frame=odom_frame,
+        use_log_time=use_log_time,
+        tree=tree,
+        band_m=(config.band_min_m, config.band_max_m) if is_cloud else None,
+        warnings=[
+            *placement.warnings,
+            *_assumptions(scan, placement, tree, child, use_log_time, is_cloud),
+        ],
+    )
+
+
+def _assumptions(
+    scan: TopicInfo,
+    placement: Placement,
+    tree: TransformTree,
+    odometry_child: str | None,
+    use_log_time: bool,
+    is_cloud: bool,
+) -> Iterator[str]:
+    """What is taken for granted as the log does not say it."""
+    base = placement.base_frame
+    if odometry_child is not None and tree.lookup(odometry_child, base) is None:
+        yield (
+            f"the odometry moves {odometry_child!r}, which no transform joins to {base!r}: "
+            "the two are taken to be the same"
         )
     if use_log_time:
-        warnings.append(f"{scan.name}: header stamps are zero: the recorder's times are used")
-    if isinstance(first, CloudRecord) and placement.floor_m is None:
-        warnings.append(
+        yield f"{scan.name}: header stamps are zero: the recorder's times are used"
+    if is_cloud and placement.floor_m is None:
+        yield (
             "the lidar's height above the floor is unknown, as there is no transform from a base "
             "frame: the floor is taken to be where the lowest returns of the first cloud are"
         )
-    source, topics, odom_frame = _odometry_source(log, config, odometry, tree, placement)
-    band = (config.band_min_m, config.band_max_m) if isinstance(first, CloudRecord) else None
-    return Selection(
-        scan.name,
-        scan.type,
-        scan.count,
-        first.frame,
-        placement.base_frame,
-        placement.base_from_laser,
-        placement.floor_m,
-        source,
-        topics,
-        odom_frame,
-        use_log_time,
-        tree,
-        band,
-        warnings,
-    )
 
 
 def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
