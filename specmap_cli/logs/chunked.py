@@ -22,6 +22,7 @@ from specmap_cli.logs.recording import (
     Message,
     Recording,
     merge_in_time,
+    seconds,
     survey,
     unreadable,
 )
@@ -122,6 +123,20 @@ class ChunkedFile(Recording):
             return os.pread(self._fd, max(min(length, self.size - offset), 0), offset)
         except OSError as error:
             raise unreadable(self.path, error) from None
+
+    def report_end(self, offset: int, last_ns: int) -> None:
+        """Note that no record can be read at `offset`, where the walk ends; at the end: cut off."""
+        where = f"damaged at byte {offset} of {self.size}"
+        if offset >= self.size:
+            where = f"cut off at byte {self.size}"
+        self.report(f"{where}: what followed {seconds(last_ns)} is lost")
+
+    def report_chunk(self, ref: ChunkRef) -> None:
+        """Note that messages of an indexed chunk are lost."""
+        self.report(
+            f"chunk at byte {ref.offset} is damaged: messages between {seconds(ref.start_ns)} "
+            f"and {seconds(ref.end_ns)} are lost"
+        )
 
     def _holds(self, ref: ChunkRef, topics: Collection[str] | None) -> bool:
         if topics is None or not ref.channels:

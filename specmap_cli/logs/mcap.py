@@ -99,7 +99,7 @@ class McapFile(ChunkedFile):
             if head == _RECORD.pack(CHUNK, max(ref.length - _RECORD.size, 0)):
                 yield ref
             else:
-                self._report_lost(ref)
+                self.report_chunk(ref)
 
     def _contents_of(self, statistics: Statistics) -> Contents:
         counts: dict[tuple[str, str], int] = {}
@@ -117,42 +117,34 @@ class McapFile(ChunkedFile):
         body = self.read_at(ref.offset + _RECORD.size, ref.length - _RECORD.size)
         records, complete = _opened(body)
         if not complete:
-            self._report_lost(ref)
+            self.report_chunk(ref)
         for time_ns, channel, start, end in sorted(self._entries(records), key=itemgetter(0)):
             yield Entry(time_ns, channel, records[start:end])
-
-    def _report_lost(self, ref: ChunkRef) -> None:
-        self.report(
-            f"chunk at byte {ref.offset} is damaged: messages between {seconds(ref.start_ns)} "
-            f"and {seconds(ref.end_ns)} are lost"
-        )
 
     def _walk(self) -> Iterator[Entry]:
         offset, last = len(MAGIC), 0
         while offset + _RECORD.size <= self.size:
             opcode, length = _RECORD.unpack(self.read_at(offset, _RECORD.size))
+            start = offset + _RECORD.size
             if opcode in (DATA_END, FOOTER):
                 if self.read_at(self.size - len(MAGIC), len(MAGIC)) != MAGIC:
                     self.report(f"cut off in the index after byte {offset}: no message is lost")
                 return
-            start = offset + _RECORD.size
             if opcode == 0 or _LAST_OPCODE < opcode < 0x80:
-                break
-            if opcode == CHUNK:
-                for entry in self._walk_chunk(offset, self.read_at(start, length)):
-                    last = entry.time_ns
-                    yield entry
-            elif start + length > self.size:
-                break
-            elif opcode in (SCHEMA, CHANNEL, MESSAGE):
-                for entry in self._single(opcode, self.read_at(start, length)):
-                    last = entry.time_ns
-                    yield entry
+                self.report_end(offset, last)
+                return
+            for entry in self._held(opcode, offset, start, length):
+                last = entry.time_ns
+                yield entry
             offset = start + length
-        self.report(
-            f"cut off or damaged at byte {min(offset, self.size)} of {self.size}: "
-            f"what followed {seconds(last)} is lost"
-        )
+        self.report_end(self.size, last)
+
+    def _held(self, opcode: int, offset: int, start: int, length: int) -> Iterator[Entry]:
+        """The messages of a record met on the walk, or of the readable part of a chunk."""
+        if opcode == CHUNK:
+            yield from self._walk_chunk(offset, self.read_at(start, length))
+        elif opcode in (SCHEMA, CHANNEL, MESSAGE) and start + length <= self.size:
+            yield from self._single(opcode, self.read_at(start, length))
 
     def _walk_chunk(self, offset: int, body: bytes) -> Iterator[Entry]:
         """The entries of a chunk met on the walk, or of its readable part."""

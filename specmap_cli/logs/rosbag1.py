@@ -16,7 +16,7 @@ from typing import NamedTuple
 from specmap_cli.errors import LogError
 from specmap_cli.logs.chunked import Channel, ChunkedFile, ChunkRef, Entry, Index
 from specmap_cli.logs.compression import decompress
-from specmap_cli.logs.recording import Contents, TopicInfo, seconds
+from specmap_cli.logs.recording import Contents, TopicInfo
 from specmap_cli.logs.typestore import NS_PER_S, normalized_type
 
 MAGIC = b"#ROSBAG V"
@@ -130,14 +130,8 @@ class Rosbag1File(ChunkedFile):
         except BadRecordError:
             sound = False
         if not sound:
-            self._report_lost(ref)
+            self.report_chunk(ref)
         return sound
-
-    def _report_lost(self, ref: ChunkRef) -> None:
-        self.report(
-            f"chunk at byte {ref.offset} is damaged: messages between {seconds(ref.start_ns)} "
-            f"and {seconds(ref.end_ns)} are lost"
-        )
 
     def _contents_of(self, counts: dict[int, int], refs: list[ChunkRef]) -> Contents:
         topics: dict[tuple[str, str], int] = {}
@@ -154,7 +148,7 @@ class Rosbag1File(ChunkedFile):
         record = self._record(ref.offset)
         data, complete = self._opened(record)
         if not complete:
-            self._report_lost(ref)
+            self.report_chunk(ref)
         yield from sorted(self._entries(data), key=attrgetter("time_ns"))
 
     def _walk(self) -> Iterator[Entry]:
@@ -162,19 +156,15 @@ class Rosbag1File(ChunkedFile):
         while offset < self.size or offset == self._first:
             record = self._record_or_none(offset)
             if record is None:
-                break
+                self.report_end(offset, last)
+                return
             for entry in self._held(offset, record):
                 last = entry.time_ns
                 yield entry
             if record.end > self.size:
-                break
+                self.report_end(self.size, last)
+                return
             offset = self._following(offset, record)
-        else:
-            return
-        self.report(
-            f"cut off or damaged at byte {offset} of {self.size}: "
-            f"what followed {seconds(last)} is lost"
-        )
 
     def _held(self, offset: int, record: _Record) -> Iterator[Entry]:
         """The messages in a record met on the walk, or in its readable part."""
