@@ -100,7 +100,7 @@ class SegmentationConfig(_Section):
     test_every: Literal["metres", "keyframes"] = Field("metres", description="pace of the tests")
     test_metres: float = Field(1.0, gt=0, description="travelled between two tests")
     test_keyframes: int = Field(50, ge=1, description="keyframes between two tests")
-    split_eigenvalue: float = Field(0.8, gt=0, lt=1, description="a second region is entered above")
+    split_eigenvalue: float = Field(0.6, gt=0, lt=1, description="a second region is entered above")
     split_share: float = Field(0.1, ge=0, lt=0.5, description="least share of the way on each side")
     split_scale: float = Field(3.0, gt=0, description="sigma of eq. 1 in a test, times its median")
     split_clearance_m: float = Field(0.3, ge=0, description="as clearance_m, in a test")
@@ -109,7 +109,7 @@ class SegmentationConfig(_Section):
     path_band_m: float = Field(2.0, ge=0, description="nodes lie this near the path; 0: anywhere")
     region_min_m: float = Field(1.0, ge=0, description="shortest way that is split off or goes on")
     regrow: bool = Field(True, description="a region the robot comes straight back to goes on")
-    refine: bool = Field(True, description="submaps end where the finished map's regions do")
+    final_regions: bool = Field(True, description="submaps end where the finished map's do")
 
 
 class RecognitionConfig(_Section):
@@ -153,6 +153,9 @@ class RelaxationConfig(_Section):
     loop_radius_m: float = Field(3.0, gt=0, description="how near a pass must be")
     loops_per_node: int = Field(2, ge=0, description="passes matched at the most, 0: none")
     loop_score: float = Field(0.6, ge=0, le=1, description="a match below this is no edge")
+    stray_places: int = Field(
+        6, ge=0, description="places tried to rejoin a piece of the path after tracking was lost"
+    )
     solve_every: int = Field(12, ge=1, description="edges found before the layout is renewed")
 
 
@@ -205,6 +208,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "labels": "nearest",
             "merge": False,
             "test_every": "keyframes",
+            "split_eigenvalue": 0.8,
             "split_share": 0.0,
             "split_scale": 1.0,
             "split_clearance_m": 0.0,
@@ -212,8 +216,6 @@ PRESETS: dict[str, dict[str, Any]] = {
             "path_band_m": 0.0,
             "region_min_m": 0.0,
             "regrow": False,
-            "halve": False,
-            "refine": False,
         },
         "recognition": {
             "feature_set": "table1",

@@ -16,11 +16,10 @@ from specmap_cli.outputs.tables import Labels
 from specmap_cli.progress import Progress
 from specmap_cli.recognition.training import train_localizer
 from specmap_cli.records import IntArray, Trajectory
+from specmap_cli.segmentation.refinement import regions_of
 from specmap_cli.topology.graph import build_topology, first_visit_order, settle_labels
 from specmap_cli.topology.relaxation import Layout, corrected, relax
 from specmap_cli.topomap import TopologicalMap
-
-_EXCURSION_M = 0.5  # a shorter stay between two in one submap is part of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +54,12 @@ def finish_map(mapper: Mapper, progress: Progress) -> FinishedMap:
     with clock.stage("layout"):
         layout = relax(store, mapper.constraints(), mapper.breaks, config.relaxation)
         trajectory = corrected(mapper.trajectory.trajectory(), store, layout)
-    labels, submap_of_region = _final_labels(mapper, layout.poses)
     progress.start("grids", len(store))
     with clock.stage("grids"):
         whole = integrate_keyframes(store, range(len(store)), layout.poses, config.grid).snapshot()
+    with clock.stage("segmentation"):
+        labels = _final_labels(mapper, layout, whole)
+    with clock.stage("grids"):
         grids = _submap_grids(store, labels, layout.poses, config, progress)
     topology = build_topology(
         labels,
@@ -66,7 +67,7 @@ def finish_map(mapper: Mapper, progress: Progress) -> FinishedMap:
         store.stamps_ns,
         mapper.breaks,
         mapper.closures,
-        submap_of_region,
+        {region: _commonest(labels[keyframes]) for region, keyframes in mapper.regions.items()},
         grids,
     )
     progress.start("training", None)
@@ -78,15 +79,23 @@ def finish_map(mapper: Mapper, progress: Progress) -> FinishedMap:
     return FinishedMap(topology, table, trajectory, whole, classifiers.to_json(), layout)
 
 
-def _final_labels(mapper: Mapper, poses: FloatArray) -> tuple[IntArray, dict[int, int]]:
-    """The submap id (n,) of each keyframe in order of first visit, and that of each region."""
-    settled = settle_labels(mapper.labels(), poses, _EXCURSION_M)
+def _final_labels(mapper: Mapper, layout: Layout, whole: GridMap) -> IntArray:
+    """The submap id (n,) of each keyframe, in order of first visit."""
+    labels = mapper.labels()
+    if _is_consistent(mapper) and mapper.config.segmentation.final_regions:
+        labels = regions_of(whole, layout.poses, mapper.config.segmentation)
+    settled = settle_labels(labels, layout.poses, mapper.config.segmentation.region_min_m)
     order = first_visit_order(settled.tolist())
-    of_region: dict[int, int] = {}
-    for region, keyframes in mapper.regions.items():
-        kept = order.get(mapper.merger.find(region))
-        of_region[region] = order[int(settled[keyframes[0]])] if kept is None else kept
-    return np.array([order[int(label)] for label in settled], dtype=np.int64), of_region
+    return np.array([order[int(label)] for label in settled], dtype=np.int64)
+
+
+def _is_consistent(mapper: Mapper) -> bool:
+    """Whether one place of the building is one place of the layout."""
+    return mapper.config.relaxation.enabled and not mapper.breaks
+
+
+def _commonest(labels: IntArray) -> int:
+    return int(np.bincount(labels).argmax())
 
 
 def _submap_grids(

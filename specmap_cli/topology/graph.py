@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from specmap_cli.geometry import FloatArray, Pose2
 from specmap_cli.gridmap import GridMap
@@ -19,6 +20,8 @@ from specmap_cli.records import Closure
 from specmap_cli.topomap import Edge, Submap, TopologicalMap, Traversal, Visit
 
 IntArray = NDArray[np.int64]
+
+_MEETING_M = 0.5
 
 
 class RegionMerger:
@@ -93,8 +96,9 @@ def build_topology(
 ) -> TopologicalMap:
     """The topological map of keyframes with submap `labels` (n,) and `poses` (n, 3) in the map.
 
-    `breaks` are keyframes at which tracking restarted: what lies before is linked by a loose edge
-    only. `closures` name regions, which `submap_of_region` maps to labels; `grids` are in the
+    Submaps are linked where the robot drove across, and where a verified closure shows that its
+    tracks meet. `breaks` are keyframes at which tracking restarted: what lies before
+    is linked by a loose edge only. `closures` name regions, which `submap_of_region` maps to labels; `grids` are in the
     frames of the submaps, whose origin is the pose of their first keyframe.
     """
     topology = TopologicalMap(closures=list(closures))
@@ -119,9 +123,14 @@ def build_topology(
     for closure in closures:
         if closure.verified and not closure.merged:
             old, new = submap_of_region[closure.old], submap_of_region[closure.new]
-            if old != new:
+            if old != new and _tracks_meet(poses[labels == old], poses[labels == new]):
                 _edge(topology, old, new, "closure")
     return topology
+
+
+def _tracks_meet(a: FloatArray, b: FloatArray) -> bool:
+    """Whether the robot was at one place in both submaps: no wall is thinner than that."""
+    return float(cKDTree(a[:, :2]).query(b[:, :2])[0].min()) < _MEETING_M
 
 
 _STRENGTH = {"loose": 0, "closure": 1, "traversed": 2}
