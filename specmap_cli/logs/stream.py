@@ -103,7 +103,7 @@ class _Assembly:
         self.mount = Mount.from_matrix(selection.base_from_laser)
         self.leveller = ScanLeveller(self.mount)
         self.flattener = CloudFlattener(selection.base_from_laser, selection.floor_m, config)
-        self.tree = selection.tree
+        self.tree = selection.tree.copy()
         self._chain = set(self.tree.ancestors(selection.base_frame))
         self._last_stamp: int | None = None
 

@@ -31,6 +31,13 @@ class TransformTree:
         if dynamic:
             self._moving.add(record.child)
 
+    def copy(self) -> TransformTree:
+        """A tree that can change on its own."""
+        tree = TransformTree()
+        tree._parent, tree._parent_from = dict(self._parent), dict(self._parent_from)
+        tree._moving = set(self._moving)
+        return tree
+
     @property
     def frames(self) -> set[str]:
         """Every frame that occurs."""
