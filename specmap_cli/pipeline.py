@@ -87,7 +87,7 @@ def build_map(
 
 def _result(log: Log, finished: FinishedMap, run: dict[str, Any]) -> MapResult:
     stamps = finished.trajectory.stamps_ns
-    info = LogInfo(log.name, int(stamps.min()), int(stamps.max()), len(stamps))
+    info = LogInfo(Path(log.name).name, int(stamps.min()), int(stamps.max()), len(stamps))
     return MapResult(
         finished.topology,
         finished.trajectory,

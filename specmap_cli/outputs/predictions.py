@@ -95,7 +95,7 @@ def _draw_ground(sheet: Sheet, regions: Regions, fills: Mapping[int, Colour]) ->
     for id_, outline in sorted(regions.outlines.items()):
         if outline.centroid is not None:
             x, y = sheet.pixels(outline.centroid[None])[0]
-            sheet.canvas.text(x, y, str(id_), 15.0, darker(fills[id_]), "centre", bold=True)
+            sheet.canvas.text(x, y, str(id_), 22.0, darker(fills[id_], 0.8), "centre", bold=True)
 
 
 def _draw_wrong(sheet: Sheet, places: FloatArray, wrong: BoolArray) -> None:

@@ -10,7 +10,7 @@ from specmap_cli.geometry import FloatArray
 from specmap_cli.outputs import symbols
 from specmap_cli.outputs.canvas import Image
 from specmap_cli.outputs.palette import Colour, colours_of
-from specmap_cli.outputs.regions import Regions
+from specmap_cli.outputs.regions import NOBODY, Regions
 from specmap_cli.outputs.sheet import Sheet, extent_of
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.records import Trajectory
@@ -20,14 +20,17 @@ _JUMP_M = 1.5
 
 
 def render_overview(
-    topology: TopologicalMap, regions: Regions, trajectory: Trajectory, log: LogInfo
+    topology: TopologicalMap, regions: Regions, trajectory: Trajectory, log: LogInfo, path_m: float
 ) -> Image:
-    """The map of a build: regions, walls, trajectory, and the graph over them; BGR (H, W, 3)."""
+    """The map of a build: regions, walls, trajectory, and the graph over them; BGR (H, W, 3).
+
+    `path_m` is the way driven, for the line of figures.
+    """
     fills = colours_of(topology, regions)
     places = trajectory.poses[:, :2]
     kinds = {edge.kind for edge in topology.edges.values()}
     low, high = extent_of(regions)
-    sheet = Sheet(low, high, symbols.overview_legend(kinds))
+    sheet = Sheet(low, high, symbols.overview_legend(kinds, _much_unreached(regions)))
     sheet.ground(regions, fills)
     _draw_path(sheet, places)
     _draw_graph(sheet, topology, regions, fills)
@@ -35,7 +38,7 @@ def render_overview(
         first, last = sheet.pixels(places[[0, -1]])
         symbols.start(sheet.canvas, first)
         symbols.end(sheet.canvas, last)
-    figures = [f"{log.scans:,} scans", f"{_driven(places):.0f} m driven", _size(low, high)]
+    figures = [f"{log.scans:,} scans", f"{path_m:,.0f} m driven", _size(low, high)]
     sheet.title(_headline(log, topology), ",  ".join(figures))
     return sheet.canvas.image
 
@@ -51,6 +54,12 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
     area = np.count_nonzero(regions.grid.free) * regions.grid.resolution**2
     sheet.title(_headline(log, topology), f"{area:,.0f} m2 free,  {_size(low, high)}")
     return sheet.canvas.image
+
+
+def _much_unreached(regions: Regions) -> bool:
+    """Whether the free cells that are nobody's are worth a word."""
+    free = regions.grid.free
+    return bool(np.count_nonzero(free & (regions.owner == NOBODY)) > 0.005 * free.sum())
 
 
 def _draw_path(sheet: Sheet, places: FloatArray) -> None:
@@ -112,10 +121,6 @@ def _headline(log: LogInfo, topology: TopologicalMap) -> str:
 
 def _counted(count: int, thing: str) -> str:
     return f"{count} {thing}{'' if count == 1 else 's'}"
-
-
-def _driven(places: FloatArray) -> float:
-    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
 def _size(low: FloatArray, high: FloatArray) -> str:

@@ -65,7 +65,9 @@ def write_map(directory: Path, result: MapResult) -> None:
     regions = divide(whole, result.labels)
     write_topology(directory, result.topology, regions, result.log, result.frame)
     write_grid(directory / "map", whole)
-    overview = render_overview(result.topology, regions, result.trajectory, result.log)
+    overview = render_overview(
+        result.topology, regions, result.trajectory, result.log, result.labels.path_m
+    )
     write_png(directory / OVERVIEW, overview)
     for name, text in (
         (CLASSIFIERS, result.classifiers),

@@ -15,6 +15,7 @@ from specmap_cli.outputs.palette import (
     INK,
     LOOSE,
     PAPER,
+    SHADE,
     TRAVERSED,
     WRONG,
     Colour,
@@ -68,11 +69,12 @@ def end(canvas: Canvas, centre: NDArray[Any]) -> None:
     canvas.disc(centre, 8.0, INK, PAPER)
 
 
-def overview_legend(kinds: Collection[EdgeKind]) -> Legend:
+def overview_legend(kinds: Collection[EdgeKind], with_unreached: bool) -> Legend:
     """What the overview of a build shows; of the links only the kinds that occur."""
     return [
         ("submap", lambda c, x, y: badge(c, np.array([x, y]), "7", FILLS[0])),
         ("wall", _wall),
+        *([("seen, not reached", _unreached)] if with_unreached else []),
         ("trajectory", lambda c, x, y: c.line(np.array([[x - 20, y], [x + 20, y]]), PATH, 2)),
         ("start", lambda c, x, y: start(c, np.array([x, y]))),
         ("end", lambda c, x, y: end(c, np.array([x, y]))),
@@ -126,6 +128,10 @@ def _predicted(canvas: Canvas, x: float, y: float) -> None:
 def _wrong(canvas: Canvas, x: float, y: float) -> None:
     canvas.line(np.array([[x - 20, y], [x + 20, y]]), WRONG, 12)
     canvas.line(np.array([[x - 20, y], [x + 20, y]]), vivid(FILLS[0]), 6)
+
+
+def _unreached(canvas: Canvas, x: float, y: float) -> None:
+    canvas.box(np.array([x - 20, y - 10]), np.array([x + 20, y + 10]), SHADE)
 
 
 def _wall(canvas: Canvas, x: float, y: float) -> None:

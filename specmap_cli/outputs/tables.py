@@ -27,6 +27,11 @@ class Labels:
     poses: FloatArray
     submaps: IntArray
 
+    @property
+    def path_m(self) -> float:
+        """Length of the way from keyframe to keyframe."""
+        return float(np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1).sum())
+
 
 def trajectory_text(trajectory: Trajectory) -> str:
     """TUM lines: t x y z qx qy qz qw; nine decimals of seconds and quaternions, six of metres."""

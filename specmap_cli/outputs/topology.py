@@ -31,7 +31,10 @@ from specmap_cli.topomap import Edge, Submap, TopologicalMap, Traversal, Visit
 
 @dataclass(frozen=True, slots=True)
 class LogInfo:
-    """What a map was made of: a recording, or a finished grid, which has no stamps."""
+    """What a map was made of: a recording, or a finished grid, which has no stamps.
+
+    `name` is that of the file, without directories, which differ from machine to machine.
+    """
 
     name: str
     start_ns: int | None = None
