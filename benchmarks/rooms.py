@@ -1,0 +1,121 @@
+"""Finished maps against rooms drawn by hand: the maps of Bormann et al. (ICRA 2016).
+
+    python -m benchmarks.rooms [--preset paper] [--json FILE]
+
+Every map of $SPECMAP_DATA/rooms, as it is and furnished, with one configuration. Recall, precision
+and IoU are explained in specmap_cli/evaluation/scores.py. Beside the seconds (the best of three
+runs) stands their ratio to OpenCV's connectedComponents and distanceTransform on the same map in
+the same run, which does not depend on how busy the machine is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.data import data_folder
+from specmap_cli.config import SegmentationConfig, load_config
+from specmap_cli.evaluation.scores import room_scores
+from specmap_cli.evaluation.worlds import read_rooms
+from specmap_cli.gridmap import GridMap
+from specmap_cli.mapfiles import read_grid
+from specmap_cli.segmentation.spectral import segment
+
+RESOLUTION_M = 0.05
+REPEATS = 3
+TRUTH = "_gt_segmentation.png"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    kind: str
+    name: str
+    recall: float
+    precision: float
+    iou: float
+    segments_per_room: float
+    seconds: float
+    ratio: float
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--preset", default="default")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    config = load_config(preset=arguments.preset).segmentation
+    rows = [
+        measure(truth, kind, config)
+        for kind in ("plain", "furnished")
+        for truth in sorted((data_folder() / "rooms").glob("*" + TRUTH))
+    ]
+    rows += [mean_of(rows, kind) for kind in ("plain", "furnished")]
+    print(table(rows))
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
+
+
+def measure(truth: Path, kind: str, config: SegmentationConfig) -> Row:
+    """Divide one map and compare it with its hand-drawn rooms."""
+    name = truth.name.removesuffix(TRUTH)
+    suffix = "_furnitures.png" if kind == "furnished" else ".png"
+    grid = read_grid(truth.with_name(name + suffix), RESOLUTION_M)
+    rooms = read_rooms(truth, RESOLUTION_M).labels - 1
+    scores = room_scores(rooms, segment(grid, config).labels)
+    seconds = fastest(lambda: segment(grid, config))
+    return Row(
+        kind=kind,
+        name=name,
+        recall=scores.recall,
+        precision=scores.precision,
+        iou=scores.iou,
+        segments_per_room=scores.segments_per_room,
+        seconds=seconds,
+        ratio=seconds / fastest(lambda: two_opencv_passes(grid)),
+    )
+
+
+def fastest(work: Callable[[], object]) -> float:
+    """Seconds of the quickest of a few runs."""
+    best = float("inf")
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        work()
+        best = min(best, time.perf_counter() - start)
+    return best
+
+
+def two_opencv_passes(grid: GridMap) -> None:
+    """What any segmentation of a map has to do at the least."""
+    free = grid.free.astype(np.uint8)
+    cv2.connectedComponents(free)
+    cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+
+
+def mean_of(rows: list[Row], kind: str) -> Row:
+    """The mean of every figure over the maps of one kind."""
+    numbers = np.array([list(asdict(row).values())[2:] for row in rows if row.kind == kind])
+    return Row(kind, "mean", *numbers.mean(axis=0).tolist())
+
+
+def table(rows: list[Row]) -> str:
+    """The rows for reading."""
+    lines = [f"{'':9} {'map':22} recall  prec.    IoU  segm./room  seconds  x OpenCV"]
+    for row in rows:
+        lines.append(
+            f"{row.kind:9} {row.name:22} {row.recall:6.3f} {row.precision:6.3f} {row.iou:6.3f}"
+            f" {row.segments_per_room:11.2f} {row.seconds:8.3f} {row.ratio:9.0f}"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
