@@ -21,6 +21,7 @@ import numpy as np
 
 from benchmarks.data import data_folder
 from specmap_cli.config import Config
+from specmap_cli.geometry import Pose2
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
@@ -58,8 +59,8 @@ def write_clouds(log: Path, out: Path, max_range: float) -> int:
 def write_twice(log: Path, out: Path) -> None:
     """The same log played twice, the stamps of the second time shifted behind the first."""
     with open_log([log]) as source, LogWriter(out) as writer:
-        sweeps = SweepStream(source, Config().log)
-        mounting = sweeps.selection.base_from_laser
+        start = source.contents.start_ns
+        mounting = Pose2.from_matrix(SweepStream(source, Config().log).selection.base_from_laser)
         writer.static_transform(
             "base_link",
             "laser",
@@ -83,7 +84,7 @@ def write_twice(log: Path, out: Path) -> None:
                 if sweep.odom_from_base is not None:
                     writer.odometry("/odom", "odom", "base_link", stamp, sweep.odom_from_base)
                 last = sweep.stamp_ns
-            shift = last + 10**9 - (sweeps.selection.start_ns or 0)
+            shift = last + 10**9 - start
 
 
 def main() -> None:

@@ -125,7 +125,7 @@ def localize_log(
         warnings = [*stream.warnings, *notes]
         for warning in warnings:
             progress.warn(warning)
-        return LocalizationReport(log.name, scans, warnings)
+        return LocalizationReport(Path(log.name).name, scans, warnings)
 
 
 def localizer_of(stored: StoredMap, config: Config) -> Localizer:
