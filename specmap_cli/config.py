@@ -115,7 +115,7 @@ class SegmentationConfig(_Section):
 class RecognitionConfig(_Section):
     """Section III of the paper: features, boosting, loop closure."""
 
-    feature_set: Literal["table1", "pairs", "shape", "default"] = "default"
+    feature_set: Literal["table1", "pairs", "shape", "places", "full"] = "full"
     booster: Literal["trees", "stumps"] = "trees"
     rounds: int = Field(300, ge=1, description="weak classifiers of a submap's final classifier")
     shrinkage: float = Field(0.3, gt=0, le=1, description="trees: scale of every vote")
@@ -163,6 +163,9 @@ class LocalizationConfig(_Section):
     """The hidden Markov filter over the topology, and virtual scans."""
 
     virtual: bool = Field(True, description="virtual full-circle scans over the last metres")
+    feature_set: Literal["table1", "pairs", "shape", "places", "full"] = Field(
+        "places", description="of virtual scans"
+    )
     window_m: float = Field(10.0, gt=0, description="path whose scans make a virtual scan")
     virtual_beams: int = Field(360, ge=16)
     virtual_range_m: float = Field(20.0, gt=0)

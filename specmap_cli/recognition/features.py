@@ -1,8 +1,9 @@
 """Features of one planar scan: the sets by name and their computation.
 
 `table1` is Table I of the paper; `shape` adds a finer distance histogram, pieces and cut ranges;
-`pairs` is Table I with the point-pair histogram; `default` is all of them. Every column is
-documented where its group is defined, finite for every scan, and unchanged by turning the robot.
+`pairs` is Table I with the point-pair histogram; `places` is all of these, which generalise to new
+paths, and `full` adds the profile of the ranges, for views like those of the map's own scans. Every
+column is documented where its group is defined, finite for every scan, and unchanged by turning.
 """
 
 from __future__ import annotations
@@ -13,7 +14,12 @@ import numpy as np
 
 from specmap_cli.errors import UsageError
 from specmap_cli.geometry import FloatArray
-from specmap_cli.recognition import features_shape, features_table1, point_pairs
+from specmap_cli.recognition import (
+    features_profile,
+    features_shape,
+    features_table1,
+    point_pairs,
+)
 from specmap_cli.recognition.outline import Outline, outline_of
 from specmap_cli.records import PlanarScan
 
@@ -24,7 +30,8 @@ FEATURE_GROUPS: dict[str, tuple[Group, ...]] = {
     "table1": features_table1.GROUPS,
     "pairs": features_table1.GROUPS + _PAIRS,
     "shape": features_table1.GROUPS + features_shape.GROUPS,
-    "default": features_table1.GROUPS + features_shape.GROUPS + _PAIRS,
+    "places": features_table1.GROUPS + features_shape.GROUPS + _PAIRS,
+    "full": features_table1.GROUPS + features_shape.GROUPS + _PAIRS + features_profile.GROUPS,
 }
 FEATURE_SETS: dict[str, tuple[str, ...]] = {
     name: tuple(column for _, columns in groups for column in columns)
@@ -32,7 +39,7 @@ FEATURE_SETS: dict[str, tuple[str, ...]] = {
 }
 
 
-def scan_features(scan: PlanarScan, feature_set: str = "default") -> FloatArray:
+def scan_features(scan: PlanarScan, feature_set: str = "full") -> FloatArray:
     """(F,) features of one scan, the columns named by `FEATURE_SETS[feature_set]`; always finite.
 
     Raises UsageError for a set that does not exist.
@@ -44,7 +51,7 @@ def scan_features(scan: PlanarScan, feature_set: str = "default") -> FloatArray:
     return np.array(values)
 
 
-def scans_features(scans: Iterable[PlanarScan], feature_set: str = "default") -> FloatArray:
+def scans_features(scans: Iterable[PlanarScan], feature_set: str = "full") -> FloatArray:
     """(n, F) features of several scans."""
     rows = [scan_features(scan, feature_set) for scan in scans]
     return np.array(rows).reshape(len(rows), len(FEATURE_SETS[feature_set]))

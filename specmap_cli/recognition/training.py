@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.config import Config, LocalizationConfig, RecognitionConfig
+from specmap_cli.config import Config, LocalizationConfig
 from specmap_cli.geometry import FloatArray, Pose2
 from specmap_cli.gridmap import GridMap
 from specmap_cli.keyframes import KeyframeStore
@@ -43,8 +43,8 @@ def train_localizer(
     sensor = Sensor.of(store.scan(min(numbers[0] for numbers in submaps.values())))
     trained = ClassifierSet.train(raw, sensor, recognition, rng)
     if localization.virtual:
-        samples = virtual_samples(store, submaps, poses, grids, recognition, localization, rng)
-        trained.virtual = OneVsAll(recognition.feature_set, recognition).fit(samples, rng)
+        samples = virtual_samples(store, submaps, poses, grids, localization, rng)
+        trained.virtual = OneVsAll(localization.feature_set, recognition).fit(samples, rng)
     return trained
 
 
@@ -53,14 +53,13 @@ def virtual_samples(
     submaps: Mapping[int, Sequence[int]],
     poses: FloatArray,
     grids: Mapping[int, GridMap],
-    recognition: RecognitionConfig,
     localization: LocalizationConfig,
     rng: np.random.Generator,
 ) -> dict[int, FloatArray]:
     """Features (n, F) of virtual scans of every submap: along the track, and from free cells."""
     owner = _owners(submaps, len(poses))
     rows: dict[int, list[FloatArray]] = {i: [] for i in sorted(submaps)}
-    for keyframe, features in _along_the_track(store, owner, poses, recognition, localization):
+    for keyframe, features in _along_the_track(store, owner, poses, localization):
         rows[int(owner[keyframe])].append(features)
     samples = {}
     counts = _share_out(localization.augmentation, {i: g.free_area_m2 for i, g in grids.items()})
@@ -74,7 +73,7 @@ def virtual_samples(
         scans = cast_circles(
             grids[i], origins, localization.virtual_beams, localization.virtual_range_m
         )
-        cast = scans_features(scans, recognition.feature_set)
+        cast = scans_features(scans, localization.feature_set)
         samples[i] = np.vstack([*(row[None] for row in rows[i]), cast])
     return samples
 
@@ -91,7 +90,6 @@ def _along_the_track(
     store: KeyframeStore,
     owner: NDArray[np.intp],
     poses: FloatArray,
-    recognition: RecognitionConfig,
     localization: LocalizationConfig,
 ) -> Iterator[tuple[int, FloatArray]]:
     """Keyframes in turn with the features of what the window showed there, of several lengths."""
@@ -112,7 +110,7 @@ def _along_the_track(
         if number in sampled:
             scan = windows[turn % len(windows)].scan(0, pose @ mounting)
             turn += 1
-            yield number, scan_features(scan, recognition.feature_set)
+            yield number, scan_features(scan, localization.feature_set)
 
 
 def _share_out(total: int, areas: Mapping[int, float]) -> dict[int, int]:

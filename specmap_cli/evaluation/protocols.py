@@ -1,0 +1,255 @@
+"""Table II and Figure 6 of the paper: held-out scans, and another log against the map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from specmap_cli.config import Config
+from specmap_cli.errors import LogError, NoResultError
+from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
+from specmap_cli.finishing import FinishedMap, finish_map
+from specmap_cli.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.keyframes import KeyframeStore
+from specmap_cli.logs import open_log
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.mapper import Mapper
+from specmap_cli.progress import Progress, Silent
+from specmap_cli.recognition.classifiers import ClassifierSet
+from specmap_cli.recognition.features import scans_features
+from specmap_cli.recognition.localizer import Label, Localizer
+from specmap_cli.records import IntArray, PosedScan
+
+Split = Literal["random", "blocks"]
+_TRUTH_REACH_M = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class HoldOut:
+    """Which keyframes are held out: a `share` of them, one by one or in blocks of `block`.
+
+    The choice depends on a keyframe's number and `seed` only, so that it can be made as they come.
+    """
+
+    split: Split = "random"
+    share: float = 0.2
+    block: int = 100
+    seed: int = 0
+
+    def chooser(self) -> Callable[[int], bool]:
+        """Tells of each keyframe, by its number, whether it is held out; the first never is."""
+        size = self.block if self.split == "blocks" else 1
+
+        def held_out(number: int) -> bool:
+            group = number // size
+            draw = np.random.default_rng([self.seed, group]).random()
+            return group > 0 and bool(draw < self.share)
+
+        return held_out
+
+
+@dataclass(frozen=True, slots=True)
+class HoldOutResult:
+    """Raw single-scan scores on the scans of the map and on those held out, and filtered ones."""
+
+    train: ClassificationScores
+    test: ClassificationScores
+    filtered: ClassificationScores
+
+    def as_dict(self) -> dict[str, Any]:
+        """Table II as JSON: macro averages, and recall and precision of every submap."""
+        recall, precision = self.test.recall_of, self.test.precision_of
+        trained = self.train.recall_of
+        return {
+            "train": self.train.as_dict(),
+            "test": self.test.as_dict(),
+            "filtered": self.filtered.as_dict(),
+            "submaps": [
+                {
+                    "id": submap,
+                    "recall": _rounded(recall.get(submap)),
+                    "precision": _rounded(precision.get(submap)),
+                    "train_recall": _rounded(trained.get(submap)),
+                    "scans": int(self.test.confusion[k].sum()),
+                }
+                for k, submap in enumerate(self.test.ids)
+            ],
+        }
+
+
+def hold_out(
+    logs: Sequence[Path],
+    config: Config,
+    options: HoldOut,
+    progress: Progress | None = None,
+) -> HoldOutResult:
+    """Build a map without a share of the keyframes, then label these (Table II of the paper).
+
+    Held-out scans are registered, since the robot drove on, but enter neither map nor classifiers.
+    The truth of one is the submap of the nearest keyframe of the map, at most a metre away.
+    Raises LogError and NoResultError as `build` does, NoResultError when nothing was held out.
+    """
+    progress = progress or Silent()
+    with KeyframeStore() as store, KeyframeStore() as held_out, open_log(logs) as log:
+        mapper = Mapper(config, store, progress, hold_out=options.chooser(), held_out=held_out)
+        stream = SweepStream(log, config.log)
+        progress.start("mapping", stream.expected)
+        for sweep in stream:
+            mapper.add(sweep)
+            progress.advance()
+        mapper.finish()
+        finished = finish_map(mapper, progress)
+        if not len(held_out):
+            raise NoResultError("no keyframe was held out: the log is too short for this share")
+        return score_hold_out(finished, store, held_out, config)
+
+
+def score_hold_out(
+    finished: FinishedMap, store: KeyframeStore, held_out: KeyframeStore, config: Config
+) -> HoldOutResult:
+    """Label the keyframes of a finished map and those held out."""
+    classifiers = ClassifierSet.from_json(finished.classifiers)
+    ids = classifiers.ids
+    poses = _poses_at(finished, held_out.stamps_ns)
+    truth = nearest_labels(poses, finished.labels.poses, finished.labels.submaps)
+    train = raw_labels(classifiers, store)
+    test = raw_labels(classifiers, held_out)
+    filtered = _filtered_labels(finished, classifiers, held_out, poses, config)
+    return HoldOutResult(
+        classification_scores(finished.labels.submaps, train, ids),
+        classification_scores(truth, test, ids),
+        classification_scores(truth, filtered, ids),
+    )
+
+
+def raw_labels(classifiers: ClassifierSet, store: KeyframeStore) -> IntArray:
+    """(n,) submap that the most votes go to, of every keyframe by its single scan."""
+    scans = (store.scan(k) for k in range(len(store)))
+    margins = classifiers.margins(scans_features(scans, classifiers.raw.feature_set))
+    return np.array(classifiers.ids, dtype=np.int64).take(margins.argmax(axis=1))
+
+
+def nearest_labels(
+    places: FloatArray, known: FloatArray, labels: NDArray[Any], reach_m: float = _TRUTH_REACH_M
+) -> IntArray:
+    """(n,) label of the known place (k, 2 or 3) nearest each place, -1 where none is in reach."""
+    distance, nearest = cKDTree(known[:, :2]).query(places[:, :2])
+    return np.where(distance <= reach_m, np.asarray(labels)[nearest], -1).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class RevisitResult:
+    """Scores of another log against a map: raw and filtered labels, and the truth of each scan."""
+
+    raw: ClassificationScores
+    filtered: ClassificationScores
+    truth: IntArray
+
+    def as_dict(self) -> dict[str, Any]:
+        """Both macro averages, and how many scans had a truth."""
+        return {"raw": self.raw.as_dict(), "filtered": self.filtered.as_dict()}
+
+
+def revisit(
+    labels: Sequence[Label],
+    reference: tuple[IntArray, FloatArray],
+    keyframes: tuple[FloatArray, IntArray],
+    map_from_reference: Pose2 = IDENTITY,
+) -> RevisitResult:
+    """Score the labels of another log by given poses (Figure 6 of the paper).
+
+    `reference` holds stamps (r,) and poses (r, 3) of the robot on the second log, which
+    `map_from_reference` takes to the map (see `fit_frames`); `keyframes` poses (k, 3) and submaps
+    (k,) of the map. Scans more than a metre from every keyframe are left out. Raises LogError when
+    no scan has a pose.
+    """
+    stamps, poses = reference
+    row = rows_by_stamp(np.array([label.stamp_ns for label in labels], dtype=np.int64), stamps)
+    joined = row >= 0
+    if not joined.any():
+        raise LogError("no scan of the log has a given pose: the stamps do not meet within 50 ms")
+    places = map_from_reference.apply(poses[row[joined], :2])
+    truth = np.full(len(labels), -1, dtype=np.int64)
+    truth[joined] = nearest_labels(places, *keyframes)
+    ids = np.unique(keyframes[1][keyframes[1] >= 0]).tolist()
+    return RevisitResult(
+        classification_scores(truth, [label.submap for label in labels], ids),
+        classification_scores(truth, [label.filtered_submap for label in labels], ids),
+        truth,
+    )
+
+
+def rows_by_stamp(stamps: IntArray, reference: IntArray, within_ns: int = 50_000_000) -> IntArray:
+    """(n,) row of the reference stamp (r,) nearest each stamp (n,), -1 when none is near."""
+    if not len(reference):
+        return np.full(len(stamps), -1, dtype=np.int64)
+    order = np.argsort(reference, kind="stable")
+    ordered = reference[order]
+    right = (
+        np.clip(np.searchsorted(ordered, stamps), 1, len(ordered) - 1) if len(ordered) > 1 else 0
+    )
+    left = np.maximum(right - 1, 0)
+    take_left = np.abs(stamps - ordered[left]) <= np.abs(stamps - ordered[right])
+    nearest = np.where(take_left, left, right)
+    near = np.abs(stamps - ordered[nearest]) <= within_ns
+    return np.where(near, order[nearest], -1).astype(np.int64)
+
+
+def fit_frames(target: FloatArray, source: FloatArray) -> Pose2:
+    """`target_from_source` of least squares between paired places (n, 2 or 3)."""
+    a, b = target[:, :2], source[:, :2]
+    centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
+    covariance = (b - centre_b).T @ (a - centre_a)
+    theta = float(
+        np.arctan2(covariance[0, 1] - covariance[1, 0], covariance[0, 0] + covariance[1, 1])
+    )
+    turn = Pose2(0.0, 0.0, theta)
+    shift = centre_a - turn.apply(centre_b[None])[0]
+    return Pose2(float(shift[0]), float(shift[1]), theta)
+
+
+def _poses_at(finished: FinishedMap, stamps_ns: Sequence[int]) -> FloatArray:
+    """(n, 3) poses in the finished map at stamps of registered scans."""
+    trajectory = finished.trajectory
+    rows = rows_by_stamp(np.array(stamps_ns, dtype=np.int64), trajectory.stamps_ns)
+    return trajectory.poses[rows]
+
+
+def _filtered_labels(
+    finished: FinishedMap,
+    classifiers: ClassifierSet,
+    held_out: KeyframeStore,
+    poses: FloatArray,
+    config: Config,
+) -> list[int | None]:
+    """Filtered labels of the held-out scans in turn, started afresh after every gap."""
+    adjacency: dict[int, set[int]] = {i: set() for i in classifiers.ids}
+    for source, target in finished.topology.edges:
+        adjacency[source].add(target)
+        adjacency[target].add(source)
+    grids = {i: submap.grid for i, submap in finished.topology.submaps.items()}
+    localizer = Localizer(classifiers, adjacency, grids, config.localization)
+    labels: list[int | None] = []
+    for k in range(len(held_out)):
+        place = Pose2(*poses[k].tolist())
+        gap = k > 0 and float(np.hypot(*(poses[k, :2] - poses[k - 1, :2]))) > 1.0
+        scan = PosedScan(
+            k,
+            held_out.stamps_ns[k],
+            place,
+            held_out.scan(k),
+            held_out.base_from_laser(k),
+            restarted=gap,
+        )
+        labels.append(localizer.update(scan).filtered_submap)
+    return labels
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 6)
