@@ -23,6 +23,7 @@ FLOOR = {
     "matching",
     "progress",
     "records",
+    "scorefield",
     "topomap",
 }
 PACKAGES = {"logs", "registration", "segmentation", "recognition", "topology", "outputs"}

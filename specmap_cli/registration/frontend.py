@@ -18,16 +18,24 @@ from kiss_icp.registration import Registration
 
 from specmap_cli.config import RegistrationConfig
 from specmap_cli.geometry import FloatArray, Pose2
-from specmap_cli.matching import Window, search
+from specmap_cli.matching import Window, search, thinned
 from specmap_cli.records import PosedScan, Sweep
 from specmap_cli.registration.deskew import deskewed, moved_returns
+from specmap_cli.registration.judgement import (
+    BETTER,
+    GOOD,
+    HOPELESS,
+    POOR,
+    agrees,
+    bounded,
+    needed_score,
+)
 from specmap_cli.registration.localmap import LocalMap
-from specmap_cli.registration.motion import MotionModel, Step, agrees
-from specmap_cli.registration.points import thinned, thinned_to
+from specmap_cli.registration.motion import MotionModel, Step
+from specmap_cli.registration.points import thinned_to
 
 _KERNELS = (2.0, 1.0, 0.5, 0.25)  # in voxels, coarse to fine
 _COARSE = 0.5  # kernels above this many voxels need neither all points nor full convergence
-_MAX_STEP_M, _MAX_STEP_RAD, _MAX_TILT = 1.5, 0.8, 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +101,8 @@ class FrontEnd:
             guess = self._better_guess(view, guess, local, step)
             fit, doubted = self._locate(view, guess, local, step)
             agreed = agrees(Pose2.from_matrix(guess), fit.planar, step)
-            lost = self._is_lost(fit.score, doubted, agreed)
+            lost = not agreed and fit.score < needed_score(doubted, step.measured)
+            lost |= fit.score < HOPELESS
         if lost:
             fit = _Fit(guess, fit.score)
         self._conclude(fit, lost, view, local)
@@ -160,7 +169,7 @@ class FrontEnd:
         """The best pose found from a guess, and whether a search was called for."""
         fit = self._align(view, guess, local, _KERNELS)
         away = Pose2.from_matrix(guess).inverse() @ fit.planar
-        doubted = fit.score <= 0.75 or away.distance >= 0.15 or abs(away.theta) >= 0.1
+        doubted = fit.score <= GOOD or away.distance >= 0.15 or abs(away.theta) >= 0.1
         if doubted:
             self.counts["searched"] += 1
             window = (
@@ -169,7 +178,7 @@ class FrontEnd:
                 else Window(0.3, 0.5, 0.05, None, 1.0, 0.4)
             )
             fit = self._search(view, guess, local, window, _KERNELS, fit)
-        if fit.score < 0.5:
+        if fit.score < POOR:
             self.counts["wide_searched"] += 1
             window = Window(1.0, 1.6, 0.1, None, 0.15, 0.05)
             fit = self._search(view, guess, local, window, (4.0, *_KERNELS), fit)
@@ -189,7 +198,7 @@ class FrontEnd:
         found = search(local.field, view.probe, planar, window).pose
         lifted = (found @ planar.inverse()).matrix() @ guess
         other = self._align(view, lifted, local, kernels)
-        return other if other.score > fit.score + 0.02 else fit
+        return other if other.score > fit.score + BETTER else fit
 
     def _align(
         self, view: _View, guess: FloatArray, local: LocalMap, kernels: tuple[float, ...]
@@ -201,16 +210,10 @@ class FrontEnd:
             coarse = kernel > _COARSE
             icp, cloud = (self._rough, view.sparse) if coarse else (self._icp, view.cloud)
             found = icp.align_points_to_map(cloud, local.voxels, pose, 3.0 * width, width)
-            if not _bounded(guess, found):
+            if not bounded(guess, found):
                 break
             pose = found
         return _Fit(pose, local.field.score(view.probe, Pose2.from_matrix(pose)))
-
-    def _is_lost(self, score: float, doubted: bool, agreed: bool) -> bool:
-        """Whether a result is to be thrown away."""
-        if score < 0.15:
-            return True
-        return not agreed and (score < 0.5 or (doubted and score < 0.6))
 
     def _conclude(self, fit: _Fit, lost: bool, view: _View, local: LocalMap) -> None:
         """Keep the pose, insert a keyframe when due, start afresh after a run of lost sweeps."""
@@ -237,14 +240,3 @@ class FrontEnd:
 def _in_space(points: FloatArray) -> FloatArray:
     """Points (N, 2) of the plane as (N, 3) with z = 0."""
     return np.column_stack([points, np.zeros(len(points))])
-
-
-def _bounded(guess: FloatArray, found: FloatArray) -> bool:
-    """Whether a registration result is finite and no farther from the guess than can be."""
-    if not np.isfinite(found).all():
-        return False
-    change = np.linalg.inv(guess) @ found
-    turn = float(np.arccos(np.clip((np.trace(change[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
-    upright = float(found[2, 2]) > np.cos(_MAX_TILT)
-    near = float(np.linalg.norm(change[:3, 3])) <= _MAX_STEP_M
-    return near and turn <= _MAX_STEP_RAD and upright

@@ -57,16 +57,3 @@ class MotionModel:
         x = float(np.clip(self._last.x, -_FORWARD_M, _FORWARD_M))
         y = float(np.clip(self._last.y, -_SIDEWAYS_M, _SIDEWAYS_M))
         return Pose2(x, y, float(np.clip(self._last.theta, -_TURN_RAD, _TURN_RAD)))
-
-
-def agrees(guess: Pose2, found: Pose2, step: Step) -> bool:
-    """Whether a result is as near its guess as the robot's motion can have been.
-
-    Odometry is held to its errors; a motion carried on also to how a robot speeds up and turns in.
-    """
-    motion, away = step.motion, guess.inverse() @ found
-    if motion.distance >= 0.5 or abs(motion.theta) >= 0.5:
-        return False
-    slack_m, slack_rad = (0.05, 0.03) if step.measured else (0.1, 0.12)
-    near = away.distance < slack_m + 0.2 * motion.distance
-    return near and abs(away.theta) < slack_rad + 0.3 * abs(motion.theta)

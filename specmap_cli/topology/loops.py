@@ -16,12 +16,21 @@ import numpy as np
 from specmap_cli.config import RelaxationConfig
 from specmap_cli.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.keyframes import KeyframeStore
-from specmap_cli.matching import ScoreField, Window, covariance, refine, search
+from specmap_cli.matching import (
+    ScoreField,
+    Window,
+    covariance,
+    refine,
+    search,
+    search_everywhere,
+    thinned,
+)
 from specmap_cli.records import IntArray
 from specmap_cli.topology.posegraph import Link
 
 _CACHED_NODES = 256
-_FLOOR = np.diag([0.03**2, 0.03**2, 0.008**2])  # of a match: cells, moved furniture, people
+_FEWEST_POINTS = 20
+_FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])  # of a match: cells, moved furniture, people
 
 
 class Walls:
@@ -53,7 +62,7 @@ class Walls:
             self._cache.move_to_end(node)
             return self._cache[node]
         points = self._store.points(self._nodes[node], self._config.match_range_m)
-        self._cache[node] = _thinned(points, 0.05)
+        self._cache[node] = thinned(points, 0.05)
         if len(self._cache) > _CACHED_NODES:
             self._cache.popitem(last=False)
         return self._cache[node]
@@ -87,19 +96,43 @@ def verified(
 
     `guess` and the result are `target_from_source`; `drift_m` bounds how wrong the guess may be.
     """
-    field = ScoreField.from_points(target, 0.05, 0.1, 4.0 * config.match_range_m)
-    probe = _thinned(source, 0.1)
-    if len(probe) < 20:
-        return None
+    field = _field(target, config)
     drift_rad = float(np.clip(0.15 * drift_m, 0.06, 0.35))
     coarse = Window(drift_m, drift_rad, 0.2, None, 0.01, 0.05)
-    rough = search(field.coarser(4), _thinned(source, 0.25), guess, coarse)
-    fine = search(field, _thinned(source, 0.2), rough.pose, Window(0.3, 0.09, 0.1))
-    near = refine(field, probe, fine.pose, 8)
-    if near.score < config.loop_score:
+    rough = search(field.coarser(4), thinned(source, 0.25), guess, coarse)
+    return _confirmed(field, source, rough.pose, config.loop_score)
+
+
+def found_anywhere(
+    source: FloatArray, target: FloatArray, config: RelaxationConfig
+) -> tuple[Pose2, FloatArray] | None:
+    """The same without a guess, for passes whose relation is unknown; must fit much better."""
+    field = _field(target, config)
+    sure = 0.5 + 0.5 * config.loop_score
+    for match in search_everywhere(field, thinned(source, 0.25), count=2):
+        found = _confirmed(field, source, match.pose, sure)
+        if found is not None:
+            return found
+    return None
+
+
+def _field(target: FloatArray, config: RelaxationConfig) -> ScoreField:
+    return ScoreField.from_points(target, 0.05, 0.1, 4.0 * config.match_range_m)
+
+
+def _confirmed(
+    field: ScoreField, source: FloatArray, rough: Pose2, score: float
+) -> tuple[Pose2, FloatArray] | None:
+    """A rough pose brought to the optimum, with its information, if `score` is reached there."""
+    few = thinned(source, 0.2)
+    if len(few) < _FEWEST_POINTS:
         return None
-    pose = refine(field.sharper(), _thinned(source, 0.05), near.pose).pose
-    spread = covariance(field, _thinned(source, 0.2), pose)
+    fine = search(field, few, rough, Window(0.3, 0.09, 0.1))
+    near = refine(field, thinned(source, 0.1), fine.pose, 8)
+    if near.score < score:
+        return None
+    pose = refine(field.sharper(), thinned(source, 0.05), near.pose).pose
+    spread = covariance(field, few, pose)
     turn = np.eye(3)
     turn[:2, :2] = pose.rotation().T  # errors are weighed in the source's own frame
     information = np.linalg.inv(turn @ spread @ turn.T + _FLOOR)
@@ -120,6 +153,7 @@ class NearbyPasses:
         self._walls, self._nodes, self._path, self._part = walls, nodes, path, part
         self._config = config
         self._tried: dict[tuple[int, int], Pose2] = {}
+        self._tied_parts = {0}
 
     def links(self, node: int, poses: FloatArray, drift_m: float) -> list[Link]:
         """The edges from older nodes to `node` that could be verified at the poses (M, 3)."""
@@ -128,27 +162,48 @@ class NearbyPasses:
             guess = Pose2(*compose(invert(poses[old]), poses[node]).tolist())
             if not self._fresh(old, node, guess):
                 continue
-            target = self._walls.around(old, 8, poses, self._part)
-            source = self._walls.around(node, 3, poses, self._part)
+            source, target = self._around(node, old, poses)
             match = verified(source, target, guess, drift_m, self._config)
             if match is not None:
-                pose, information = match
-                found.append(Link(self._nodes[old], self._nodes[node], pose, information, "nearby"))
+                found.append(Link(self._nodes[old], self._nodes[node], *match, "nearby"))
         return found
+
+    def links_of_stray(self, node: int, poses: FloatArray) -> list[Link]:
+        """Edges to `node` of a part joined by a guess only: no pose is trusted, the fit must be.
+
+        Up to `stray_places` places of the older parts are tried, nearest by the guess first.
+        """
+        config = self._config
+        old = np.flatnonzero(self._part < self._part[node])
+        away = np.hypot(*(poses[old, :2] - poses[node, :2]).T)
+        chosen: list[int] = []
+        for k in old[np.argsort(away, kind="stable")].tolist():
+            if all(abs(self._path[k] - self._path[c]) > config.loop_radius_m for c in chosen):
+                chosen.append(k)
+            if len(chosen) == config.stray_places:
+                break
+        for k in chosen:
+            source, target = self._around(node, k, poses)
+            match = found_anywhere(source, target, config)
+            if match is not None:
+                return [Link(self._nodes[k], self._nodes[node], *match, "nearby")]
+        return []
+
+    def tie(self, part: int) -> None:
+        """Note that the poses of a part can be trusted to some metres."""
+        self._tied_parts.add(part)
+
+    def is_stray(self, node: int) -> bool:
+        """Whether the part of a node hangs on the others by a guess only."""
+        return int(self._part[node]) not in self._tied_parts
+
+    def _around(self, node: int, old: int, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The walls about the newer node and about the older one."""
+        source = self._walls.around(node, 3, poses, self._part)
+        return source, self._walls.around(old, 8, poses, self._part)
 
     def _fresh(self, old: int, node: int, guess: Pose2) -> bool:
         """Whether a pair was not tried yet, or from a guess that differs by a metre."""
         before = self._tried.get((old, node))
         self._tried[(old, node)] = guess
         return before is None or (before.inverse() @ guess).distance > 1.0
-
-
-def _thinned(points: FloatArray, cell_m: float) -> FloatArray:
-    """The first of the points (N, 2) in each cell of side `cell_m`."""
-    if len(points) < 2:
-        return points
-    cells = np.floor(points / cell_m).astype(np.int64)
-    cells -= cells.min(axis=0)
-    key = cells[:, 1] * (cells[:, 0].max() + 1) + cells[:, 0]
-    _, first = np.unique(key, return_index=True)
-    return points[np.sort(first)]

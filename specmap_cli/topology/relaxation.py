@@ -18,9 +18,11 @@ from specmap_cli.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.keyframes import KeyframeStore
 from specmap_cli.records import IntArray, Trajectory
 from specmap_cli.topology.loops import NearbyPasses, Walls
+from specmap_cli.topology.motion import LOOSE_INFORMATION, step_information
+from specmap_cli.topology.parts import agreed, corrections, moved
 from specmap_cli.topology.posegraph import Edges, Link, Solution, solve
 
-_KERNEL = {"closure": 2.0, "nearby": 2.0, "loose": 2.0}
+_KERNEL = 2.0  # width of Cauchy's kernel, in sigmas
 _OUTLIER_CHI2 = 25.0
 
 
@@ -64,12 +66,15 @@ def relax(
 
     `constraints` come from verified closures and may span any drift; `breaks` are the numbers of
     keyframes at which tracking started afresh. Scans are read from the store, a few at a time.
+    With `config.enabled` false the poses stay as they were tracked.
     """
+    if not config.enabled or len(store) < 2:
+        return Layout(store.poses, np.arange(0, dtype=np.int64), [], [], [], 0.0, [])
     return _Relaxation(store, constraints, breaks, config).run()
 
 
 class _Relaxation:
-    """The graph while it is being built."""
+    """The graph while it is being built; rows are nodes, in the order of the path."""
 
     def __init__(
         self,
@@ -78,7 +83,7 @@ class _Relaxation:
         breaks: Sequence[int],
         config: RelaxationConfig,
     ) -> None:
-        self.config, self.breaks = config, set(breaks)
+        self.config, self.breaks, self.store = config, set(breaks) - {0}, store
         self.tracked = store.poses
         ends = {k for c in constraints for k in (c.source, c.target)}
         self.nodes = chosen_nodes(self.tracked, ends | self.breaks, config)
@@ -89,7 +94,7 @@ class _Relaxation:
             Link(c.source, c.target, c.source_from_target, c.information, "closure")
             for c in constraints
         ]
-        fresh = np.isin(self.nodes, list(self.breaks))
+        fresh = np.isin(self.nodes, sorted(self.breaks))
         self.part: IntArray = np.cumsum(fresh).astype(np.int64)
         steps = np.hypot(*np.diff(self.poses[:, :2], axis=0, prepend=self.poses[:1, :2]).T)
         self.path = np.cumsum(np.where(fresh, 2 * config.loop_path_m, steps))
@@ -97,12 +102,12 @@ class _Relaxation:
         self.passes = NearbyPasses(walls, self.nodes.tolist(), self.path, self.part, config)
 
     def run(self) -> Layout:
-        if len(self.nodes) > 1:
-            if self.loops:
-                self._solve()
-            self._find_passes()
-        dropped, chi2 = self._settle() if len(self.nodes) > 1 else ([], 0.0)
-        warnings: list[str] = []
+        """Closures first, then what they brought near each other, then what contradicts."""
+        self._place_parts()
+        if self.loops:
+            self._tighten()
+        self._find_passes()
+        dropped, chi2 = self._settle()
         return Layout(
             carried(self.tracked, self.nodes, self.poses),
             self.nodes,
@@ -110,7 +115,7 @@ class _Relaxation:
             self.loops,
             dropped,
             chi2,
-            warnings,
+            self._warnings(dropped),
         )
 
     def _odometry(self) -> list[Link]:
@@ -121,48 +126,99 @@ class _Relaxation:
             source, target = int(self.nodes[k]), int(self.nodes[k + 1])
             step = Pose2(*motion.tolist())
             if target in self.breaks:
-                information = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
-                links.append(Link(source, target, step, information, "loose"))
+                links.append(Link(source, target, step, LOOSE_INFORMATION, "loose"))
                 continue
-            position, angle = 0.01 + 0.03 * step.distance, 0.003 + 0.02 * abs(step.theta)
-            information = np.diag([position**-2, position**-2, angle**-2])
-            links.append(Link(source, target, step, information, "odometry"))
+            seen = self.store.points(target, self.config.match_range_m)
+            links.append(Link(source, target, step, step_information(step, seen), "odometry"))
         return links
+
+    def _place_parts(self) -> None:
+        """Move each part to where most closures with older parts put it."""
+        for part in range(1, int(self.part[-1]) + 1):
+            self._place(part, self.loops, 1)
+
+    def _place(self, part: int, links: Sequence[Link], votes: int) -> bool:
+        """Move a part to where the links put it when enough of them agree."""
+        motions = corrections(links, part, self.part, self.row, self.poses)
+        best = agreed(motions, self.poses[self.part == part, :2].mean(axis=0))
+        if best is None or best[1] < votes:
+            return False
+        self.poses = moved(self.poses, self.part, part, best[0])
+        self.passes.tie(part)
+        return True
+
+    def _tighten(self) -> None:
+        """Closures pull over any drift at first; those outvoted are let go step by step.
+
+        Graduated non-convexity: Cauchy's kernel starts wider than the largest error.
+        """
+        chi2 = self._solve(np.inf).chi2[len(self.odometry) :]
+        width = float(np.sqrt(chi2.max()))
+        while width > _KERNEL:
+            self._solve(width)
+            width /= 3.0
+        self._solve()
 
     def _find_passes(self) -> None:
         """Look for nearby passes along the path, solving again as edges come in."""
-        config = self.config
-        visited, tied, fresh = -np.inf, 0.0, 0
+        config, fresh = self.config, 0
+        visited = tied = 0.0
+        strays: list[Link] = []
         for node in range(len(self.nodes)):
             if self.path[node] - visited < config.loop_every_m:
                 continue
-            visited = self.path[node]
-            drift = float(np.clip(0.3 + 0.04 * (self.path[node] - tied), 0.3, 2.0))
-            found = self.passes.links(node, self.poses, drift)
+            visited = float(self.path[node])
+            if self.passes.is_stray(node):
+                strays += self.passes.links_of_stray(node, self.poses)
+                if not self._place(int(self.part[node]), strays, 2):
+                    continue
+                found, strays = strays, []
+            else:
+                found = self.passes.links(node, self.poses, _drift(visited - tied))
             if found:
                 self.loops += found
-                tied, fresh = self.path[node], fresh + len(found)
+                tied, fresh = visited, fresh + len(found)
             if fresh >= config.solve_every:
                 self._solve()
                 fresh = 0
 
-    def _solve(self) -> Solution:
-        edges = Edges.of([*self.odometry, *self.loops], self.row, _KERNEL)
-        solution = solve(self.poses, edges)
+    def _solve(self, width: float = 0.0) -> Solution:
+        """Optimise with Cauchy's kernel of `width` (the usual one if 0) on all but odometry."""
+        wide = max(width, _KERNEL)
+        widths = {"closure": wide, "nearby": wide, "loose": _KERNEL}
+        solution = solve(self.poses, Edges.of([*self.odometry, *self.loops], self.row, widths))
         self.poses = solution.poses
         return solution
 
     def _settle(self) -> tuple[list[Link], float]:
         """Drop what does not fit and solve again; returns what was dropped and the last cost."""
         dropped: list[Link] = []
-        for _ in range(5):
+        while True:
             solution = self._solve()
             bad = solution.chi2[len(self.odometry) :] > _OUTLIER_CHI2
             if not bad.any():
-                break
+                return dropped, solution.cost
             dropped += [link for link, out in zip(self.loops, bad, strict=True) if out]
             self.loops = [link for link, out in zip(self.loops, bad, strict=True) if not out]
-        return dropped, solution.cost
+
+    def _warnings(self, dropped: Sequence[Link]) -> list[str]:
+        """What a user should know about the layout."""
+        warnings = []
+        closures = sum(link.kind == "closure" for link in dropped)
+        if closures:
+            warnings.append(f"layout: {closures} loop closures contradict the rest: left out")
+        ends = [self.row[k] for link in self.loops for k in (link.source, link.target)]
+        tied = set(self.part[ends].tolist())
+        for part in range(1, int(self.part[-1]) + 1):
+            if part not in tied:
+                stamp = self.store.stamps_ns[int(self.nodes[np.argmax(self.part == part)])]
+                warnings.append(f"layout: a guess only places what follows {stamp * 1e-9:.3f} s")
+        return warnings
+
+
+def _drift(path_m: float) -> float:
+    """How far a path may have drifted, metres: 0.3 m and 4 %, searched up to 2 m."""
+    return float(np.clip(0.3 + 0.04 * path_m, 0.3, 2.0))
 
 
 def chosen_nodes(poses: FloatArray, always: set[int], config: RelaxationConfig) -> IntArray:
