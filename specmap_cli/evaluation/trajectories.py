@@ -1,0 +1,264 @@
+"""How good a trajectory is: against relations between poses, or against reference poses.
+
+The relation error is the one of Burgard et al., "A Comparison of SLAM Algorithms Based on a Graph
+of Relations" (IROS 2009) and Kuemmerle et al. (Autonomous Robots 2009), without squares: each
+relation's error is split into a distance and an angle. Relative errors over 1, 5 and 20 m of path
+and the absolute error after the best rigid motion follow Sturm et al. (IROS 2012).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from specmap_cli.errors import InputError
+from specmap_cli.geometry import (
+    FloatArray,
+    Pose2,
+    compose,
+    invert,
+    rotation_from_quaternion,
+    yaw_of,
+)
+from specmap_cli.records import IntArray, Trajectory
+
+PATH_LENGTHS_M = (1.0, 5.0, 20.0)
+_TOLERANCE_NS = 2_000_000  # stamps in text files are rounded to microseconds at the worst
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Mean, standard deviation, median, 95th percentile and maximum of errors."""
+
+    mean: float
+    std: float
+    median: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, values: FloatArray) -> Spread:
+        """Of values (n,), n >= 1."""
+        return cls(
+            float(values.mean()),
+            float(values.std()),
+            float(np.median(values)),
+            float(np.percentile(values, 95)),
+            float(values.max()),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RelativeErrors:
+    """Errors of relative poses: translations in metres, rotations in degrees.
+
+    `matched` of `total` pairs could be compared.
+    """
+
+    translation_m: Spread
+    rotation_deg: Spread
+    matched: int
+    total: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceErrors:
+    """Errors against reference poses: per metres of path, absolute, and from end to end.
+
+    `relative` holds an entry for each length the path reaches; `ate_m` is the root mean square
+    after the best rigid motion; `end_m` and `end_deg` compare the motion from first to last pose.
+    """
+
+    relative: dict[float, RelativeErrors]
+    ate_m: float
+    end_m: float
+    end_deg: float
+    matched: int
+    total: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, lengths as text."""
+        return {**asdict(self), "relative": {f"{k:g}": asdict(v) for k, v in self.relative.items()}}
+
+
+@dataclass(frozen=True, slots=True)
+class Relations:
+    """Relative poses (n, 3) of the base at `later_ns` (n,) seen from the base at `earlier_ns`."""
+
+    earlier_ns: IntArray
+    later_ns: IntArray
+    poses: FloatArray
+
+
+def read_tum(path: Path) -> Trajectory:
+    """A trajectory in TUM format: `t x y z qx qy qz qw` a line, seconds and metres.
+
+    Raises InputError naming the line that is not so.
+    """
+    stamps, poses = [], []
+    for number, words in _lines(path):
+        if len(words) != 8:
+            raise _malformed(path, number, f"{len(words)} columns, TUM format has 8")
+        stamps.append(_stamp(path, number, words[0]))
+        x, y, _, *q = _numbers(path, number, words[1:])
+        poses.append((x, y, yaw_of(rotation_from_quaternion(*q))))
+    if not stamps:
+        raise InputError(f"{path}: holds no pose; expected lines `t x y z qx qy qz qw`")
+    return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses, dtype=np.float64))
+
+
+def read_relations(path: Path) -> Relations:
+    """Ground-truth relations: `t1 t2 x y z roll pitch yaw` a line, seconds, metres, radians.
+
+    Raises InputError naming the line that is not so.
+    """
+    earlier, later, poses = [], [], []
+    for number, words in _lines(path):
+        if len(words) != 8:
+            raise _malformed(path, number, f"{len(words)} columns, relations have 8")
+        earlier.append(_stamp(path, number, words[0]))
+        later.append(_stamp(path, number, words[1]))
+        x, y, _, _, _, yaw = _numbers(path, number, words[2:])
+        poses.append((x, y, yaw))
+    if not earlier:
+        raise InputError(f"{path}: holds no relation; expected lines `t1 t2 x y z roll pitch yaw`")
+    return Relations(
+        np.array(earlier, dtype=np.int64),
+        np.array(later, dtype=np.int64),
+        np.array(poses, dtype=np.float64),
+    )
+
+
+def associate(
+    stamps_ns: IntArray, wanted_ns: IntArray, tolerance_ns: int = _TOLERANCE_NS
+) -> tuple[IntArray, IntArray]:
+    """Pairs by nearest stamp: rows of `wanted_ns` that have one, and its rows in `stamps_ns`.
+
+    `stamps_ns` need not be sorted; of equal stamps the first counts.
+    """
+    if not len(stamps_ns) or not len(wanted_ns):
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    order = np.argsort(stamps_ns, kind="stable")
+    ordered = stamps_ns[order]
+    right = np.minimum(np.searchsorted(ordered, wanted_ns), len(ordered) - 1)
+    left = np.maximum(right - 1, 0)
+    nearer = np.abs(ordered[left] - wanted_ns) < np.abs(ordered[right] - wanted_ns)
+    nearest = np.where(nearer, left, right)
+    nearest = np.searchsorted(ordered, ordered[nearest])  # the first of equal stamps
+    rows = np.flatnonzero(np.abs(ordered[nearest] - wanted_ns) <= tolerance_ns)
+    return rows.astype(np.int64), order[nearest[rows]].astype(np.int64)
+
+
+def relation_errors(trajectory: Trajectory, relations: Relations) -> RelativeErrors:
+    """Errors of a base trajectory over all relations whose two stamps it has.
+
+    Raises InputError when it has none of them.
+    """
+    first, i = associate(trajectory.stamps_ns, relations.earlier_ns)
+    second, j = associate(trajectory.stamps_ns, relations.later_ns)
+    both, in_first, in_second = np.intersect1d(first, second, return_indices=True)
+    poses = trajectory.poses
+    measured = compose(invert(poses[i[in_first]]), poses[j[in_second]])
+    return _relative_errors(relations.poses[both], measured, len(relations.poses))
+
+
+def reference_errors(trajectory: Trajectory, reference: Trajectory) -> ReferenceErrors:
+    """Errors of a trajectory against reference poses of the same body, joined by stamp.
+
+    Raises InputError when fewer than two stamps are common to both.
+    """
+    rows, found = associate(trajectory.stamps_ns, reference.stamps_ns)
+    if len(rows) < 2:
+        raise InputError(_NO_COMMON.format(len(reference.stamps_ns)))
+    truth, poses = reference.poses[rows], trajectory.poses[found]
+    path = np.r_[0.0, np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))]
+    relative = {}
+    for length in PATH_LENGTHS_M:
+        ends = np.searchsorted(path, path + length)
+        starts = np.flatnonzero(ends < len(path))
+        if len(starts):
+            want = compose(invert(truth[starts]), truth[ends[starts]])
+            have = compose(invert(poses[starts]), poses[ends[starts]])
+            relative[length] = _relative_errors(want, have, len(starts))
+    whole = _difference(compose(invert(truth[0]), truth[-1]), compose(invert(poses[0]), poses[-1]))
+    moved = best_motion(poses[:, :2], truth[:, :2]).apply(poses[:, :2])
+    ate = math.sqrt(float(((moved - truth[:, :2]) ** 2).sum(axis=1).mean()))
+    end_m, end_deg = float(np.hypot(*whole[:2])), float(np.degrees(abs(whole[2])))
+    return ReferenceErrors(relative, ate, end_m, end_deg, len(rows), len(reference.stamps_ns))
+
+
+def best_motion(points: FloatArray, targets: FloatArray) -> Pose2:
+    """The rigid motion that brings points (n, 2) nearest to targets (n, 2), in least squares."""
+    p, t = points - points.mean(axis=0), targets - targets.mean(axis=0)
+    sine = float((p[:, 0] * t[:, 1] - p[:, 1] * t[:, 0]).sum())
+    turn = Pose2(0.0, 0.0, math.atan2(sine, float((p * t).sum())))
+    shift = targets.mean(axis=0) - turn.apply(points.mean(axis=0)[None, :])[0]
+    return Pose2(float(shift[0]), float(shift[1]), turn.theta)
+
+
+_NO_COMMON = (
+    "trajectory and truth have no stamps in common ({} in the truth): are they of the same log, "
+    "in seconds of the same clock?"
+)
+
+
+def _difference(want: FloatArray, have: FloatArray) -> FloatArray:
+    """The motions (..., 3) from wanted poses to those there are."""
+    return compose(invert(want), have)
+
+
+def _relative_errors(want: FloatArray, have: FloatArray, total: int) -> RelativeErrors:
+    """The errors of poses (n, 3) against those wanted."""
+    if not len(want):
+        raise InputError(_NO_COMMON.format(total))
+    error = _difference(want, have)
+    return RelativeErrors(
+        Spread.of(np.hypot(error[:, 0], error[:, 1])),
+        Spread.of(np.degrees(np.abs(error[:, 2]))),
+        len(want),
+        total,
+    )
+
+
+def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Number and words of each line that is neither empty nor a comment."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            for number, line in enumerate(file, start=1):
+                words = line.split("#", 1)[0].replace(",", " ").split()
+                if words:
+                    yield number, words
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise InputError(f"{path}: cannot be read: {reason}") from None
+
+
+def _stamp(path: Path, number: int, word: str) -> int:
+    """Seconds in decimal to nanoseconds, without the rounding of floats."""
+    whole, _, fraction = word.partition(".")
+    plain = whole.isdecimal() and whole.isascii() and (fraction + "0").isdecimal()
+    if plain and fraction.isascii():
+        return int(whole) * 10**9 + int((fraction + "0" * 9)[:9])
+    value = _numbers(path, number, [word])[0]
+    if not abs(value) < 9e9:
+        raise _malformed(path, number, f"{word!r} is no time in seconds")
+    return round(value * 1e9)
+
+
+def _numbers(path: Path, number: int, words: list[str]) -> list[float]:
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        raise _malformed(path, number, f"{' '.join(words)!r} are not all numbers") from None
+    if not np.isfinite(values).all():
+        raise _malformed(path, number, f"{' '.join(words)!r} are not all finite")
+    return values
+
+
+def _malformed(path: Path, number: int, found: str) -> InputError:
+    return InputError(f"{path}:{number}: {found}; mend or remove the line")
