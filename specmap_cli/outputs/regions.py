@@ -21,6 +21,8 @@ from specmap_cli.outputs.tables import NO_SUBMAP, Labels
 OwnerArray = NDArray[np.signedinteger[Any]]
 
 NOBODY = -1
+# Half the width of the gaps that a region goes through, and how far it goes past the last of them.
+_ROBOT_RADIUS_M, _REACH_M = 0.15, 0.3
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
 
@@ -56,8 +58,8 @@ class Regions:
 def divide(whole: GridMap, labels: Labels) -> Regions:
     """Give each free cell of `whole` to the submap of the keyframe that is nearest on foot.
 
-    The keyframes flood the free cells, so that regions are connected and end at walls. Cells that
-    no keyframe reaches, such as those seen through a window, are nobody's.
+    The keyframes flood the free cells, so that regions are connected and end at walls. Cells that a
+    robot could not get near, such as those seen through a gap or a window, are nobody's.
     """
     places = whole.cells_of(labels.poses[:, :2])
     inside = whole.inside(places) & (labels.submaps != NO_SUBMAP)
@@ -67,7 +69,7 @@ def divide(whole: GridMap, labels: Labels) -> Regions:
     markers = np.zeros(passable.shape, dtype=np.int32)
     markers[rows, columns] = labels.submaps[inside] + 1
     owner = _flood(passable, markers) - 1
-    owner[~whole.free | ~_reached(passable, markers)] = NOBODY
+    owner[~whole.free | ~_reached(whole, markers > 0)] = NOBODY
     return Regions.of(whole, owner)
 
 
@@ -84,9 +86,11 @@ def _flood(passable: BoolArray, markers: NDArray[np.int32]) -> NDArray[np.int32]
     return np.where(fronts, closed, flooded).astype(np.int32)[1:-1, 1:-1]
 
 
-def _reached(passable: BoolArray, markers: NDArray[np.int32]) -> BoolArray:
-    """(H, W) the passable cells connected to a marker."""
-    _, parts = cv2.connectedComponents(passable.astype(np.uint8), connectivity=4)
-    reached = np.zeros(int(parts.max()) + 1, dtype=np.bool_)
-    reached[parts[markers > 0]] = True
-    return np.asarray(reached[parts])
+def _reached(whole: GridMap, stood: BoolArray) -> BoolArray:
+    """(H, W) the cells within reach of where a robot could go from the cells where it `stood`."""
+    wide = (whole.clearance() >= _ROBOT_RADIUS_M) | stood
+    _, parts = cv2.connectedComponents(wide.astype(np.uint8), connectivity=4)
+    entered = np.zeros(int(parts.max()) + 1, dtype=np.bool_)
+    entered[parts[stood]] = True
+    away = cv2.distanceTransform((~entered[parts]).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.asarray(away * whole.resolution <= _REACH_M)

@@ -12,20 +12,19 @@ from specmap_cli.outputs.canvas import Image
 from specmap_cli.outputs.palette import Colour, colours_of
 from specmap_cli.outputs.regions import NOBODY, Regions
 from specmap_cli.outputs.sheet import Sheet, extent_of
+from specmap_cli.outputs.tables import Labels
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.records import Trajectory
 from specmap_cli.topomap import TopologicalMap
 
 _JUMP_M = 1.5
+_STRAY_M = 2.0
 
 
 def render_overview(
-    topology: TopologicalMap, regions: Regions, trajectory: Trajectory, log: LogInfo, path_m: float
+    topology: TopologicalMap, regions: Regions, trajectory: Trajectory, labels: Labels, log: LogInfo
 ) -> Image:
-    """The map of a build: regions, walls, trajectory, and the graph over them; BGR (H, W, 3).
-
-    `path_m` is the way driven, for the line of figures.
-    """
+    """The map of a build: regions, walls, trajectory, and the graph over them; BGR (H, W, 3)."""
     fills = colours_of(topology, regions)
     places = trajectory.poses[:, :2]
     kinds = {edge.kind for edge in topology.edges.values()}
@@ -33,12 +32,16 @@ def render_overview(
     sheet = Sheet(low, high, symbols.overview_legend(kinds, _much_unreached(regions)))
     sheet.ground(regions, fills)
     _draw_path(sheet, places)
-    _draw_graph(sheet, topology, regions, fills)
+    nodes = {
+        id_: _onto_the_way(node, labels.poses[labels.submaps == id_, :2])
+        for id_, node in _nodes(topology, regions).items()
+    }
+    _draw_graph(sheet, topology, nodes, fills)
     if len(places):
         first, last = sheet.pixels(places[[0, -1]])
         symbols.start(sheet.canvas, first)
         symbols.end(sheet.canvas, last)
-    figures = [f"{log.scans:,} scans", f"{path_m:,.0f} m driven", _size(low, high)]
+    figures = [f"{log.scans:,} scans", f"{labels.path_m:,.0f} m driven", _size(low, high)]
     sheet.title(_headline(log, topology), ",  ".join(figures))
     return sheet.canvas.image
 
@@ -50,7 +53,7 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
     low, high = extent_of(regions)
     sheet = Sheet(low, high, symbols.regions_legend(kinds))
     sheet.ground(regions, fills)
-    _draw_graph(sheet, topology, regions, fills)
+    _draw_graph(sheet, topology, _nodes(topology, regions), fills)
     area = np.count_nonzero(regions.grid.free) * regions.grid.resolution**2
     sheet.title(_headline(log, topology), f"{area:,.0f} m2 free,  {_size(low, high)}")
     return sheet.canvas.image
@@ -69,14 +72,33 @@ def _draw_path(sheet: Sheet, places: FloatArray) -> None:
         sheet.canvas.line(sheet.pixels(piece), symbols.PATH, 1)
 
 
-def _draw_graph(
-    sheet: Sheet, topology: TopologicalMap, regions: Regions, fills: Mapping[int, Colour]
-) -> None:
-    """Links through their crossings, then a badge on each submap."""
+def _nodes(topology: TopologicalMap, regions: Regions) -> dict[int, FloatArray]:
+    """The places of the submaps' badges: their centroids, or the origins of their frames."""
     nodes = {}
     for id_, submap in topology.submaps.items():
         centroid = regions.outline(id_).centroid
-        nodes[id_] = submap.map_from_submap[:2] if centroid is None else centroid
+        nodes[id_] = np.array(submap.map_from_submap[:2]) if centroid is None else centroid
+    return nodes
+
+
+def _onto_the_way(node: FloatArray, places: FloatArray) -> FloatArray:
+    """`node`, or the nearest of the places (N, 2) where the robot was if it is far from them all.
+
+    What a laser sees through a glass wall draws the centroid of a submap out of the building.
+    """
+    if not len(places):
+        return node
+    away = np.linalg.norm(places - node, axis=1)
+    return node if away.min() <= _STRAY_M else np.asarray(places[np.argmin(away)])
+
+
+def _draw_graph(
+    sheet: Sheet,
+    topology: TopologicalMap,
+    nodes: Mapping[int, FloatArray],
+    fills: Mapping[int, Colour],
+) -> None:
+    """Links through their crossings, then a badge on each submap."""
     if not nodes:
         return
     ids = sorted(nodes)

@@ -22,6 +22,7 @@ MARGIN = 56
 TITLE = 122
 _ROW = 44
 _LETTERS = 14.0
+_SCALE_BAR = 360.0  # pixels at the most
 # A wall of one cell is drawn as if it were at least this many pixels wide.
 _WALL_STRENGTH = 1.6
 
@@ -92,7 +93,7 @@ class Sheet:
 
     def _draw_scale_bar(self) -> None:
         """A bar of a round length, alternately dark and light."""
-        length = _round_length(260.0 / self.pixels_per_m)
+        length = _round_length(_SCALE_BAR / self.pixels_per_m)
         y = TITLE + self.map_height + 44.0
         step = length * self.pixels_per_m / 4
         for i in range(4):

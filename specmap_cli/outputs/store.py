@@ -66,7 +66,7 @@ def write_map(directory: Path, result: MapResult) -> None:
     write_topology(directory, result.topology, regions, result.log, result.frame)
     write_grid(directory / "map", whole)
     overview = render_overview(
-        result.topology, regions, result.trajectory, result.log, result.labels.path_m
+        result.topology, regions, result.trajectory, result.labels, result.log
     )
     write_png(directory / OVERVIEW, overview)
     for name, text in (

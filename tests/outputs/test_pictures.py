@@ -19,7 +19,7 @@ from specmap_cli.outputs.regions import NOBODY, Regions, divide
 from specmap_cli.outputs.render import render_overview, render_segmentation, spread
 from specmap_cli.outputs.sheet import LONG_SIDE, MARGIN, TITLE, Sheet, extent_of
 from specmap_cli.outputs.store import MapResult
-from specmap_cli.outputs.tables import NO_SUBMAP
+from specmap_cli.outputs.tables import NO_SUBMAP, Labels
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.records import Trajectory
 from specmap_cli.topomap import Submap, TopologicalMap
@@ -79,7 +79,9 @@ class TestColours:
 class TestOverview:
     def test_shows_what_it_should(self, result: MapResult) -> None:
         regions = regions_of(result)
-        image = render_overview(result.topology, regions, result.trajectory, result.log, 9.0)
+        image = render_overview(
+            result.topology, regions, result.trajectory, result.labels, result.log
+        )
         fills = palette.colours_of(result.topology, regions)
         assert len(set(fills.values())) == 3
         for id_, fill in fills.items():
@@ -92,7 +94,9 @@ class TestOverview:
 
     def test_the_same_picture_every_time(self, result: MapResult) -> None:
         pictures = [
-            render_overview(result.topology, regions_of(result), result.trajectory, result.log, 9.0)
+            render_overview(
+                result.topology, regions_of(result), result.trajectory, result.labels, result.log
+            )
             for _ in range(2)
         ]
         assert (pictures[0] == pictures[1]).all()
@@ -115,7 +119,8 @@ class TestOverview:
         grid = GridMap(np.full((4, 4), UNKNOWN, dtype=np.uint8), 0.05)
         empty = Regions.of(grid, np.full((4, 4), NOBODY))
         nowhere = Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
-        image = render_overview(TopologicalMap(), empty, nowhere, LogInfo("empty"), 0.0)
+        unlabelled = Labels(nowhere.stamps_ns, nowhere.poses, nowhere.stamps_ns)
+        image = render_overview(TopologicalMap(), empty, nowhere, unlabelled, LogInfo("empty"))
         assert image.shape[2] == 3
 
     def test_places_lie_where_the_ground_was_painted(self) -> None:
@@ -217,7 +222,7 @@ def test_a_jump_is_not_drawn_as_a_way(result: MapResult) -> None:
     driven = Trajectory(stamps, np.linspace((-5.0, 0, 0), (5, 0, 0), 40))
     only = dataclasses.replace(result.topology, submaps={0: result.topology.submaps[0]}, edges={})
     none, broken, whole = (
-        render_overview(only, regions_of(result), path, result.log, 9.0)[TITLE:]
+        render_overview(only, regions_of(result), path, result.labels, result.log)[TITLE:]
         for path in (nowhere, lost, driven)
     )
     assert 100 < (broken != none).sum() < (whole != none).sum() / 2
