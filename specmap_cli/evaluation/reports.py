@@ -1,0 +1,122 @@
+"""Evaluations from file names to figures: what `specmap evaluate` runs."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from specmap_cli.config import Config
+from specmap_cli.errors import LogError
+from specmap_cli.evaluation.protocols import (
+    HoldOutResult,
+    RevisitResult,
+    fit_frames,
+    revisit,
+    rows_by_stamp,
+)
+from specmap_cli.evaluation.trajectories import ReferenceErrors, RelativeErrors, Spread, read_tum
+from specmap_cli.geometry import Pose2
+from specmap_cli.localization import localize_log
+from specmap_cli.outputs.store import StoredMap, read_map
+from specmap_cli.pipeline import build_map
+from specmap_cli.progress import Progress
+
+
+def revisit_logs(
+    first: Path,
+    second: Path,
+    references: tuple[Path, Path],
+    config: Config,
+    progress: Progress,
+) -> RevisitResult:
+    """Localise a second log in the map of a first and score it by given poses (Figure 6).
+
+    `first` is a log, of which a map is built for the purpose, or a map directory. `references` are
+    TUM files of both logs in one frame. Raises what `build_map` and `localize_log` raise.
+    """
+    if (first / "topology.json").is_file():
+        return _revisit_map(read_map(first), second, references, config, progress)
+    with tempfile.TemporaryDirectory(prefix="specmap-") as folder:
+        build_map([first], Path(folder) / "map", config, progress=progress)
+        stored = read_map(Path(folder) / "map")
+        return _revisit_map(stored, second, references, config, progress)
+
+
+def _revisit_map(
+    stored: StoredMap,
+    second: Path,
+    references: tuple[Path, Path],
+    config: Config,
+    progress: Progress,
+) -> RevisitResult:
+    map_from_reference = _alignment(stored, references[0])
+    reference = read_tum(references[1])
+    report = localize_log([second], stored, config, progress=progress)
+    return revisit(
+        [scan.label for scan in report.scans],
+        (reference.stamps_ns, reference.poses),
+        (stored.labels.poses, stored.labels.submaps),
+        map_from_reference,
+    )
+
+
+def _alignment(stored: StoredMap, reference: Path) -> Pose2:
+    """The motion that takes the reference poses of the map's own log to the map."""
+    given = read_tum(reference)
+    row = rows_by_stamp(stored.labels.stamps_ns, given.stamps_ns)
+    joined = row >= 0
+    if np.count_nonzero(joined) < 2:
+        raise LogError(f"{reference}: no pose at the stamps of the map's keyframes: another log?")
+    return fit_frames(stored.labels.poses[joined], given.poses[row[joined]])
+
+
+def hold_out_lines(result: HoldOutResult) -> list[str]:
+    """Table II: recall and precision, macro averages, and the filtered labels beside them."""
+    lines = [f"{'':22} {'scans':>7} {'recall':>7} {'precision':>10}"]
+    for name, scores in (
+        ("training scans", result.train),
+        ("held-out scans", result.test),
+        ("held-out, filtered", result.filtered),
+    ):
+        lines.append(f"{name:22} {scores.scans:7,} {scores.recall:7.4f} {scores.precision:10.4f}")
+    return lines
+
+
+def revisit_lines(result: RevisitResult) -> list[str]:
+    """Recall, precision and accuracy of raw and filtered labels."""
+    lines = [f"{'':22} {'scans':>7} {'recall':>7} {'precision':>10} {'accuracy':>9}"]
+    for name, scores in (("raw, single scans", result.raw), ("filtered", result.filtered)):
+        lines.append(
+            f"{name:22} {scores.scans:7,} {scores.recall:7.4f} {scores.precision:10.4f} "
+            f"{scores.accuracy:9.4f}"
+        )
+    return lines
+
+
+def relation_lines(errors: RelativeErrors) -> list[str]:
+    """Errors over all relations."""
+    return [
+        f"{errors.matched:,} of {errors.total:,} relations matched",
+        *_spread_lines(errors.translation_m, errors.rotation_deg),
+    ]
+
+
+def reference_lines(errors: ReferenceErrors) -> list[str]:
+    """Relative errors at each length of path, the absolute error, the error from end to end."""
+    lines = [f"{errors.matched:,} of {errors.total:,} poses matched"]
+    for length, relative in errors.relative.items():
+        lines.append(f"relative errors over {length:g} m of path")
+        lines += _spread_lines(relative.translation_m, relative.rotation_deg)
+    lines.append(f"absolute error (rmse, aligned)  {errors.ate_m:.4f} m")
+    lines.append(f"from first to last pose         {errors.end_m:.4f} m, {errors.end_deg:.3f} deg")
+    return lines
+
+
+def _spread_lines(translation: Spread, rotation: Spread) -> list[str]:
+    return [
+        f"  {name:14} mean {spread.mean:.4f}  std {spread.std:.4f}  median {spread.median:.4f}  "
+        f"p95 {spread.p95:.4f}  max {spread.max:.4f}"
+        for name, spread in (("translation m", translation), ("rotation deg", rotation))
+    ]
