@@ -16,11 +16,12 @@ from specmap_cli.errors import LogError
 from specmap_cli.geometry import FloatArray, Pose2
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
+from specmap_cli.outputs.files import write_text
 from specmap_cli.outputs.grids import write_png
 from specmap_cli.outputs.predictions import render_labels
 from specmap_cli.outputs.store import StoredMap
 from specmap_cli.outputs.tables import NO_SUBMAP
-from specmap_cli.outputs.text import stamp_text, write_text
+from specmap_cli.outputs.text import stamp_text
 from specmap_cli.progress import Progress, Silent
 from specmap_cli.recognition.classifiers import ClassifierSet
 from specmap_cli.recognition.localizer import Label, Localizer

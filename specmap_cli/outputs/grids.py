@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from specmap_cli.geometry import FloatArray, Pose2
 from specmap_cli.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
 from specmap_cli.mapfiles import FREE_THRESHOLD, OCCUPIED_THRESHOLD
+from specmap_cli.outputs.files import write_bytes
 from specmap_cli.topomap import Submap
 
 # Cells by which corners may be off for their sums not being exact.
@@ -27,9 +28,12 @@ _PNG_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 6, cv2.IMWRITE_PNG_STRATEGY, 0]
 
 
 def write_png(path: Path, image: NDArray[Any]) -> None:
-    """Write an image, 8 or 16 bit, grey (H, W) or BGR (H, W, 3): the same bytes every time."""
+    """Write an image, 8 or 16 bit, grey (H, W) or BGR (H, W, 3): the same bytes every time.
+
+    The file appears complete or not at all. UsageError when it cannot be written.
+    """
     _, encoded = cv2.imencode(".png", image, _PNG_OPTIONS)
-    path.write_bytes(encoded.tobytes())
+    write_bytes(path, encoded.tobytes())
 
 
 def write_grid(stem: Path, grid: GridMap) -> None:

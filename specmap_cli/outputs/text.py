@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import json
 import math
-import os
-from pathlib import Path
+import re
 from typing import Any
 
 import numpy as np
 
-from specmap_cli.errors import UsageError
-
 _NS = 1_000_000_000
 _DECIMALS = 6
+# An innermost list of numbers over several lines; no string has a line break in JSON.
+_NUMBERS = re.compile(r"\[\n([-+.\deE,\s]+)\]")
 
 
 def to_json(value: Any) -> str:
-    """JSON with sorted keys, six decimals at the most, null for NaN and infinity."""
-    return json.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+    """JSON with sorted keys, six decimals at the most, null for NaN and infinity.
+
+    Lists of numbers, such as points, stay on one line.
+    """
+    text = json.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+    return _NUMBERS.sub(lambda match: f"[{' '.join(match[1].split())}]", text)
 
 
 def plain(value: Any) -> Any:
@@ -71,17 +74,3 @@ def decimal(value: float, places: int = _DECIMALS) -> str:
     """Fixed decimals, without a negative zero."""
     text = f"{value:.{places}f}"
     return text[1:] if text.startswith("-") and float(text) == 0.0 else text
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file that appears complete or not at all. UsageError when it cannot be written."""
-    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        raise UsageError(
-            f"{path}: cannot be written: {error.strerror}; choose another place"
-        ) from None
-    finally:
-        partial.unlink(missing_ok=True)

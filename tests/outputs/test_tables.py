@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -55,6 +57,14 @@ def test_no_negative_zero() -> None:
     assert decimal(-1e-9) == "0.000000"
     assert decimal(-0.25, 2) == "-0.25"
     assert to_json({"b": -1e-9, "a": np.float32(0.5)}) == '{\n "a": 0.5,\n "b": 0.0\n}\n'
+
+
+def test_points_stay_on_one_line_and_words_are_left_alone() -> None:
+    value = {"p": [[1.5, -2e-3], [3, 4]], "s": ["[\n1,\n2]", "[ 1, 2 ]"], "e": [], "m": [1, None]}
+    text = to_json(value)
+    assert json.loads(text) == {**value, "p": [[1.5, -0.002], [3, 4]]}
+    assert "[1.5, -0.002]" in text
+    assert "[3, 4]" in text
 
 
 def test_plain_types() -> None:
