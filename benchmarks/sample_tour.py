@@ -1,0 +1,73 @@
+"""Whole maps of simulated tours against their rooms: the sample log, and tours in real plans.
+
+python -m benchmarks.sample_tour [--set KEY=VALUE ...] [--plans]
+
+Prints for each tour: submaps, the share of visited rooms that are part of at most two submaps, the
+share of rooms in which the second lap opened no submap, how many doors driven through are edges,
+edges between rooms that no door joins, purity, and the absolute error of the trajectory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from benchmarks.data import data_folder
+from specmap_cli.cli.options import overrides
+from specmap_cli.config import Config, load_config
+from specmap_cli.evaluation.protocols import rows_by_stamp
+from specmap_cli.evaluation.rooms import room_scores
+from specmap_cli.evaluation.simulate import SimulationOptions, simulate
+from specmap_cli.evaluation.trajectories import read_tum, reference_errors
+from specmap_cli.evaluation.worlds import RoomTruth, read_rooms
+from specmap_cli.mapfiles import read_grid
+from specmap_cli.outputs.store import read_map
+from specmap_cli.pipeline import build_map
+
+RESOLUTION_M = 0.05
+PLANS = ("Freiburg79_scan", "Freiburg79_scan_furnitures", "lab_c_scan", "office_h_furnitures")
+
+
+def score(name: str, log: Path, truth: Path, rooms: RoomTruth, config: Config, out: Path) -> str:
+    """Build the map of one tour and return its line of the table."""
+    build_map([log], out, config)
+    stored, true = read_map(out), read_tum(truth)
+    row = rows_by_stamp(stored.labels.stamps_ns, true.stamps_ns)
+    found = room_scores(rooms, true.poses[row], stored.labels.submaps)
+    error = reference_errors(read_tum(out / "trajectory.tum"), true)
+    merges = sum(closure.accepted for closure in stored.record.graph.closures)
+    return (
+        f"{name:28} {len(found.pieces):5} {len(stored.ids):7} {found.whole:9.2f} "
+        f"{found.recognised:10.2f} {found.found:5}/{found.doors:<3} {found.invented:8} "
+        f"{found.purity:6.3f} {merges:6} {error.ate_m:7.3f}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--set", dest="settings", action="append", default=[])
+    parser.add_argument("--plans", action="store_true", help="also the plans of the data folder")
+    arguments = parser.parse_args()
+    config = load_config(None, None, overrides(arguments.settings))
+    print(
+        f"{'tour':28} {'rooms':>5} {'submaps':>7} {'whole <=2':>9} {'recognised':>10} "
+        f"{'doors':>9} {'invented':>8} {'purity':>6} {'merges':>6} {'ATE m':>7}"
+    )
+    with tempfile.TemporaryDirectory() as name:
+        folder, samples = Path(name), Path("sample_logs")
+        rooms = read_rooms(samples / "office_rooms.png", RESOLUTION_M)
+        sample = samples / "office.mcap", samples / "office.tum"
+        print(score("sample_logs/office", *sample, rooms, config, folder / "office"), flush=True)
+        for plan in PLANS if arguments.plans else ():
+            picture = data_folder() / "rooms" / f"{plan}.png"
+            painted = plan.removesuffix("_furnitures") + "_gt_segmentation.png"
+            log = folder / f"{plan}.mcap"
+            options = SimulationOptions(beams=541, speed_mps=0.8, spacing_m=3.0, laps=2, seed=3)
+            made = simulate(read_grid(picture, RESOLUTION_M), options, log)
+            truth = read_rooms(picture.with_name(painted), RESOLUTION_M)
+            print(score(plan, log, made.truth, truth, config, folder / plan), flush=True)
+
+
+if __name__ == "__main__":
+    main()
