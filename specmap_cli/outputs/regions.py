@@ -88,9 +88,14 @@ def _flood(passable: BoolArray, markers: NDArray[np.int32]) -> NDArray[np.int32]
 
 def _reached(whole: GridMap, stood: BoolArray) -> BoolArray:
     """(H, W) the cells within reach of where a robot could go from the cells where it `stood`."""
-    wide = (whole.clearance() >= _ROBOT_RADIUS_M) | stood
-    _, parts = cv2.connectedComponents(wide.astype(np.uint8), connectivity=4)
-    entered = np.zeros(int(parts.max()) + 1, dtype=np.bool_)
-    entered[parts[stood]] = True
-    away = cv2.distanceTransform((~entered[parts]).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.asarray(away * whole.resolution <= _REACH_M)
+    entered = _connected((whole.clearance() >= _ROBOT_RADIUS_M) | stood, stood)
+    away = cv2.distanceTransform((~entered).astype(np.uint8), cv2.DIST_L2, 5)
+    return _connected((away * whole.resolution <= _REACH_M) & (whole.free | stood), entered)
+
+
+def _connected(cells: BoolArray, seeds: BoolArray) -> BoolArray:
+    """(H, W) the parts of `cells` that hold one of the `seeds`."""
+    _, parts = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)
+    held = np.zeros(int(parts.max(initial=0)) + 1, dtype=np.bool_)
+    held[parts[seeds & cells]] = True
+    return np.asarray(held[parts])

@@ -113,6 +113,14 @@ def test_what_no_keyframe_reaches_is_nobodys() -> None:
     assert (regions.owner[:, 10:] == NOBODY).all()
 
 
+def test_specks_behind_a_wall_are_not_reached() -> None:
+    cells = np.full((20, 30), FREE, dtype=np.uint8)
+    cells[:, 20], cells[:, 22:] = OCCUPIED, UNKNOWN
+    regions = divide(GridMap(cells, 0.05), labels_at({0: (0.3, 0.3)}))
+    assert (regions.owner[:, :20] == 0).all()
+    assert (regions.owner[:, 20:] == NOBODY).all()
+
+
 def test_thin_rays_are_not_reached() -> None:
     """What single beams carved through a gap is no part of a room."""
     cells = np.full((40, 120), UNKNOWN, dtype=np.uint8)
