@@ -207,7 +207,6 @@ PRESETS: dict[str, dict[str, Any]] = {
             "neighbours": 7,
             "eigenvalue_min": 0.9,
             "halve": False,
-            "refine": False,
             "labels": "nearest",
             "merge": False,
             "test_every": "keyframes",

@@ -19,6 +19,10 @@ from specmap_cli.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
 # above 0.196, such as the often seen 0.25, would make the unknown 205 free.
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 
+# In a bare picture only white (above 250) is free: light greys are edges of lines drawn smoothly,
+# or furniture and hatching in a floor plan.
+PICTURE_FREE_THRESHOLD = 0.0196
+
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _LARGEST_YAML = 1 << 16
 _MODES = ("trinary", "scale", "raw")
@@ -30,15 +34,15 @@ def read_grid(path: Path, resolution: float | None = None) -> GridMap:
     """The grid of a map_server YAML file, or of a picture of `resolution` metres a pixel.
 
     Modes, thresholds and `negate` are honoured, so that maps of other tools read right; cells that
-    are transparent are unknown. A picture is read as map_server would by default, its lower left
-    corner at (0, 0); given with a YAML file, `resolution` overrides the file's. Raises MapError
-    naming the file and the key at fault.
+    are transparent are unknown. Of a bare picture, white is free and dark is occupied, and its
+    lower left corner is at (0, 0); given with a YAML file, `resolution` overrides the file's.
+    Raises MapError naming the file and the key at fault.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         return _read_map_server(path, resolution)
     if resolution is None:
         raise MapError(f"{path}: a picture has no scale: give metres a pixel with --resolution")
-    reading = _Reading("trinary", False, OCCUPIED_THRESHOLD, FREE_THRESHOLD)
+    reading = _Reading("trinary", False, OCCUPIED_THRESHOLD, PICTURE_FREE_THRESHOLD)
     return GridMap(reading.cells(_read_picture(path)), _length(path, resolution))
 
 

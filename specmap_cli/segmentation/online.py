@@ -10,6 +10,8 @@ from specmap_cli.keyframes import KeyframeStore
 from specmap_cli.segmentation.sketch import Sketch, path_length
 from specmap_cli.segmentation.splitting import SplitTest, examine
 
+_UNION_SCANS = 150  # enough to see whether two regions are one, however long the robot was there
+
 Observer = Callable[[SplitTest, bool], None]
 
 
@@ -110,7 +112,7 @@ class OnlineSegmenter:
         """The region left before the last one, if it and `keyframes` together are one region."""
         if not self.config.regrow or len(self._recent) < 2:
             return None
-        union = self._current.rebuilt([*self._recent[0].keyframes, *keyframes])
+        union = self._current.rebuilt([*self._recent[0].keyframes, *keyframes], _UNION_SCANS)
         test = examine(union.grid(), union.poses, self.config)
         whole = bool(test.reached.all()) and test.eigenvalue <= self.config.split_eigenvalue
         return self._recent[0] if whole else None

@@ -35,11 +35,13 @@ class Sketch:
         self._grid.integrate(self._store.scan(keyframe), laser)
         self._grid.mark_free_disc(pose.x, pose.y, self._config.footprint_m)
 
-    def rebuilt(self, keyframes: list[int]) -> Sketch:
-        """A new sketch of `keyframes`, in the order given."""
+    def rebuilt(self, keyframes: list[int], mapped: int | None = None) -> Sketch:
+        """A new sketch of `keyframes`, in the order given, its grid from about `mapped` of them."""
         sketch = Sketch(self._config, self._store)
-        for keyframe in keyframes:
+        every = 1 if mapped is None else max(1, len(keyframes) // mapped)
+        for keyframe in keyframes[::every]:
             sketch.add(keyframe)
+        sketch.keyframes = list(keyframes)
         return sketch
 
     def grid(self) -> GridMap:
