@@ -91,7 +91,7 @@ def text_width(words: str, height: float, bold: bool = False) -> int:
 
 def text_weight(height: float, bold: bool) -> int:
     """Stroke width for letters of that height."""
-    return max(1, round(height / (7.0 if bold else 12.0)))
+    return max(2, round(height / 7.0)) if bold else max(1, round(height / 12.0))
 
 
 def _text_scale(height: float) -> float:

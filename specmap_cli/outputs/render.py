@@ -13,6 +13,7 @@ from specmap_cli.outputs.palette import Colour, colours_of
 from specmap_cli.outputs.regions import NOBODY, Regions
 from specmap_cli.outputs.sheet import Sheet, extent_of
 from specmap_cli.outputs.tables import Labels
+from specmap_cli.outputs.text import counted
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.records import Trajectory
 from specmap_cli.topomap import TopologicalMap
@@ -41,7 +42,7 @@ def render_overview(
         first, last = sheet.pixels(places[[0, -1]])
         symbols.start(sheet.canvas, first)
         symbols.end(sheet.canvas, last)
-    figures = [f"{log.scans:,} scans", f"{labels.path_m:,.0f} m driven", _size(low, high)]
+    figures = [counted(log.scans, "scan"), f"{labels.path_m:,.0f} m driven", _size(low, high)]
     sheet.title(_headline(log, topology), ",  ".join(figures))
     return sheet.canvas.image
 
@@ -134,15 +135,11 @@ def spread(centres: FloatArray, gap: float) -> FloatArray:
 
 
 def _headline(log: LogInfo, topology: TopologicalMap) -> str:
-    counts = [_counted(len(topology.submaps), "submap"), _counted(len(topology.edges), "link")]
+    counts = [counted(len(topology.submaps), "submap"), counted(len(topology.edges), "link")]
     merged = sum(closure.merged for closure in topology.closures)
     if merged:
-        counts.append(_counted(merged, "revisit") + " recognised")
+        counts.append(counted(merged, "revisit") + " recognised")
     return f"{log.name}:  {', '.join(counts)}"
-
-
-def _counted(count: int, thing: str) -> str:
-    return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
 def _size(low: FloatArray, high: FloatArray) -> str:

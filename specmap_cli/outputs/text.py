@@ -46,6 +46,11 @@ def rounded(value: float) -> float | None:
     return round(value, _DECIMALS) + 0.0 if math.isfinite(value) else None
 
 
+def counted(count: int, noun: str) -> str:
+    """`1 scan`, `2,000 scans`."""
+    return f"{count:,} {noun}" + ("" if count == 1 else "s")
+
+
 def stamp_text(stamp_ns: int) -> str:
     """Seconds with nine decimals, exact."""
     sign = "-" if stamp_ns < 0 else ""

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from specmap_cli.geometry import quaternions_from_rpy
 from specmap_cli.outputs.tables import NO_SUBMAP, Labels, labels_text, trajectory_text
 from specmap_cli.outputs.text import (
+    counted,
     decimal,
     nanoseconds,
     plain,
@@ -65,6 +66,10 @@ def test_points_stay_on_one_line_and_words_are_left_alone() -> None:
     assert json.loads(text) == {**value, "p": [[1.5, -0.002], [3, 4]]}
     assert "[1.5, -0.002]" in text
     assert "[3, 4]" in text
+
+
+def test_counts() -> None:
+    assert [counted(n, "scan") for n in (0, 1, 2000)] == ["0 scans", "1 scan", "2,000 scans"]
 
 
 def test_plain_types() -> None:
