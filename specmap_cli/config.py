@@ -6,8 +6,10 @@ defaults here. Unknown keys are refused. `specmap config` prints what is in forc
 
 from __future__ import annotations
 
+import difflib
 import json
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -138,7 +140,9 @@ class RecognitionConfig(_Section):
     least_overlap: float = Field(0.15, ge=0, le=1, description="shared part of the other's walls")
     merge_overlap: float = Field(0.4, ge=0, le=1, description="of both tracks, for a merge")
     merge_reach_m: float = Field(1.0, gt=0, description="tracks this close overlap")
-    max_drift: float = Field(0.1, ge=0, description="metres per metre driven that a closure may mend")
+    max_drift: float = Field(
+        0.1, ge=0, description="metres per metre driven that a closure may mend"
+    )
 
 
 class RelaxationConfig(_Section):
@@ -169,7 +173,8 @@ class LocalizationConfig(_Section):
     window_m: float = Field(10.0, gt=0, description="path whose scans make a virtual scan")
     virtual_beams: int = Field(360, ge=16)
     virtual_range_m: float = Field(20.0, gt=0)
-    augmentation: int = Field(1500, ge=0, description="virtual scans from free cells, training")
+    raw_weight: float = Field(0.25, ge=0, le=1, description="of the single scan; 1 at the start")
+    augmentation: int = Field(3000, ge=0, description="virtual scans from free cells, training")
     stay: float = Field(
         0.97, gt=0, lt=1, description="chance to stay in a submap from scan to scan"
     )
@@ -264,11 +269,31 @@ def _validated(settings: dict[str, Any], where: str) -> Config:
     try:
         return Config.model_validate(settings)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
         raise UsageError(
-            f"{where}{key}: {first['msg']}; run `specmap config` to see every key and its default"
+            f"{where}{_complaint(error.errors()[0])}; "
+            "run `specmap config` to see every key and its default"
         ) from None
+
+
+def _complaint(finding: Mapping[str, Any]) -> str:
+    """One finding of a validation: the key, what is wrong, what was found."""
+    key = ".".join(str(part) for part in finding["loc"])
+    if finding["type"] == "extra_forbidden":
+        near = difflib.get_close_matches(key, _keys(Config()), 1)
+        return f"{key}: no such setting" + (f", did you mean {near[0]}?" if near else "")
+    if finding["type"] == "model_type":
+        return f"{key}: is a section: expected one of its keys, found {finding['input']!r:.60}"
+    prefix = f"{key}: " if key else ""
+    found = "" if isinstance(finding["input"], dict) else f", found {finding['input']!r:.60}"
+    return f"{prefix}{finding['msg']}{found}"
+
+
+def _keys(config: Config) -> list[str]:
+    """Every key of the configuration, dotted."""
+    keys = []
+    for name, value in config.model_dump().items():
+        keys += [f"{name}.{key}" for key in value] if isinstance(value, dict) else [name]
+    return keys
 
 
 def to_toml(config: Config) -> str:

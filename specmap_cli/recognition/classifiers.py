@@ -15,6 +15,7 @@ from specmap_cli.config import RecognitionConfig
 from specmap_cli.errors import MapError
 from specmap_cli.geometry import FloatArray
 from specmap_cli.recognition.boosting import Booster, StumpBoost, booster_from_dict
+from specmap_cli.recognition.familiarity import Familiarity
 from specmap_cli.recognition.features import FEATURE_SETS
 from specmap_cli.recognition.parsing import field, mapping, number, refuse
 from specmap_cli.recognition.sampling import evenly
@@ -146,8 +147,7 @@ class OneVsAll:
 class ClassifierSet:
     """The classifiers of a map: of raw scans, and of virtual full-circle scans where trained.
 
-    `unknown_margin` is the best margin below which a raw scan fits nowhere, -inf when not known;
-    `virtual_unknown_margin` the same for virtual scans.
+    `raw_known` and `virtual_known` tell whether a scan looks like any place of the map at all.
     """
 
     def __init__(
@@ -155,14 +155,14 @@ class ClassifierSet:
         sensor: Sensor,
         raw: OneVsAll,
         virtual: OneVsAll | None = None,
-        unknown_margin: float | None = None,
-        virtual_unknown_margin: float | None = None,
+        raw_known: Familiarity | None = None,
+        virtual_known: Familiarity | None = None,
     ) -> None:
         self.sensor = sensor
         self.raw = raw
         self.virtual = virtual
-        self.unknown_margin = unknown_margin
-        self.virtual_unknown_margin = virtual_unknown_margin
+        self.raw_known = raw_known
+        self.virtual_known = virtual_known
 
     @classmethod
     def train(
@@ -194,12 +194,10 @@ class ClassifierSet:
                 "range_max": self.sensor.range_max,
                 "full_circle": self.sensor.full_circle,
             },
-            "raw": self.raw.to_dict() | {"unknown_margin": self.unknown_margin},
+            "raw": self.raw.to_dict() | _known(self.raw_known),
         }
         if self.virtual is not None:
-            data["virtual"] = self.virtual.to_dict() | {
-                "unknown_margin": self.virtual_unknown_margin
-            }
+            data["virtual"] = self.virtual.to_dict() | _known(self.virtual_known)
         return _readable(data)
 
     @classmethod
@@ -214,14 +212,15 @@ class ClassifierSet:
         sensor = _sensor(mapping(data, "sensor"))
         raw_data = mapping(data, "raw")
         raw = OneVsAll.from_dict(raw_data, config)
-        virtual, virtual_limit = None, None
+        virtual, virtual_known = None, None
         if "virtual" in data:
             virtual_data = mapping(data, "virtual")
             virtual = OneVsAll.from_dict(virtual_data, config)
-            virtual_limit = _limit(virtual_data)
+            virtual_known = _familiarity(virtual_data, virtual.feature_set)
             if virtual.ids != raw.ids:
                 raise refuse("file", "raw and virtual classifiers are of different submaps")
-        return cls(sensor, raw, virtual, _limit(raw_data), virtual_limit)
+        raw_known = _familiarity(raw_data, raw.feature_set)
+        return cls(sensor, raw, virtual, raw_known, virtual_known)
 
 
 def _sensor(data: Mapping[str, Any]) -> Sensor:
@@ -235,8 +234,14 @@ def _sensor(data: Mapping[str, Any]) -> Sensor:
     return Sensor(beams, view, reach, circle)
 
 
-def _limit(data: Mapping[str, Any]) -> float | None:
-    return None if data.get("unknown_margin") is None else number(data, "unknown_margin", "file")
+def _known(known: Familiarity | None) -> dict[str, Any]:
+    return {} if known is None else {"exemplars": known.to_dict()}
+
+
+def _familiarity(data: Mapping[str, Any], feature_set: str) -> Familiarity | None:
+    if "exemplars" not in data:
+        return None
+    return Familiarity.from_dict(mapping(data, "exemplars"), feature_set)
 
 
 def _submap_id(key: str) -> int:

@@ -12,12 +12,15 @@ from specmap_cli.config import LocalizationConfig
 from specmap_cli.errors import InputError
 from specmap_cli.geometry import FloatArray
 from specmap_cli.gridmap import GridMap
-from specmap_cli.recognition.classifiers import ClassifierSet, OneVsAll, Sensor
+from specmap_cli.recognition.classifiers import ClassifierSet, Sensor
+from specmap_cli.recognition.familiarity import Familiarity
 from specmap_cli.recognition.features import scan_features
 from specmap_cli.recognition.filtering import HiddenMarkovFilter
 from specmap_cli.recognition.metric import MetricTracker
 from specmap_cli.recognition.virtual import RecentScans
 from specmap_cli.records import PlanarScan, PosedScan
+
+_STRANGE_GAIN, _STRANGE_MOST = 6.0, 1.5  # log likelihood of unknown against the best submap
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +69,20 @@ class Localizer:
         """The label of the next scan. Raises InputError when its laser sees too little."""
         if self._sampler is None:
             self._sampler = BeamSampler(Sensor.of(posed.planar), self.classifiers.sensor)
-        margins = self._margins(self.classifiers.raw, self._sampler.apply(posed.planar))
-        evidence = self._with_unknown(margins, self.classifiers.unknown_margin)
-        label = self._raw_label(posed.stamp_ns, evidence)
-        if self.classifiers.virtual is not None and self.config.virtual:
-            evidence = evidence + self._virtual_evidence(posed, self.classifiers.virtual)
-        log_likelihoods = self.config.sharpness * evidence
-        belief = self.filter.update(log_likelihoods)
-        label = self._filtered(label, belief)
+        raw = self.classifiers.raw
+        features = scan_features(self._sampler.apply(posed.planar), raw.feature_set)[None]
+        margins = raw.margins(features)[0]
+        evidence, strange = margins, _strangeness(self.classifiers.raw_known, features)
+        virtual = self.classifiers.virtual
+        if virtual is not None and self.config.virtual:
+            features = scan_features(self._virtual_scan(posed), virtual.feature_set)[None]
+            share = self.config.raw_weight * self._recent.filled + 1.0 - self._recent.filled
+            evidence = share * margins + virtual.margins(features)[0]
+            if self.classifiers.virtual_known is not None:
+                strange = _strangeness(self.classifiers.virtual_known, features)
+        log_likelihoods = self._log_likelihoods(evidence, strange)
+        label = self._raw_label(posed.stamp_ns, margins, strange)
+        label = self._filtered(label, self.filter.update(log_likelihoods))
         self._labels.append(label)
         self._evidence.append(log_likelihoods)
         return label
@@ -85,37 +94,30 @@ class Localizer:
         beliefs = self.filter.smooth(np.array(self._evidence))
         return [self._filtered(a, b) for a, b in zip(self._labels, beliefs, strict=True)]
 
-    def _margins(self, model: OneVsAll, scan: PlanarScan) -> FloatArray:
-        return np.asarray(model.margins(scan_features(scan, model.feature_set)[None])[0])
-
-    def _virtual_evidence(self, posed: PosedScan, model: OneVsAll) -> FloatArray:
-        """(m + 1,) evidence of the virtual scan at this pose."""
+    def _virtual_scan(self, posed: PosedScan) -> PlanarScan:
+        """What a full circle would have seen from here, of the last metres."""
         if posed.restarted:
             self._recent.clear()
         if not posed.lost:
             self._recent.add(posed)
-        scan = self._recent.scan(posed.stamp_ns, posed.map_from_laser)
-        return self._with_unknown(
-            self._margins(model, scan), self.classifiers.virtual_unknown_margin
-        )
+        return self._recent.scan(posed.stamp_ns, posed.map_from_laser)
 
-    def _with_unknown(self, margins: FloatArray, limit: float | None) -> FloatArray:
-        """(m + 1,) margins with that of "unknown" last."""
-        last = limit if limit is not None and self.config.unknown else -math.inf
-        return np.append(margins, last)
+    def _log_likelihoods(self, evidence: FloatArray, strange: float) -> FloatArray:
+        """(m + 1,) log likelihoods of every submap and, last, of unknown."""
+        known = self.config.sharpness * evidence
+        if not self.config.unknown or strange == -math.inf:
+            return np.append(known, -math.inf)
+        worth = float(np.clip(_STRANGE_GAIN * strange, -_STRANGE_MOST, _STRANGE_MOST))
+        return np.append(known, known.max() + worth)
 
-    def _raw_label(self, stamp_ns: int, evidence: FloatArray) -> Label:
-        order = np.argsort(-evidence[:-1], kind="stable")
-        best = float(evidence[order[0]])
-        second = float(evidence[order[1]]) if len(order) > 1 else -math.inf
-        known = best >= evidence[-1]
+    def _raw_label(self, stamp_ns: int, margins: FloatArray, strange: float) -> Label:
+        order = np.argsort(-margins, kind="stable")
+        best = float(margins[order[0]])
+        second = self.filter.ids[order[1]] if len(order) > 1 else None
+        lead = best - float(margins[order[1]]) if len(order) > 1 else best
+        known = strange <= 0.0 or not self.config.unknown
         return Label(
-            stamp_ns,
-            self.filter.ids[order[0]] if known else None,
-            best - second if len(order) > 1 else best,
-            self.filter.ids[order[1]] if len(order) > 1 else None,
-            None,
-            0.0,
+            stamp_ns, self.filter.ids[order[0]] if known else None, lead, second, None, 0.0
         )
 
     def _filtered(self, label: Label, belief: FloatArray) -> Label:
@@ -129,6 +131,11 @@ class Localizer:
             submap,
             float(belief[state]),
         )
+
+
+def _strangeness(known: Familiarity | None, features: FloatArray) -> float:
+    """How little features (1, F) look like any place of the map; -inf when that is not known."""
+    return -math.inf if known is None else float(known.strangeness(features)[0])
 
 
 class BeamSampler:

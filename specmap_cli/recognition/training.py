@@ -13,6 +13,7 @@ from specmap_cli.geometry import FloatArray, Pose2
 from specmap_cli.gridmap import GridMap
 from specmap_cli.keyframes import KeyframeStore
 from specmap_cli.recognition.classifiers import ClassifierSet, OneVsAll, Sensor
+from specmap_cli.recognition.familiarity import Familiarity
 from specmap_cli.recognition.features import scan_features, scans_features
 from specmap_cli.recognition.sampling import evenly
 from specmap_cli.recognition.virtual import RecentScans, cast_circles
@@ -20,6 +21,7 @@ from specmap_cli.recognition.virtual import RecentScans, cast_circles
 _TRACK_REACH_M = 1.5
 _WINDOW_SHARES = (0.1, 0.2, 0.5, 1.0)  # of the window: it has to work while it fills
 _MOST_WINDOW_SAMPLES = 1500
+_STRETCH = 1.05  # how much farther from all exemplars a new path lies than the old one
 
 
 def train_localizer(
@@ -42,9 +44,15 @@ def train_localizer(
     }
     sensor = Sensor.of(store.scan(min(numbers[0] for numbers in submaps.values())))
     trained = ClassifierSet.train(raw, sensor, recognition, rng)
+    trained.raw_known = Familiarity.of(
+        recognition.feature_set, raw, _STRETCH, localization.false_unknown
+    )
     if localization.virtual:
         samples = virtual_samples(store, submaps, poses, grids, localization, rng)
         trained.virtual = OneVsAll(localization.feature_set, recognition).fit(samples, rng)
+        trained.virtual_known = Familiarity.of(
+            localization.feature_set, samples, _STRETCH, localization.false_unknown
+        )
     return trained
 
 

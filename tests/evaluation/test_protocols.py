@@ -1,0 +1,158 @@
+"""Table II's scores against scikit-learn; which scans are held out; a whole hold-out run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.metrics import accuracy_score, precision_recall_fscore_support
+
+from specmap_cli.config import load_config
+from specmap_cli.errors import LogError
+from specmap_cli.evaluation.classification import (
+    classification_scores,
+    confusion_picture,
+    score_lines,
+)
+from specmap_cli.evaluation.protocols import (
+    HoldOut,
+    fit_frames,
+    hold_out,
+    nearest_labels,
+    revisit,
+    rows_by_stamp,
+)
+from specmap_cli.evaluation.simulate import SimulationOptions, simulate
+from specmap_cli.geometry import Pose2
+from specmap_cli.gridmap import GridMap
+from specmap_cli.recognition.localizer import Label
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), min_size=1, max_size=60))
+def test_scores_equal_scikit_learn_s(pairs: list[tuple[int, int]]) -> None:
+    truth, predicted = (np.array(column) for column in zip(*pairs, strict=True))
+    ours = classification_scores(truth, predicted, range(4))
+    precision, recall, _, _ = precision_recall_fscore_support(
+        truth, predicted, labels=np.unique(truth), average="macro", zero_division=0
+    )
+    assert ours.recall == pytest.approx(recall)
+    assert ours.precision == pytest.approx(precision)
+    assert ours.accuracy == pytest.approx(accuracy_score(truth, predicted))
+    assert ours.scans == len(pairs)
+
+
+def test_unknown_is_wrong_but_nobody_else_s_fault() -> None:
+    scores = classification_scores([0, 0, 1, 1], [0, None, 1, -1], [0, 1])
+    assert scores.recall_of == {0: 0.5, 1: 0.5}
+    assert scores.precision_of == {0: 1.0, 1: 1.0}
+    assert scores.confusion.tolist() == [[1, 0, 1], [0, 1, 1]]
+
+
+def test_scans_without_a_truth_are_left_out() -> None:
+    scores = classification_scores([-1, 9, 0], [0, 0, 0], [0, 1])
+    assert (scores.scans, scores.recall, scores.precision) == (1, 1.0, 1.0)
+    assert classification_scores([], [], [0]).as_dict()["recall"] == 0.0
+
+
+def test_the_table_and_the_picture_show_every_submap() -> None:
+    scores = classification_scores([3, 3, 8], [3, 8, 8], [3, 8])
+    lines = score_lines(scores)
+    assert [line.split()[0] for line in lines] == ["submap", "3", "8", "mean"]
+    picture = confusion_picture(scores)
+    assert picture.shape[0] > 60 < picture.shape[1]
+    assert picture.dtype == np.uint8
+    assert (picture < 128).any()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_fifth_is_held_out_one_by_one(seed: int) -> None:
+    chosen = chosen_of(HoldOut(seed=seed), 3000)
+    assert 0.17 < chosen.mean() < 0.23
+    assert not chosen[0]
+
+
+def test_blocks_are_held_out_whole() -> None:
+    blocks = chosen_of(HoldOut("blocks", share=0.5, block=10), 1000).reshape(-1, 10)
+    assert (blocks.all(axis=1) | ~blocks.any(axis=1)).all()
+    assert 0.3 < blocks.mean() < 0.7
+    assert not blocks[0].any()
+
+
+def test_the_choice_depends_on_number_and_seed_alone() -> None:
+    chooser = HoldOut(seed=4).chooser()
+    backwards = [chooser(k) for k in reversed(range(200))]
+    assert backwards[::-1] == chosen_of(HoldOut(seed=4), 200).tolist()
+    assert backwards[::-1] != chosen_of(HoldOut(seed=5), 200).tolist()
+
+
+def chosen_of(options: HoldOut, count: int) -> np.ndarray[Any, Any]:
+    chooser = options.chooser()
+    return np.array([chooser(k) for k in range(count)])
+
+
+def test_stamps_join_the_nearest_within_reach() -> None:
+    reference = np.array([300, 100, 200], dtype=np.int64) * 10**6
+    stamps = np.array([101, 240, 260, 100_000], dtype=np.int64) * 10**6
+    assert rows_by_stamp(stamps, reference).tolist() == [1, 2, 0, -1]
+    assert rows_by_stamp(stamps, reference[:0]).tolist() == [-1] * 4
+    assert rows_by_stamp(stamps, reference[1:2]).tolist() == [1 - 1, -1, -1, -1]
+
+
+def test_frames_are_fitted() -> None:
+    pose = Pose2(3.0, -2.0, 2.2)
+    places = np.random.default_rng(0).normal(0.0, 5.0, (20, 2))
+    fitted = fit_frames(pose.apply(places), places)
+    assert tuple(fitted) == pytest.approx(tuple(pose))
+
+
+def test_labels_come_from_the_nearest_place_in_reach() -> None:
+    known = np.array([[0.0, 0.0, 1.0], [5.0, 0.0, 2.0]])
+    places = np.array([[0.4, 0.0], [4.2, 0.3], [2.5, 0.0]])
+    assert nearest_labels(places, known, np.array([7, 9])).tolist() == [7, 9, -1]
+
+
+def labels_of(submaps: list[int | None]) -> list[Label]:
+    return [Label(k * 10**9, s, 1.0, None, s, 1.0) for k, s in enumerate(submaps)]
+
+
+def test_a_revisit_is_scored_by_given_poses_in_any_frame() -> None:
+    keyframes = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]), np.array([0, 1])
+    map_from_reference = Pose2(1.0, 2.0, 0.5)
+    inside = np.array([[0.1, 0.0], [10.1, 0.0], [9.8, 0.0], [5.0, 0.0]])
+    given_places = map_from_reference.inverse().apply(inside)
+    stamps = np.arange(4, dtype=np.int64) * 10**9
+    poses = np.column_stack([given_places, np.zeros(4)])
+    result = revisit(labels_of([0, 1, 0, 1]), (stamps, poses), keyframes, map_from_reference)
+    assert result.truth.tolist() == [0, 1, 1, -1]
+    assert result.raw.accuracy == pytest.approx(2 / 3)
+    assert result.as_dict()["filtered"]["scans"] == 3
+
+
+def test_a_revisit_without_common_stamps_is_refused() -> None:
+    keyframes = np.zeros((1, 3)), np.array([0])
+    reference = np.array([10**15], dtype=np.int64), np.zeros((1, 3))
+    with pytest.raises(LogError, match="50 ms"):
+        revisit(labels_of([0]), reference, keyframes)
+
+
+def test_a_whole_hold_out_run(flat: GridMap, tmp_path: Path) -> None:
+    options = SimulationOptions(
+        field_of_view_deg=360, beams=120, range_max_m=12, rate_hz=3, max_duration_s=70, seed=3
+    )
+    log = simulate(flat, options, tmp_path / "flat.mcap").log
+    config = load_config(
+        overrides={"recognition": {"rounds": 30}, "localization": {"augmentation": 60}}
+    )
+    result = hold_out([log], config, HoldOut(seed=1))
+    data = json.loads(json.dumps(result.as_dict()))
+    assert {"train", "test", "submaps"} <= set(data)
+    assert {"recall", "precision", "scans"} <= set(data["test"])
+    assert 0.1 < data["test"]["scans"] / (data["test"]["scans"] + data["train"]["scans"]) < 0.3
+    assert data["train"]["recall"] > 0.9
+    assert data["test"]["recall"] > 0.7
+    assert [row["id"] for row in data["submaps"]] == sorted(row["id"] for row in data["submaps"])

@@ -1,0 +1,85 @@
+"""Rooms and the grids that a robot makes of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from specmap_cli.config import GridConfig
+from specmap_cli.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.gridmap import FREE, OCCUPIED, GridMap, OccupancyGrid, cast_ranges
+from specmap_cli.recognition.closure import SubmapView
+from specmap_cli.recognition.features import scans_features
+from specmap_cli.records import PlanarScan
+
+BEARINGS = np.linspace(-np.pi, np.pi, 180, endpoint=False)
+
+
+class Building:
+    """Rooms 8 m apart, closed boxes with furniture; `visit` drives through one of them."""
+
+    def __init__(self, twins: bool = False) -> None:
+        cells = np.full((200, 800), OCCUPIED, dtype=np.uint8)
+        for k, (width, height) in enumerate([(100, 90), (60, 140), (130, 60), (90, 120)]):
+            if twins and k == 1:
+                width, height = 100, 90
+            left = 20 + 190 * k
+            cells[20 : 20 + height, left : left + width] = FREE
+            odd = 0 if twins and k == 1 else k
+            cells[24 + 3 * odd : 34 + 3 * odd, left + 14 + 9 * odd : left + 26 + 9 * odd] = OCCUPIED
+            cells[20 + height - 12 : 20 + height, left + 6 : left + 14 + 6 * odd] = OCCUPIED
+        self.plan = GridMap(cells, 0.05)
+        self.distance = self.plan.obstacle_distance()
+        self.corners = [(0.05 * (20 + 190 * k), 1.0) for k in range(4)]
+        self.sizes = [(5.0, 4.5), (5.0, 4.5) if twins else (3.0, 7.0), (6.5, 3.0), (4.5, 6.0)]
+
+    def path(self, room: int, seed: int) -> FloatArray:
+        """(40, 3) poses of a walk through the room."""
+        rng = np.random.default_rng(seed)
+        (x, y), (width, height) = self.corners[room], self.sizes[room]
+        t = np.linspace(0.0, 1.0, 40)
+        places = np.column_stack(
+            [x + width * (0.5 + 0.22 * np.cos(2 * np.pi * t)), y + height * (0.55 + 0.2 * t)]
+        )
+        places += rng.normal(0.0, 0.02, places.shape)
+        return np.column_stack([places, rng.uniform(-np.pi, np.pi, len(t))])
+
+    def scans(self, poses: FloatArray) -> list[PlanarScan]:
+        """What a laser sees all round from each pose."""
+        made = []
+        for pose in poses:
+            ranges = cast_ranges(
+                self.distance, self.plan, pose[None, :2], BEARINGS + pose[2], 20.0
+            )[0]
+            made.append(PlanarScan(0, BEARINGS, ranges, 20.0, True))
+        return made
+
+    def visit(
+        self, id_: int, room: int, seed: int = 0, feature_set: str = "full", **known: float
+    ) -> SubmapView:
+        """A submap of one walk through a room, in the frame of the walk's first pose."""
+        poses = self.path(room, seed)
+        track = compose(invert(poses[0]), poses)
+        grid, scans = OccupancyGrid(GridConfig()), self.scans(poses)
+        for pose, scan in zip(track, scans, strict=True):
+            grid.integrate(scan, Pose2(*pose.tolist()))
+        frame = Pose2(*poses[0].tolist()) if known else None
+        features = scans_features(scans, feature_set)
+        return SubmapView(id_, features, grid.snapshot(), track, frame, **known)
+
+    def truth(self, room: int, old_seed: int, new_seed: int) -> Pose2:
+        """The true `old_from_new` of two visits to a room."""
+        old, new = self.path(room, old_seed)[0], self.path(room, new_seed)[0]
+        return Pose2(*compose(invert(old), new).tolist())
+
+
+@pytest.fixture(scope="session")
+def building() -> Building:
+    """Four different rooms."""
+    return Building()
+
+
+@pytest.fixture(scope="session")
+def twins() -> Building:
+    """The first two of four rooms are alike."""
+    return Building(twins=True)
