@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.config import Config
-from specmap_cli.errors import LogError
+from specmap_cli.config import Config, LogConfig, with_overrides
+from specmap_cli.errors import LogError, MapError
 from specmap_cli.geometry import FloatArray, Pose2
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.outputs.files import write_text
 from specmap_cli.outputs.grids import write_png
 from specmap_cli.outputs.predictions import render_labels
-from specmap_cli.outputs.store import StoredMap
+from specmap_cli.outputs.store import CLASSIFIERS, StoredMap
 from specmap_cli.outputs.tables import NO_SUBMAP
-from specmap_cli.outputs.text import stamp_text
+from specmap_cli.outputs.text import counted, stamp_text
 from specmap_cli.progress import Progress, Silent
 from specmap_cli.recognition.classifiers import ClassifierSet
 from specmap_cli.recognition.localizer import Label, Localizer
@@ -66,7 +66,7 @@ class LocalizationReport:
         raw, filtered = self._counts()
         agreement = self._agreement()
         lines = [
-            f"{self.log}: {len(self.scans):,} scans, raw and filtered label agree on "
+            f"{self.log}: {counted(len(self.scans), 'scan')}, raw and filtered label agree on "
             f"{agreement:.1%}",
             f"{'submap':>8} {'raw':>8} {'filtered':>9}",
         ]
@@ -129,14 +129,37 @@ def localize_log(
         return LocalizationReport(Path(log.name).name, scans, warnings)
 
 
+def settings_for(stored: StoredMap, overrides: dict[str, Any]) -> Config:
+    """The settings a map was built with, under `overrides`; topics and frames are the log's own."""
+    built_with = stored.config.model_copy(update={"log": LogConfig()})
+    return with_overrides(built_with, overrides)
+
+
 def localizer_of(stored: StoredMap, config: Config) -> Localizer:
     """The localizer of a stored map: its classifiers, the neighbours of its submaps, its grids."""
-    classifiers = ClassifierSet.from_json(stored.classifiers)
+    classifiers = _classifiers_of(stored)
     adjacency: dict[int, set[int]] = {id_: set() for id_ in stored.ids}
     for edge in stored.record.edges:
         adjacency[edge.source].add(edge.target)
         adjacency[edge.target].add(edge.source)
     return Localizer(classifiers, adjacency, stored.grids, config.localization)
+
+
+def _classifiers_of(stored: StoredMap) -> ClassifierSet:
+    """The classifiers of a stored map, one a submap; MapError naming the file otherwise."""
+    path = stored.path / CLASSIFIERS
+    try:
+        classifiers = ClassifierSet.from_json(stored.classifiers)
+    except MapError as error:
+        if str(path) in str(error):
+            raise
+        raise MapError(f"{path}: {error}") from None
+    if classifiers.ids != stored.ids:
+        raise MapError(
+            f"{path}: classifiers of the submaps {classifiers.ids}, but the map has "
+            f"{stored.ids}: build the map again"
+        )
+    return classifiers
 
 
 def write_csv(path: Path, report: LocalizationReport, metric: bool) -> None:

@@ -14,6 +14,7 @@ from specmap_cli.mapfiles import read_grid
 from specmap_cli.outputs.directory import OutputDirectory
 from specmap_cli.outputs.regions import Regions
 from specmap_cli.outputs.store import write_segmentation
+from specmap_cli.outputs.text import counted
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.segmentation.floorplan import (
     FloorplanResult,
@@ -43,7 +44,8 @@ class PartitionReport:
         """A summary in two lines."""
         counts = self.as_dict()
         return [
-            f"{self.out}: {counts['submaps']} submaps, {counts['edges']} edges, "
+            f"{self.out}: {counted(counts['submaps'], 'submap')}, "
+            f"{counted(counts['edges'], 'edge')}, "
             f"{counts['area_m2']:.0f} m2",
             f"look at {self.out / 'overview.png'}",
         ]

@@ -11,6 +11,7 @@ from typing import Any
 
 from specmap_cli import __version__
 from specmap_cli.config import Config
+from specmap_cli.errors import NoResultError
 from specmap_cli.finishing import FinishedMap, finish_map
 from specmap_cli.geometry import Pose2
 from specmap_cli.keyframes import KeyframeStore
@@ -20,6 +21,7 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.mapper import Mapper
 from specmap_cli.outputs.directory import OutputDirectory
 from specmap_cli.outputs.store import MapResult, write_map
+from specmap_cli.outputs.text import counted
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.progress import Progress, Silent
 
@@ -41,8 +43,9 @@ class BuildReport:
         """A summary in two lines."""
         counts = self.run["counts"]
         return [
-            f"{self.out}: {counts['submaps']} submaps, {counts['edges']} edges, "
-            f"{counts['merges']} loops closed; {counts['scans']:,} scans over "
+            f"{self.out}: {counted(counts['submaps'], 'submap')}, "
+            f"{counted(counts['edges'], 'edge')}, {counted(counts['merges'], 'loop')} closed; "
+            f"{counted(counts['scans'], 'scan')} over "
             f"{counts['path_m']:.0f} m, {counts['lost']} lost",
             f"look at {self.out / 'overview.png'}",
         ]
@@ -77,6 +80,12 @@ def build_map(
             mapper.add(sweep)
             progress.advance()
         mapper.finish()
+        if not len(store):
+            found = "; ".join(stream.warnings) or "too few returns in them"
+            raise NoResultError(
+                f"{log.name}: none of {counted(stream.expected, 'scan')} could be registered "
+                f"({found}): look at them with `specmap info`"
+            )
         finished = finish_map(mapper, progress)
         run = _run_record(logs, stream, mapper, finished)
         for warning in run["warnings"]:

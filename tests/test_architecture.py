@@ -87,6 +87,8 @@ def imports(path: Path, *, late: bool = True) -> Iterator[tuple[int, str]]:
                 )
                 for alias in node.names
             )
+        elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING" and not late:
+            continue  # read by type checkers alone
         elif late or not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             waiting.extend(ast.iter_child_nodes(node))
 

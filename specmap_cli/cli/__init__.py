@@ -6,6 +6,6 @@ without a result; 130 and 143 interrupted by Ctrl-C and SIGTERM.
 
 from __future__ import annotations
 
-from specmap_cli.cli.app import app, main
+from specmap_cli.cli.entry import main
 
-__all__ = ["app", "main"]
+__all__ = ["main"]

@@ -1,12 +1,9 @@
-"""The application, its commands, and the one place where errors become a line and an exit code."""
+"""The application and its commands."""
 
 from __future__ import annotations
 
-import signal
-import sys
-from collections.abc import Sequence
-from types import FrameType
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any
 
 import typer
 
@@ -21,14 +18,16 @@ from specmap_cli.cli import (
     segment,
     simulate,
 )
-from specmap_cli.errors import SpecmapError
+from specmap_cli.errors import UsageError
+
+EXIT_CODES = (
+    "Exit codes: 0 done; 1 a bug, with its traceback; 2 wrong usage or an output in the way; "
+    "3 an input that cannot be used; 4 no result; 130 and 143 interrupted by Ctrl-C and SIGTERM."
+)
 
 app = typer.Typer(
     name="specmap",
-    help="Topological maps from robot laser logs, without ROS.",
-    epilog="Start with: specmap info LOG, then specmap build LOG. "
-    "Exit codes: 0 done, 1 a bug, 2 usage, 3 unusable input, 4 no result.",
-    no_args_is_help=True,
+    epilog=EXIT_CODES,
     add_completion=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -42,63 +41,48 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def _options(
+    context: typer.Context,
     _version: Annotated[
         bool,
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    """Topological maps from robot laser logs, without ROS."""
+    """Topological maps from robot laser logs, without ROS.
+
+    \b
+    specmap info log.mcap                        what a recording holds
+    specmap build log.mcap -o map                its topological map
+    specmap localize other.mcap --map map        where another log was recorded
+    specmap COMMAND --help                       all about a command
+    """
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help(), err=True)
+        raise typer.Exit(UsageError.exit_code)
 
 
-app.command("info")(info.info)
-app.command("build")(build.build)
-app.command("localize")(localize.localize)
-app.command("segment")(segment.segment)
-app.command("evaluate")(evaluate.evaluate)
-app.command("simulate")(simulate.simulate)
-app.command("convert")(convert.convert)
-app.command("config")(configuration.show_config)
+_COMMANDS: dict[str, Callable[..., Any]] = {
+    "info": info.info,
+    "build": build.build,
+    "localize": localize.localize,
+    "segment": segment.segment,
+    "evaluate": evaluate.evaluate,
+    "simulate": simulate.simulate,
+    "convert": convert.convert,
+    "config": configuration.show_config,
+}
+for _name, _command in _COMMANDS.items():
+    app.command(_name, epilog=EXIT_CODES)(_command)
 
 
-class _InterruptedError(BaseException):
-    """A signal asked the run to end; not an Exception, so that nothing swallows it."""
-
-    def __init__(self, number: int) -> None:
-        self.number = number
-
-
-def _interrupt(number: int, _frame: FrameType | None) -> None:
-    """Unwind once: a second signal must not stop the cleaning up."""
-    for each in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, signal.SIG_IGN)
-    raise _InterruptedError(number)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return the process's exit code."""
-    for each in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, _interrupt)
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code; UsageError for arguments that make no command."""
     try:
         code = app(args=arguments, prog_name="specmap", standalone_mode=False)
-        return code if isinstance(code, int) else 0
-    except SpecmapError as error:
-        return _fail(str(error), error.exit_code)
     except typer.TyperException as error:
-        message = error.format_message()
-        if not message:  # no arguments: the help was shown
-            return 2
-        return _fail(f"{message} (see specmap --help)", 2)
-    except _InterruptedError as interruption:
-        name = signal.Signals(interruption.number).name
-        return _fail(f"interrupted by {name}; nothing was written", 128 + interruption.number)
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 0
-
-
-def _fail(message: str, code: int) -> int:
-    line = " ".join(message.split())
-    print(f"specmap: error: {line}", file=sys.stderr)
-    return code
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context is not None else "specmap"
+        message = error.format_message().rstrip(".")
+        raise UsageError(f"{message}; see `{command} --help`") from None
+    return code if isinstance(code, int) else 0

@@ -8,11 +8,21 @@ from typing import Annotated
 import typer
 
 from specmap_cli.cli import options
+from specmap_cli.cli.targets import keep_inputs
+
+Out = Annotated[Path, typer.Option("--out", "-o", help="Map directory to write.")]
+NoRelax = Annotated[
+    bool, typer.Option("--no-relax", help="Leave the layout as registration found it.")
+]
+Explain = Annotated[
+    Path | None,
+    typer.Option(help="Directory for a picture of every test that may split a submap."),
+]
 
 
 def build(
     logs: options.Logs,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Map directory to write.")] = Path("out"),
+    out: Out = Path("out"),
     overwrite: options.Overwrite = False,
     preset: options.Preset = None,
     config: options.ConfigFile = None,
@@ -21,37 +31,36 @@ def build(
     odom_topic: options.OdomTopic = None,
     base_frame: options.BaseFrame = None,
     no_odometry: options.NoOdometry = False,
-    no_relax: Annotated[
-        bool, typer.Option("--no-relax", help="Leave the layout as registration found it.")
-    ] = False,
-    explain: Annotated[
-        Path | None,
-        typer.Option(help="Directory for a picture of every test that may split a submap."),
-    ] = None,
+    no_relax: NoRelax = False,
+    explain: Explain = None,
     seed: options.Seed = None,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
 ) -> None:
-    """Build a topological map of a recorded log.
+    """Build a topological map of a recording.
 
     Streams the scans, registers them, splits the space into submaps as the robot moves, closes
-    loops, and writes the map directory. Example: specmap build log.mcap -o map
+    loops, and writes the map directory: complete, or not at all.
+
+    \b
+    specmap build log.mcap
+    specmap build log.bag -o map --scan-topic /scan --set grid.resolution_m=0.1
     """
     from specmap_cli.cli.console import ConsoleProgress, print_result
-    from specmap_cli.config import load_config
     from specmap_cli.pipeline import build_map
 
-    flags = options.overrides(
+    effective = options.effective(
+        config,
+        preset,
         settings,
         scan_topic=scan_topic,
         odom_topic=odom_topic,
         base_frame=base_frame,
         no_odometry=no_odometry,
+        no_relax=no_relax,
         seed=seed,
     )
-    if no_relax:
-        flags["relaxation"] = {**flags.get("relaxation", {}), "enabled": False}
-    effective = load_config(config, preset, flags)
+    keep_inputs([out], logs)
     with ConsoleProgress(quiet) as progress:
         report = build_map(
             logs, out, effective, overwrite=overwrite, progress=progress, explain=explain

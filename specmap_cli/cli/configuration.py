@@ -13,8 +13,15 @@ def show_config(
     settings: options.Settings = None,
     as_json: options.Json = False,
 ) -> None:
-    """Print the configuration in force as TOML, ready to edit and give back with --config."""
-    from specmap_cli.config import load_config, to_toml
+    """Print the configuration in force as TOML.
 
-    effective = load_config(config, preset, options.overrides(settings))
+    Every key with its value and what it is for, ready to edit and give back with --config.
+
+    \b
+    specmap config > specmap.toml
+    specmap config --preset paper --set seed=3
+    """
+    from specmap_cli.config import to_toml
+
+    effective = options.effective(config, preset, settings)
     typer.echo(effective.model_dump_json(indent=2) if as_json else to_toml(effective), nl=as_json)

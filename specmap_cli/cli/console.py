@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from types import TracebackType
 from typing import Any
@@ -78,4 +77,6 @@ class ConsoleProgress:
 
 def print_result(result: dict[str, Any], lines: list[str], as_json: bool) -> None:
     """The result of a command on stdout: one JSON object, or lines for a person."""
-    print(json.dumps(result, sort_keys=True, indent=2) if as_json else "\n".join(lines))
+    from specmap_cli.outputs.text import to_json
+
+    print(to_json(result) if as_json else "\n".join(lines), end="" if as_json else "\n")

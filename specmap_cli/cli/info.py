@@ -6,7 +6,15 @@ from specmap_cli.cli import options
 
 
 def info(logs: options.Logs, as_json: options.Json = False) -> None:
-    """Show what a recording holds: topics, rates, frames, the scans, and what to run next."""
+    """Show what a recording holds, and what to run next.
+
+    Topics with their types, counts and rates, the duration, the frames, the scans, and what
+    `specmap build` would read.
+
+    \b
+    specmap info log.mcap
+    specmap info recording_directory --json
+    """
     from specmap_cli.cli.console import print_result
     from specmap_cli.logs import open_log
     from specmap_cli.logs.summary import summarize

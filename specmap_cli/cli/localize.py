@@ -8,25 +8,30 @@ from typing import Annotated
 import typer
 
 from specmap_cli.cli import options
+from specmap_cli.cli.targets import check_files
+
+MapDirectory = Annotated[
+    Path, typer.Option("--map", "-m", help="Map directory written by `specmap build`.")
+]
+Output = Annotated[Path | None, typer.Option("--output", "-o", help="CSV to write, a line a scan.")]
+Plot = Annotated[
+    Path | None, typer.Option(help="PNG to write: the predicted submap along the trajectory.")
+]
+Offline = Annotated[
+    bool, typer.Option("--offline", help="Smooth over the whole log instead of filtering.")
+]
+Metric = Annotated[
+    bool, typer.Option("--metric", help="Also match each scan within its submap's grid.")
+]
 
 
 def localize(
     logs: options.Logs,
-    map_directory: Annotated[
-        Path, typer.Option("--map", "-m", help="Map directory written by `specmap build`.")
-    ],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="CSV to write, a line a scan.")
-    ] = None,
-    plot: Annotated[
-        Path | None, typer.Option(help="PNG of the predicted submap along the trajectory.")
-    ] = None,
-    offline: Annotated[
-        bool, typer.Option("--offline", help="Smooth over the whole log instead of filtering.")
-    ] = False,
-    metric: Annotated[
-        bool, typer.Option("--metric", help="Also match each scan within its submap's grid.")
-    ] = False,
+    map_directory: MapDirectory,
+    output: Output = None,
+    plot: Plot = None,
+    offline: Offline = False,
+    metric: Metric = False,
     settings: options.Settings = None,
     scan_topic: options.ScanTopic = None,
     odom_topic: options.OdomTopic = None,
@@ -36,20 +41,20 @@ def localize(
     quiet: options.Quiet = False,
     as_json: options.Json = False,
 ) -> None:
-    """Tell, scan by scan, in which submap of a map another log was taken.
+    """Tell, scan by scan, in which submap a log was recorded.
 
     Gives the raw vote of single scans and the label of a hidden Markov filter over the topology.
-    Uses the settings of the map; --set changes one. Example: specmap localize scans.mcap --map out
+    Uses the settings of the map, but for topics and frames; --set changes one.
+
+    \b
+    specmap localize other.mcap --map map -o labels.csv --plot labels.png
+    specmap localize other.mcap --map map --offline --metric --json
     """
     from specmap_cli.cli.console import ConsoleProgress, print_result
-    from specmap_cli.config import LogConfig, with_overrides
-    from specmap_cli.errors import UsageError
-    from specmap_cli.localization import localize_log, write_csv, write_plot
+    from specmap_cli.localization import localize_log, settings_for, write_csv, write_plot
     from specmap_cli.outputs.store import read_map
 
-    for target in (output, plot):
-        if target is not None and target.exists() and not overwrite:
-            raise UsageError(f"{target}: exists already: choose another name or say --overwrite")
+    check_files([output, plot], logs, overwrite=overwrite)
     stored = read_map(map_directory)
     flags = options.overrides(
         settings,
@@ -58,12 +63,11 @@ def localize(
         base_frame=base_frame,
         no_odometry=no_odometry,
     )
-    built_with = stored.config.model_copy(update={"log": LogConfig()})
     with ConsoleProgress(quiet) as progress:
         report = localize_log(
             logs,
             stored,
-            with_overrides(built_with, flags),
+            settings_for(stored, flags),
             offline=offline,
             metric=metric,
             progress=progress,

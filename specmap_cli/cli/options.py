@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from specmap_cli.errors import UsageError
 
+if TYPE_CHECKING:
+    from specmap_cli.config import Config
+
 Logs = Annotated[
     list[Path],
     typer.Argument(
-        metavar="LOG...",
+        metavar="LOG",
         help="Recording: .mcap, rosbag2 directory or .db3, ROS 1 .bag, CARMEN .log; "
         "several files of one split recording together.",
         show_default=False,
@@ -42,6 +45,15 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instea
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing result.")]
 
 
+def effective(
+    config: Path | None, preset: str | None, settings: list[str] | None, **flags: Any
+) -> Config:
+    """The configuration in force: flags over the file over the preset over the defaults."""
+    from specmap_cli.config import load_config
+
+    return load_config(config, preset, overrides(settings, **flags))
+
+
 def overrides(
     settings: list[str] | None,
     *,
@@ -49,17 +61,23 @@ def overrides(
     odom_topic: str | None = None,
     base_frame: str | None = None,
     no_odometry: bool = False,
+    no_relax: bool = False,
     seed: int | None = None,
 ) -> dict[str, Any]:
-    """The nested dictionary of settings that the flags of a command stand for."""
+    """The nested dictionary of settings that the flags of a command stand for.
+
+    Raises UsageError for a setting that is no KEY=VALUE.
+    """
     result: dict[str, Any] = {}
     for setting in settings or []:
-        _put(result, *_parse(setting))
+        key, value = _parse(setting)
+        _put(result, key, value)
     flags = {
         "log.scan_topic": scan_topic,
         "log.odom_topic": odom_topic,
         "log.base_frame": base_frame,
         "log.use_odometry": False if no_odometry else None,
+        "relaxation.enabled": False if no_relax else None,
         "seed": seed,
     }
     for key, value in flags.items():
@@ -69,18 +87,25 @@ def overrides(
 
 
 def _parse(setting: str) -> tuple[str, Any]:
-    key, separator, text = setting.partition("=")
-    if not separator or not key.strip():
+    """Key and value of KEY=VALUE; a value that is no TOML is a string."""
+    key, separator, text = (part.strip() for part in setting.partition("="))
+    if not separator or not all(key.split(".")):
         raise UsageError(f"--set {setting}: expected KEY=VALUE, such as grid.resolution_m=0.1")
+    if key == "preset":
+        raise UsageError(f"--set {setting}: choose a preset with --preset {text}")
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = text
-    return key.strip(), value
+        found = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return key, text
+    return key, found["value"] if len(found) == 1 else text
 
 
 def _put(tree: dict[str, Any], key: str, value: Any) -> None:
+    """Set the entry of a dotted key; a value in the place of a section gives way to the section."""
     *sections, name = key.split(".")
     for section in sections:
-        tree = tree.setdefault(section, {})
+        inner = tree.get(section)
+        if not isinstance(inner, dict):
+            inner = tree[section] = {}
+        tree = inner
     tree[name] = value

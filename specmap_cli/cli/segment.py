@@ -8,32 +8,40 @@ from typing import Annotated
 import typer
 
 from specmap_cli.cli import options
+from specmap_cli.cli.targets import keep_inputs
+
+Grid = Annotated[
+    Path, typer.Argument(metavar="MAP", help="map_server .yaml, or .png/.pgm with --resolution.")
+]
+Out = Annotated[Path, typer.Option("--out", "-o", help="Directory to write.")]
+Resolution = Annotated[
+    float | None, typer.Option(help="Metres per pixel of a map without a .yaml.")
+]
 
 
 def segment(
-    grid: Annotated[
-        Path,
-        typer.Argument(metavar="MAP", help="map_server .yaml, or .png/.pgm with --resolution."),
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Directory to write.")] = Path("out"),
-    resolution: Annotated[
-        float | None, typer.Option(help="Metres per pixel of a map without a .yaml.")
-    ] = None,
+    grid: Grid,
+    out: Out = Path("out"),
+    resolution: Resolution = None,
     overwrite: options.Overwrite = False,
     preset: options.Preset = None,
     config: options.ConfigFile = None,
     settings: options.Settings = None,
     as_json: options.Json = False,
 ) -> None:
-    """Divide an existing occupancy grid into submaps: rooms, corridors, halls.
+    """Divide an existing occupancy grid into submaps.
 
-    Writes topology.json, labels.png (16 bit), overview.png and a grid of each submap.
-    Example: specmap segment map.yaml -o rooms
+    Rooms, corridors and halls. Writes topology.json, labels.png (16 bit), overview.png and a grid
+    of each submap.
+
+    \b
+    specmap segment map.yaml -o rooms
+    specmap segment plan.png --resolution 0.05 -o rooms
     """
     from specmap_cli.cli.console import print_result
-    from specmap_cli.config import load_config
     from specmap_cli.partition import partition_map
 
-    effective = load_config(config, preset, options.overrides(settings))
+    effective = options.effective(config, preset, settings)
+    keep_inputs([out], [grid])
     report = partition_map(grid, out, effective, resolution=resolution, overwrite=overwrite)
     print_result(report.as_dict(), report.lines(), as_json)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,8 @@ from specmap_cli.evaluation.worlds import World
 from specmap_cli.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.gridmap import GridMap
 from specmap_cli.logs.writer import LogWriter
+from specmap_cli.outputs.files import write_text
+from specmap_cli.outputs.text import counted
 from specmap_cli.progress import Progress, Silent
 from specmap_cli.records import PlanarScan, Sweep
 
@@ -90,6 +92,18 @@ class SimulationResult:
     duration_s: float
     distance_m: float
     area_m2: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same for a machine."""
+        return {**asdict(self), "log": str(self.log), "truth": str(self.truth)}
+
+    def lines(self) -> list[str]:
+        """The same for a person."""
+        return [
+            f"{self.log}: {counted(self.scans, 'scan')} in {self.duration_s:.0f} s over "
+            f"{self.distance_m:.0f} m through {self.area_m2:.0f} m2",
+            f"true poses in {self.truth}",
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +197,7 @@ def simulate(
             lines.append(tum_line(sweep.stamp_ns, pose))
             progress.advance()
         odometry.write_until(None)
-        _write_text(truth, "".join(lines))
+        write_text(truth, "".join(lines))
     end = float(recording.scan_times_s[-1])
     return SimulationResult(out, truth, len(lines), end, driven_m(recording), recording.area_m2)
 
@@ -232,14 +246,6 @@ def _write_scan(writer: LogWriter, laser: Laser, planar: PlanarScan, rate_hz: fl
         time_increment=laser.sweep_s / (len(laser.bearings) - 1),
         scan_time=1.0 / rate_hz,
     )
-
-
-def _write_text(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        reason = error.strerror or "unknown reason"
-        raise UsageError(f"{path}: cannot write: {reason}; choose another place") from None
 
 
 def _laser(options: SimulationOptions) -> Laser:

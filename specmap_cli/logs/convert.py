@@ -11,6 +11,7 @@ from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.recording import TopicInfo
 from specmap_cli.logs.typestore import SUPPORTED_TYPES
 from specmap_cli.logs.writer import LogWriter
+from specmap_cli.progress import Progress, Silent
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,11 @@ class Conversion:
 
 
 def convert(
-    paths: Path | str | Sequence[Path | str], out: Path | str, *, overwrite: bool = False
+    paths: Path | str | Sequence[Path | str],
+    out: Path | str,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
 ) -> Conversion:
     """Write the scans, odometry and transforms of a log to the MCAP file `out`.
 
@@ -39,6 +44,7 @@ def convert(
     (unless `overwrite`) or cannot be written, LogError when the log holds nothing to convert.
     """
     target = Path(out)
+    progress = progress or Silent()
     if target.exists() and not overwrite:
         raise UsageError(f"{target}: exists already; use --overwrite to replace it")
     with open_log(paths) as log:
@@ -48,12 +54,14 @@ def convert(
             there = ", ".join(f"{t.name} ({t.type})" for t in topics) or "no messages at all"
             raise LogError(f"{log.name}: no scans, odometry or transforms; it has {there}")
         counts: dict[tuple[str, str], int] = {}
+        progress.start("converting", sum(t.count for t in topics if t.name in wanted))
         with LogWriter(target) as writer:
             for message in log.messages(wanted):
                 if message.type in SUPPORTED_TYPES:
                     writer.raw(message.topic, message.type, message.data, message.time_ns)
                     key = (message.topic, message.type)
                     counts[key] = counts.get(key, 0) + 1
+                progress.advance()
         return Conversion(
             path=target,
             written=[TopicInfo(*key, counts[key]) for key in sorted(counts)],

@@ -7,6 +7,7 @@ and renamed when complete, so that an interrupted run leaves nothing that looks 
 from __future__ import annotations
 
 import os
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -57,6 +58,8 @@ class LogWriter:
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
         self._file: IO[bytes] | None = self._open()
+        # Also runs at the exit of the interpreter: no interruption leaves the part behind.
+        self._clean_up = weakref.finalize(self, _unlink, self._part)
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=f"specmap {__version__}")
 
@@ -153,7 +156,7 @@ class LogWriter:
         if self._file is not None:
             self._file.close()
             self._file = None
-        self._part.unlink(missing_ok=True)
+        self._clean_up()
 
     def __enter__(self) -> LogWriter:
         return self
@@ -191,3 +194,7 @@ class LogWriter:
                 topic, "cdr", self._schemas[msgtype], metadata
             )
         return self._channels[key]
+
+
+def _unlink(path: Path) -> None:
+    path.unlink(missing_ok=True)

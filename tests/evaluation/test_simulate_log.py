@@ -162,7 +162,7 @@ def test_a_robot_that_just_fits_records_where_it_stands(tmp_path: Path) -> None:
 
 def test_a_truth_that_cannot_be_written_leaves_no_recording(flat: GridMap, tmp_path: Path) -> None:
     options = SimulationOptions(max_duration_s=0.2, beams=8)
-    with pytest.raises(UsageError, match=r"truth.*cannot write"):
+    with pytest.raises(UsageError, match=r"truth.*cannot be written"):
         simulate(flat, options, tmp_path / "log.mcap", tmp_path / "no" / "truth.tum")
     assert list(tmp_path.iterdir()) == []
 

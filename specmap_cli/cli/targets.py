@@ -1,0 +1,42 @@
+"""Outputs that cannot or must not be written are refused before the work, not after it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from specmap_cli.errors import UsageError
+
+
+def check_files(
+    outputs: Iterable[Path | None], inputs: Iterable[Path], *, overwrite: bool = False
+) -> None:
+    """Refuse files that exist (unless `overwrite`), whose place cannot be written, or that are
+    needed: an input, or another output.
+
+    Raises UsageError naming the first file at fault; None stands for an output not asked for.
+    """
+    wanted = [path for path in outputs if path is not None]
+    for path in wanted:
+        if path.is_dir():
+            raise UsageError(f"{path}: is a directory: name the file to write")
+        if os.path.lexists(path) and not overwrite:
+            raise UsageError(f"{path}: exists already: choose another name or say --overwrite")
+        if not path.parent.is_dir():
+            raise UsageError(f"{path}: there is no directory {path.parent}: make it first")
+        if not os.access(path.parent, os.W_OK):
+            raise UsageError(f"{path}: cannot write in {path.parent}: choose another place")
+    if len({path.resolve() for path in wanted}) < len(wanted):
+        raise UsageError(f"{wanted[0]}: given for two outputs: each needs a file of its own")
+    keep_inputs(wanted, inputs)
+
+
+def keep_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
+    """Refuse outputs that are an input, or a directory with one inside: it would be lost."""
+    needed = [path.resolve() for path in inputs]
+    for output in outputs:
+        place = output.resolve()
+        for path in needed:
+            if path == place or place in path.parents:
+                raise UsageError(f"{output}: would replace the input {path}: choose another output")
