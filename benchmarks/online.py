@@ -1,6 +1,6 @@
 """Splitting while the robot moves, on simulated tours with known rooms.
 
-    python -m benchmarks.online [--preset paper] [--plan NAME] [--quick] [--json FILE]
+    OMP_NUM_THREADS=1 python -m benchmarks.online [--preset paper] [--plan NAME] [--quick]
 
 A laser of 180 degrees and 8 m and one of 360 degrees and 20 m tour four plans of
 $SPECMAP_DATA/rooms with drifting odometry; the poses are those of the front end. Homogeneity is of

@@ -1,11 +1,11 @@
 """Finished maps against rooms drawn by hand: the maps of Bormann et al. (ICRA 2016).
 
-    python -m benchmarks.rooms [--preset paper] [--json FILE]
+    OMP_NUM_THREADS=1 python -m benchmarks.rooms [--preset paper] [--json FILE]
 
 Every map of $SPECMAP_DATA/rooms, as it is and furnished, with one configuration. Recall, precision
-and IoU are explained in specmap_cli/evaluation/scores.py. Beside the seconds (the best of three
-runs) stands their ratio to OpenCV's connectedComponents and distanceTransform on the same map in
-the same run, which does not depend on how busy the machine is.
+and IoU are explained in specmap_cli/evaluation/scores.py. Beside the seconds (processor time, the
+best of three runs) stands their ratio to OpenCV's connectedComponents and distanceTransform on the
+same map in the same run, which does not depend on the machine.
 """
 
 from __future__ import annotations
@@ -84,12 +84,12 @@ def measure(truth: Path, kind: str, config: SegmentationConfig) -> Row:
 
 
 def fastest(work: Callable[[], object]) -> float:
-    """Seconds of the quickest of a few runs."""
+    """Processor seconds of the quickest of a few runs."""
     best = float("inf")
     for _ in range(REPEATS):
-        start = time.perf_counter()
+        start = time.process_time()
         work()
-        best = min(best, time.perf_counter() - start)
+        best = min(best, time.process_time() - start)
     return best
 
 
