@@ -30,6 +30,8 @@ from specmap_cli.topology.posegraph import Link
 
 _CACHED_NODES = 256
 _FEWEST_POINTS = 20
+_RIVALS, _LEAD = 4, 0.05  # places compared when nothing is known, and by how much to be ahead
+_PINNED_M = 0.1
 _FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])  # of a match: cells, moved furniture, people
 
 
@@ -106,14 +108,21 @@ def verified(
 def found_anywhere(
     source: FloatArray, target: FloatArray, config: RelaxationConfig
 ) -> tuple[Pose2, FloatArray] | None:
-    """The same without a guess, for passes whose relation is unknown; must fit much better."""
-    field = _field(target, config)
-    sure = 0.5 + 0.5 * config.loop_score
-    for match in search_everywhere(field, thinned(source, 0.25), count=2):
-        found = _confirmed(field, source, match.pose, sure)
-        if found is not None:
-            return found
-    return None
+    """The same without a guess, for passes whose relation is unknown.
+
+    It must fit much better, nowhere else nearly as well, and leave no direction open: in a bare
+    corridor nothing is found.
+    """
+    field, few = _field(target, config), thinned(source, 0.2)
+    rough = search_everywhere(field, thinned(source, 0.25), count=_RIVALS)
+    fine = [search(field, few, match.pose, Window(0.3, 0.09, 0.1)) for match in rough]
+    fine.sort(key=lambda match: -match.score)
+    if not fine or (len(fine) > 1 and fine[1].score > fine[0].score - _LEAD):
+        return None
+    found = _confirmed(field, source, fine[0].pose, 0.5 + 0.5 * config.loop_score)
+    if found is None or np.linalg.inv(found[1])[:2, :2].trace() > 2 * _PINNED_M**2:
+        return None
+    return found
 
 
 def _field(target: FloatArray, config: RelaxationConfig) -> ScoreField:

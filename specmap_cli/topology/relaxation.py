@@ -24,6 +24,7 @@ from specmap_cli.topology.posegraph import Edges, Link, Solution, solve
 
 _KERNEL = 2.0  # width of Cauchy's kernel, in sigmas
 _OUTLIER_CHI2 = 25.0
+_STRAY_VOTES = 3  # matches that must agree on where a lost piece of the path belongs
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +171,7 @@ class _Relaxation:
             visited = float(self.path[node])
             if self.passes.is_stray(node):
                 strays += self.passes.links_of_stray(node, self.poses)
-                if not self._place(int(self.part[node]), strays, 2):
+                if not self._place(int(self.part[node]), strays, _STRAY_VOTES):
                     continue
                 found, strays = strays, []
             else:
