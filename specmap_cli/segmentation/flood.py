@@ -39,8 +39,16 @@ def flood_labels(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -
     markers[nodes[:, 0] + 1, nodes[:, 1] + 1] = labels + 1
     cv2.watershed(picture, markers)
     flooded = markers[1:-1, 1:-1] - 1
-    flooded[(flooded < 0) | ~free] = -1
+    flooded[(flooded < 0) | ~_pieces_of(free, nodes)] = -1
     return spread_labels(flooded.astype(np.int32), free)
+
+
+def _pieces_of(free: BoolArray, nodes: IndexArray) -> BoolArray:
+    """(h, w) the pieces of `free`, joined over edges and corners, that hold a node (n, 2)."""
+    count, piece = cv2.connectedComponents(free.astype(np.uint8), connectivity=8)
+    held = np.zeros(count, dtype=bool)
+    held[piece[nodes[:, 0], nodes[:, 1]]] = True
+    return np.asarray(held[piece] & free)
 
 
 def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
