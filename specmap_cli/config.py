@@ -223,6 +223,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "path_band_m": 0.0,
             "region_min_m": 0.0,
             "regrow": False,
+            "final_regions": False,
         },
         "recognition": {
             "feature_set": "table1",
