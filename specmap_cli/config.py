@@ -123,7 +123,7 @@ class RecognitionConfig(_Section):
     shrinkage: float = Field(0.3, gt=0, le=1, description="trees: scale of every vote")
     feature_share: float = Field(0.2, gt=0, le=1, description="trees: features drawn a round")
     negatives: int = Field(2000, ge=10, description="scans of other submaps a classifier sees")
-    closure_rounds: int = Field(60, ge=1, description="weak classifiers while ranking")
+    closure_rounds: int = Field(40, ge=1, description="weak classifiers while ranking")
     closure_shrinkage: float = Field(0.5, gt=0, le=1)
     closure_negatives: int = Field(500, ge=10)
     samples_per_submap: int = Field(150, ge=1, description="scans of a submap used for ranking")
@@ -234,6 +234,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "groups": 0,
             "refresh_growth": 0.0,
             "verify": False,
+            "closure_rounds": 60,
         },
         "localization": {"virtual": False, "unknown": False},
     },

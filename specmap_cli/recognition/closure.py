@@ -46,7 +46,6 @@ class _Visit:
     """One visit of a submap: what is kept of its view."""
 
     id: int
-    features: FloatArray
     place: Place | None
     track: FloatArray
     map_from_submap: Pose2 | None
@@ -75,14 +74,14 @@ class LoopCloser:
         """
         visit = _Visit(
             new.id,
-            evenly(new.features, self.config.samples_per_submap),
             prepare(new.grid) if self.config.verify else None,
             new.track,
             new.map_from_submap,
             new.travelled_m,
         )
-        old = {i: [v.features for v in visits] for i, visits in self._submaps.items()}
-        claims = self._ranker.claims(visit.features, old) if old else {}
+        features = evenly(new.features, self.config.samples_per_submap)
+        claims = self._ranker.claims(features)
+        self._ranker.remember(new.id, features)
         closures = (
             self._verified(visit, claims) if self.config.verify else self._claimed(visit, claims)
         )
@@ -100,7 +99,7 @@ class LoopCloser:
         visits = self._submaps.pop(gone)
         self._owner.update({visit.id: kept for visit in visits})
         self._submaps[kept].extend(visits)
-        self._ranker.forget(gone)
+        self._ranker.merge(kept, gone)
 
     def consider_leftovers(self, adjacency: Mapping[int, Collection[int]]) -> list[Closure]:
         """Pairs of submaps that may be duplicates by the topology, verified; at most one merge.

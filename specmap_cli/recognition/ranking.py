@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from specmap_cli.config import RecognitionConfig
 from specmap_cli.geometry import FloatArray
@@ -18,6 +19,10 @@ from specmap_cli.recognition.boosting import Booster, StumpBoost
 from specmap_cli.recognition.features import FEATURE_SETS
 from specmap_cli.recognition.sampling import evenly
 from specmap_cli.recognition.trees import CodeArray, Quantiser, TreeBoost
+
+IndexArray = NDArray[np.intp]
+
+_QUANTISED_FROM = 4000
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,50 +44,63 @@ class Claims:
         return self.new_by_old * self.old_by_new  # eq. 5
 
 
-class ClaimRanker:
-    """Classifiers of the submaps so far, and the claims between a new one and each of them.
+@dataclass(slots=True)
+class _Scans:
+    """One visit's features (n, F), and their bins (F, n) once they are cut."""
 
-    Submaps are lists of visits, each visit the features (n, F) of its scans.
-    """
+    features: FloatArray
+    codes: CodeArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.features)
+
+
+class ClaimRanker:
+    """Scans and classifiers of the submaps so far, and a new one's claims on each of them."""
 
     def __init__(self, config: RecognitionConfig, rng: np.random.Generator) -> None:
         self.config = config
         self.rng = rng
+        self._submaps: dict[int, list[_Scans]] = {}
         self._classifiers: dict[int, tuple[int, int, Booster]] = {}
         self._quantiser: Quantiser | None = None
         self._quantised_at = 0
-        self._codes: dict[int, CodeArray] = {}
 
-    def claims(self, new: FloatArray, old: dict[int, list[FloatArray]]) -> dict[int, Claims]:
+    def remember(self, submap: int, features: FloatArray) -> None:
+        """A submap with the features (n, F) of its scans becomes one of the old ones."""
+        self._submaps[submap] = [_Scans(features)]
+
+    def merge(self, kept: int, gone: int) -> None:
+        """The visits of submap `gone` become visits of `kept`."""
+        self._submaps[kept].extend(self._submaps.pop(gone))
+        self._classifiers.pop(gone, None)
+
+    def claims(self, features: FloatArray) -> dict[int, Claims]:
         """The claims between a new submap's scans (n, F) and every old submap.
 
         With a single old submap there is nothing to tell it apart from: both claim all (the paper
         waits for a second one).
         """
-        ids = sorted(old)
+        ids = sorted(self._submaps)
         if len(ids) < 2:
-            return {i: Claims(1.0, 1.0, 1.0, np.ones(len(old[i]))) for i in ids}
-        pooled = {i: np.vstack(old[i]) for i in ids}
-        self._prepare(pooled, new)
+            return {i: Claims(1.0, 1.0, 1.0, np.ones(len(self._submaps[i]))) for i in ids}
+        new = _Scans(features)
+        self._quantise(new)
         groups = self.config.groups or len(ids)
         found: dict[int, Claims] = {}
         for group in range(min(groups, len(ids))):
             inside = ids[group::groups]
             rest = [i for i in ids if i not in inside]
-            c_new = self._train(new, [pooled[i] for i in rest])
+            c_new = self._train([new], rest)
             for i in inside:
-                found[i] = self._claim(c_new, self._classifier(i, pooled), new, old[i])
+                found[i] = self._claim(c_new, self._classifier(i, ids), new, self._submaps[i])
         return found
 
-    def forget(self, submap: int) -> None:
-        """Drop the classifier of a submap that was merged into another."""
-        self._classifiers.pop(submap, None)
-
     def _claim(
-        self, c_new: Booster, c_old: Booster, new: FloatArray, visits: Sequence[FloatArray]
+        self, c_new: Booster, c_old: Booster, new: _Scans, visits: Sequence[_Scans]
     ) -> Claims:
-        of_new = c_old.margins(new)
-        of_visits = [c_new.margins(visit) for visit in visits]
+        of_new = c_old.margins(new.features)
+        of_visits = [c_new.margins(visit.features) for visit in visits]
         of_old = np.concatenate(of_visits)
         by_member = np.array([_chance(margins) for margins in of_visits])
         return Claims(
@@ -92,54 +110,66 @@ class ClaimRanker:
             by_member,
         )
 
-    def _classifier(self, submap: int, pooled: dict[int, FloatArray]) -> Booster:
+    def _classifier(self, submap: int, ids: Sequence[int]) -> Booster:
         """The old submap's classifier, trained again when the map or the submap has grown."""
-        own = len(pooled[submap])
+        own = sum(len(visit) for visit in self._submaps[submap])
         cached = self._classifiers.get(submap)
-        if cached is not None:
-            grown = len(pooled) >= cached[0] * (1.0 + self.config.refresh_growth) + 1e-9
-            if not grown and own < cached[1] * (1.0 + self.config.refresh_growth) + 1:
-                return cached[2]
-        others = [pooled[i] for i in sorted(pooled) if i != submap]
-        booster = self._train(pooled[submap], others)
-        self._classifiers[submap] = (len(pooled), own, booster)
+        growth = 1.0 + self.config.refresh_growth
+        if cached is not None and growth > 1.0:
+            trained_among, trained_on, booster = cached
+            if len(ids) < trained_among * growth and own < trained_on * growth:
+                return booster
+        booster = self._train(self._submaps[submap], [i for i in ids if i != submap])
+        self._classifiers[submap] = (len(ids), own, booster)
         return booster
 
-    def _train(self, positive: FloatArray, others: Sequence[FloatArray]) -> Booster:
-        """One submap against others, whose scans are thinned evenly to the cap."""
+    def _train(self, own: Sequence[_Scans], others: Sequence[int]) -> Booster:
+        """One submap's visits against other submaps, whose scans are thinned evenly to the cap."""
         config = self.config
-        counts = np.array([len(o) for o in others])
-        chosen = evenly(np.arange(int(counts.sum())), config.closure_negatives)
-        starts = np.concatenate([[0], np.cumsum(counts)])
-        negative = np.vstack(
-            [
-                o[chosen[(chosen >= a) & (chosen < b)] - a]
-                for o, a, b in zip(others, starts[:-1], starts[1:], strict=True)
-            ]
-        )
-        positive = evenly(positive, 2 * config.samples_per_submap)
-        X = np.vstack([positive, negative])
-        y = np.concatenate([np.ones(len(positive)), -np.ones(len(negative))])
+        positive = _thinned(own, 2 * config.samples_per_submap)
+        visits = [visit for i in others for visit in self._submaps[i]]
+        negative = _thinned(visits, config.closure_negatives)
+        y = np.repeat([1.0, -1.0], [sum(len(r) for _, r in part) for part in (positive, negative)])
+        chosen = [*positive, *negative]
         names = FEATURE_SETS[config.feature_set]
         if config.booster == "stumps":
+            X = np.vstack([visit.features[rows] for visit, rows in chosen])
             return StumpBoost(names, config.closure_rounds).fit(X, y)
         assert self._quantiser is not None
+        codes = [v.codes[:, rows] for v, rows in chosen if v.codes is not None]
+        seed = int(self.rng.integers(2**31))
         booster = TreeBoost(
-            names,
-            config.closure_rounds,
-            config.closure_shrinkage,
-            config.feature_share,
-            int(self.rng.integers(2**31)),
+            names, config.closure_rounds, config.closure_shrinkage, config.feature_share, seed
         )
-        return booster.fit_codes(self._quantiser.codes(X), self._quantiser, y)
+        return booster.fit_codes(np.concatenate(codes, axis=1), self._quantiser, y)
 
-    def _prepare(self, pooled: dict[int, FloatArray], new: FloatArray) -> None:
-        """Cut the features anew whenever the map has doubled."""
-        if self.config.booster == "stumps" or len(pooled) < 2 * self._quantised_at:
+    def _quantise(self, new: _Scans) -> None:
+        """Cut the features of what is new; of everything, and anew, once the map has doubled."""
+        if self.config.booster == "stumps":
             return
-        everything = np.vstack([*(pooled[i] for i in sorted(pooled)), new])
-        self._quantiser = Quantiser.of(evenly(everything, 4000))
-        self._quantised_at = len(pooled)
+        visits = [visit for i in sorted(self._submaps) for visit in self._submaps[i]]
+        if self._quantiser is None or len(visits) >= 2 * self._quantised_at:
+            most = max(1, _QUANTISED_FROM // (len(visits) + 1))
+            sampled = [evenly(visit.features, most) for visit in (*visits, new)]
+            self._quantiser = Quantiser.of(np.vstack(sampled))
+            self._quantised_at = len(visits)
+            for visit in visits:
+                visit.codes = None
+        for visit in (*visits, new):
+            if visit.codes is None:
+                visit.codes = self._quantiser.codes(visit.features)
+
+
+def _thinned(visits: Sequence[_Scans], most: int) -> list[tuple[_Scans, IndexArray]]:
+    """At most `most` scans, evenly spread over the visits: each visit with its rows."""
+    starts = np.concatenate([[0], np.cumsum([len(visit) for visit in visits])]).astype(np.intp)
+    chosen = evenly(np.arange(int(starts[-1])), most)
+    bounds = np.searchsorted(chosen, starts)
+    return [
+        (visit, chosen[a:b] - start)
+        for visit, start, a, b in zip(visits, starts[:-1], bounds[:-1], bounds[1:], strict=True)
+        if b > a
+    ]
 
 
 def _chance(margins: FloatArray) -> float:

@@ -1,6 +1,6 @@
 """Real AdaBoost on trees of two levels over quantised features: the default classifier.
 
-Features are cut once into at most 64 bins at their quantiles; a round draws a share of the
+Features are cut once into at most 32 bins at their quantiles; a round draws a share of the
 features and finds the best root split and the best split below it from weighted histograms.
 Leaves vote half the log odds of their weights (Schapire and Singer, 1999), shrunk.
 """
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from specmap_cli.geometry import FloatArray
 from specmap_cli.recognition.parsing import field, mapping, number, numbers, objects
 
-BINS = 64
+BINS = 32
 CodeArray = NDArray[np.uint8]
 _TRIM_EVERY = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Quantiser:
-    """Cuts every feature at its quantiles: `edges` (F, 63), padded with +inf."""
+    """Cuts every feature at its quantiles: `edges` (F, 31), padded with +inf."""
 
     edges: FloatArray
 
@@ -182,13 +182,13 @@ def _grow(
     tiled = np.tile(weights, len(codes))
     shape, size = (len(codes), 2, BINS), 2 * BINS * len(codes)
     whole = _weigh(flat.ravel(), tiled, size).reshape(shape)
-    root, root_cut = _best_split(whole)
+    (root,), (root_cut,) = _best_splits(whole[None])
     upper = codes[root] > root_cut
     tiled = np.tile(weights[upper], len(codes))
     above = _weigh(flat[:, upper].ravel(), tiled, size).reshape(shape)
-    below_split, above_split = _best_split(whole - above), _best_split(above)
-    nodes = subset[[root, below_split[0], above_split[0]]]
-    return nodes, np.array([root_cut, below_split[1], above_split[1]])
+    below_above, child_cuts = _best_splits(np.stack([whole - above, above]))
+    nodes = subset[[root, *below_above]]
+    return nodes, np.array([root_cut, *child_cuts])
 
 
 def _weigh(bins: NDArray[Any], weights: FloatArray, size: int) -> FloatArray:
@@ -196,13 +196,19 @@ def _weigh(bins: NDArray[Any], weights: FloatArray, size: int) -> FloatArray:
     return np.asarray(np.bincount(bins, weights, minlength=size), dtype=np.float64)
 
 
-def _best_split(histogram: FloatArray) -> tuple[int, int]:
-    """Feature and cut of least sum of sqrt(W+ W-) over both sides; `histogram` (K, 2, BINS)."""
-    below = np.maximum(np.cumsum(histogram, axis=2), 0.0)
-    above = np.maximum(below[:, :, -1:] - below, 0.0)
-    impurity = np.sqrt(below[:, 0] * below[:, 1]) + np.sqrt(above[:, 0] * above[:, 1])
-    best = int(np.argmin(impurity[:, :-1]))
-    return best // (BINS - 1), best % (BINS - 1)
+def _best_splits(histograms: FloatArray) -> tuple[list[int], list[int]]:
+    """Feature and cut of least sum of sqrt(W+ W-) over both sides, for each of N nodes.
+
+    `histograms` (N, K, 2, BINS): weights by feature, class and bin.
+    """
+    below = np.cumsum(histograms, axis=3)
+    above = below[..., -1:] - below
+    # rounding can leave a weight of nought slightly negative
+    impurity = np.sqrt(np.abs(below[:, :, 0] * below[:, :, 1]))
+    impurity += np.sqrt(np.abs(above[:, :, 0] * above[:, :, 1]))
+    best = impurity[..., :-1].reshape(len(histograms), -1).argmin(axis=1)
+    features, cuts = np.divmod(best, BINS - 1)
+    return features.tolist(), cuts.tolist()
 
 
 def _leaves(codes: CodeArray, nodes: NDArray[np.intp], cuts: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -99,7 +99,7 @@ def test_trees_learn_what_no_sum_of_stumps_can() -> None:
     truth = fresh[:, 0] * fresh[:, 1] > 0.0
     trees = TreeBoost(NAMES, 120, 0.3, 0.5).fit(X, y)
     stumps = StumpBoost(NAMES, 120).fit(X, y)
-    assert ((trees.margins(fresh) > 0) == truth).mean() > 0.9
+    assert ((trees.margins(fresh) > 0) == truth).mean() > 0.85
     assert ((stumps.margins(fresh) > 0) == truth).mean() < 0.7
 
 

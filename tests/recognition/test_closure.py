@@ -139,20 +139,22 @@ def test_xi_is_the_product_of_both_claims() -> None:
 def test_the_right_submap_ranks_first(building: Any, booster: str) -> None:
     config = RecognitionConfig.model_validate({"closure_rounds": 20, "booster": booster})
     ranker = ClaimRanker(config, np.random.default_rng(0))
-    old = {k: [building.visit(k, k).features] for k in range(4)}
-    claims = ranker.claims(building.visit(9, 2, seed=4).features, old)
+    for k in range(4):
+        ranker.remember(k, building.visit(k, k).features)
+    claims = ranker.claims(building.visit(9, 2, seed=4).features)
     assert max(claims, key=lambda k: claims[k].rank) == 2
     assert all(0.0 <= c.xi <= 1.0 for c in claims.values())
 
 
 def test_a_classifier_is_kept_until_the_map_has_grown(building: Any) -> None:
     ranker = ClaimRanker(QUICK, np.random.default_rng(0))
-    old = {k: [building.visit(k, k % 4, seed=k).features] for k in range(5)}
+    for k in range(5):
+        ranker.remember(k, building.visit(k, k % 4, seed=k).features)
     new = building.visit(9, 2, seed=4).features
-    ranker.claims(new, old)
+    ranker.claims(new)
     kept = {k: c[2] for k, c in ranker._classifiers.items()}
-    old[5] = [building.visit(5, 1, seed=8).features]
-    ranker.claims(new, old)
+    ranker.remember(5, building.visit(5, 1, seed=8).features)
+    ranker.claims(new)
     assert all(ranker._classifiers[k][2] is kept[k] for k in range(5))
 
 

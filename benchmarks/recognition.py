@@ -1,0 +1,269 @@
+"""Table II of the paper, loop closures against truth, other tours, and what recognition costs.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.recognition [--only table2 closures tours cost] [--quick]
+
+Table II: a fifth of the keyframes is held out of the whole build of a real log, single raw scans.
+Closures: the build's merges and transforms against poses of others' full SLAM (good to 5 cm); a
+region comes back when two fifths of its track lie within a metre of an earlier one's, and the other
+way round. Tours: a map from one simulated tour at true poses, labels on another tour by another
+way, and on one through another building. Seconds are of processor time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.data import data_folder
+from specmap_cli.config import Config, load_config
+from specmap_cli.evaluation.classification import classification_scores
+from specmap_cli.evaluation.protocols import HoldOut, hold_out, rows_by_stamp
+from specmap_cli.evaluation.simulate import SimulationOptions, simulate_sweeps
+from specmap_cli.evaluation.worlds import read_rooms
+from specmap_cli.finishing import finish_map
+from specmap_cli.geometry import Pose2, compose, invert, wrap_angle
+from specmap_cli.gridmap import GridMap
+from specmap_cli.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
+from specmap_cli.logs import open_log
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.mapfiles import read_grid
+from specmap_cli.mapper import Mapper
+from specmap_cli.progress import Silent
+from specmap_cli.recognition.closure import LoopCloser, SubmapView
+from specmap_cli.recognition.localizer import Localizer
+from specmap_cli.recognition.training import train_localizer
+from specmap_cli.recognition.verification import tracks_overlap
+from specmap_cli.records import PosedScan
+
+LOGS = ("fr079", "mit_csail")
+PAPER = {"fr079": (0.9728, 0.9818, 0.9089, 0.9212), "mit_csail": (0.9689, 0.9739, 0.83, 0.8458)}
+RESOLUTION_M = 0.05
+REVISIT = 0.4
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    sections = {"table2": table2, "closures": closures, "tours": tours, "cost": cost}
+    parser.add_argument("--only", nargs="+", choices=sorted(sections), default=sorted(sections))
+    parser.add_argument("--quick", action="store_true", help="the smallest case of each")
+    arguments = parser.parse_args()
+    folder = data_folder()
+    for name, run in sections.items():
+        if name in arguments.only:
+            run(folder, arguments.quick)
+            print()
+
+
+def table2(folder: Path, quick: bool) -> None:
+    print("Table II         | training recall precision | test recall precision | filtered")
+    for name in LOGS[1:] if quick else LOGS:
+        row = PAPER[name]
+        print(f"{name:<9} paper  | {row[0]:.3f} {row[1]:.3f} | {row[2]:.3f} {row[3]:.3f} |")
+        for preset in ("default", "paper"):
+            for options in (HoldOut(seed=0), HoldOut("blocks", seed=0)):
+                if preset == "paper" and (quick or options.split == "blocks"):
+                    continue
+                log = folder / "logs" / f"{name}.mcap"
+                result = hold_out([log], load_config(preset=preset), options)
+                print(
+                    f"{name:<9} {preset} {options.split} | {result.train.recall:.3f} "
+                    f"{result.train.precision:.3f} | {result.test.recall:.3f} "
+                    f"{result.test.precision:.3f} | {result.filtered.accuracy:.3f} "
+                    f"({len(result.test.ids)} submaps, {result.test.scans} scans)",
+                    flush=True,
+                )
+
+
+def closures(folder: Path, quick: bool) -> None:
+    print("closures          | submaps merges right | revisits found | constraints, wrong, error")
+    for name in LOGS[1:] if quick else LOGS:
+        for preset in ("default",) if quick else ("default", "paper"):
+            print(f"{name:<10}{preset:<8}| {_closures_of(folder, name, preset)}", flush=True)
+
+
+def _closures_of(folder: Path, name: str, preset: str) -> str:
+    config = load_config(preset=preset)
+    with KeyframeStore() as store:
+        mapper = _mapped(folder / "logs" / f"{name}.mcap", config, store)
+        truth = np.loadtxt(folder / "truth" / f"{name}_corrected.tum")
+        stamps = np.round(truth[:, 0] * 1e6).astype(np.int64) * 1000
+        rows = rows_by_stamp(np.array(store.stamps_ns), stamps, 5_000_000)
+        poses = np.column_stack([truth[:, 1:3], 2.0 * np.arctan2(truth[:, 6], truth[:, 7])])
+        tracks = {}
+        for region, keyframes in mapper.regions.items():
+            known = [k for k in keyframes if rows[k] >= 0]
+            if known:
+                laser = store.base_from_laser(known[0])
+                tracks[region] = compose(poses[rows[known]], np.array(laser.inverse()))
+                first = compose(store.poses_of([known[0]]), invert(store.poses_of(keyframes[:1])))
+                tracks[region] = np.vstack([tracks[region]])
+                del first
+        return _judged(mapper, store, tracks, rows, poses)
+
+
+def _judged(mapper: Mapper, store: KeyframeStore, tracks: Any, rows: Any, poses: Any) -> str:
+    here = Pose2(0.0, 0.0, 0.0)
+    overlap = {
+        (a, b): tracks_overlap(tracks[a], tracks[b], here, 1.0)
+        for a in tracks
+        for b in tracks
+        if a < b
+    }
+    merges = [c for c in mapper.closures if c.merged]
+    right = sum(_overlap(overlap, c.old, c.new) > 0.25 for c in merges)
+    back = [b for b in tracks if any(overlap[a, b] >= REVISIT for a in tracks if a < b)]
+    found = sum(
+        any(
+            mapper.merger.find(a) == mapper.merger.find(b) and overlap[a, b] >= REVISIT
+            for a in tracks
+            if a < b
+        )
+        for b in back
+    )
+    errors = np.array(_constraint_errors(mapper, rows, poses)).reshape(-1, 2)
+    wrong = int(((errors[:, 0] > 0.6) | (errors[:, 1] > 7.0)).sum())
+    median = np.median(errors, axis=0) if len(errors) else np.full(2, np.nan)
+    return (
+        f"{len(mapper.regions)} regions, {len(merges)} merges, {right} right | "
+        f"{found}/{len(back)} | {len(errors)}, {wrong} wrong, "
+        f"{100 * median[0]:.1f} cm {median[1]:.2f} deg"
+    )
+
+
+def _overlap(overlap: dict[tuple[int, int], float], a: int, b: int) -> float:
+    return overlap.get((min(a, b), max(a, b)), 0.0)
+
+
+def _constraint_errors(mapper: Mapper, rows: Any, poses: Any) -> list[tuple[float, float]]:
+    """Metres and degrees between each verified transform and the truth, at the keyframes joined."""
+    errors = []
+    for constraint in mapper.constraints():
+        a, b = rows[constraint.source], rows[constraint.target]
+        if a < 0 or b < 0:
+            continue
+        laser = mapper.store.base_from_laser(constraint.source)
+        base = [Pose2(*poses[k].tolist()) @ laser.inverse() for k in (a, b)]
+        true = base[0].inverse() @ base[1]
+        off = true.inverse() @ constraint.source_from_target
+        errors.append((off.distance, abs(np.degrees(wrap_angle(off.theta)))))
+    return errors
+
+
+def _mapped(log_path: Path, config: Config, store: KeyframeStore) -> Mapper:
+    mapper = Mapper(config, store)
+    with open_log([log_path]) as log:
+        for sweep in SweepStream(log, config.log):
+            mapper.add(sweep)
+    mapper.finish()
+    return mapper
+
+
+def tours(folder: Path, quick: bool) -> None:
+    print("tours, new way             | raw recall precision | filtered | unknown: known foreign")
+    cases = [("", 360.0), ("_furnitures", 180.0), ("_furnitures", 360.0)]
+    for clutter, view in cases[:1] if quick else cases:
+        print(
+            f"Freiburg79{clutter:<12}{view:4.0f} | {_tour_row(folder, clutter, view)}", flush=True
+        )
+
+
+def _tour_row(folder: Path, clutter: str, view: float) -> str:
+    config = load_config()
+    rooms = read_rooms(folder / "rooms" / "Freiburg79_scan_gt_segmentation.png", RESOLUTION_M)
+    plan = read_grid(folder / "rooms" / f"Freiburg79_scan{clutter}.png", RESOLUTION_M)
+    other = read_grid(folder / "rooms" / f"lab_c_scan{clutter}.png", RESOLUTION_M)
+    first, again = _tour(plan, view, 0), _tour(plan, view, 11, spacing_m=2.6)
+    localizers = _localizer(first, rooms, config)
+    labels = [localizers[0].update(scan) for scan in again]
+    truth = rooms.at(np.array([scan.map_from_base for scan in again]))
+    ids = localizers[0].classifiers.ids
+    raw = localizers[0].classifiers
+    from specmap_cli.recognition.features import scans_features
+
+    votes = raw.margins(scans_features([s.planar for s in again], raw.raw.feature_set))
+    single = classification_scores(truth, np.array(ids)[votes.argmax(axis=1)], ids)
+    filtered = classification_scores(truth, [label.filtered_submap for label in labels], ids)
+    foreign = [localizers[1].update(scan) for scan in _tour(other, view, 5)[:1500]]
+    unknown = [np.mean([x.filtered_submap is None for x in part]) for part in (labels, foreign)]
+    return (
+        f"{single.recall:.3f} {single.precision:.3f} | {filtered.accuracy:.3f} | "
+        f"{unknown[0]:.3f} {unknown[1]:.3f}"
+    )
+
+
+def _tour(plan: GridMap, view: float, seed: int, **more: Any) -> list[PosedScan]:
+    options = SimulationOptions(
+        field_of_view_deg=view, beams=int(view), rate_hz=5.0, seed=seed, **more
+    )
+    return [
+        PosedScan(s.index, s.stamp_ns, pose, s.planar, s.base_from_laser)
+        for s, pose in simulate_sweeps(plan, options)
+    ]
+
+
+def _localizer(tour: list[PosedScan], rooms: Any, config: Config) -> list[Localizer]:
+    """Two localizers of the same map, whose submaps are the rooms of the plan."""
+    selector = KeyframeSelector(config.keyframes)
+    with KeyframeStore() as store:
+        for scan in tour:
+            if selector.accepts(scan):
+                store.append(scan)
+        labels = rooms.at(store.poses)
+        submaps = {int(i): np.flatnonzero(labels == i).tolist() for i in np.unique(labels) if i}
+        grids: dict[int, GridMap] = {}
+        for i, numbers in submaps.items():
+            track = compose(invert(store.poses[numbers[0]]), store.poses[numbers])
+            grids[i] = integrate_keyframes(store, numbers, track, config.grid).snapshot()
+        rng = np.random.default_rng(config.seed)
+        trained = train_localizer(store, submaps, store.poses, grids, config, rng)
+    adjacency: dict[int, set[int]] = {i: set() for i in submaps}
+    for a, b in zip(labels[:-1].tolist(), labels[1:].tolist(), strict=True):
+        if a != b and a in adjacency and b in adjacency:
+            adjacency[a].add(b)
+            adjacency[b].add(a)
+    return [Localizer(trained, adjacency, grids, config.localization) for _ in range(2)]
+
+
+def cost(folder: Path, quick: bool) -> None:
+    name = LOGS[1] if quick else LOGS[0]
+    config = load_config()
+    with KeyframeStore() as store:
+        views: list[SubmapView] = []
+        mapper = _mapped(folder / "logs" / f"{name}.mcap", config, store)
+        views = [mapper._view_of(k) for k in mapper.regions] if hasattr(mapper, "_view_of") else []
+        finish_map(mapper, Silent())
+    seconds = mapper.clock.seconds
+    ours = seconds["recognition"] + seconds["training"]
+    print(f"{name}: closing and training {ours:.1f} s of {sum(seconds.values()):.1f} s")
+    print("  " + ", ".join(f"{stage} {value:.1f}" for stage, value in seconds.items()))
+    del views
+    _many_submaps(20 if quick else 300)
+
+
+def _many_submaps(count: int) -> None:
+    """Closing alone, for synthetic submaps of 150 scans with features around their own centres."""
+    from specmap_cli.recognition.features import FEATURE_SETS
+
+    config = load_config().recognition
+    rng = np.random.default_rng(0)
+    width = len(FEATURE_SETS[config.feature_set])
+    loop = LoopCloser(config, rng)
+    empty = GridMap(np.full((4, 4), 2, dtype=np.uint8), RESOLUTION_M)
+    started, marks = time.process_time(), []
+    for number in range(count):
+        features = rng.normal(rng.normal(0.0, 1.0, width), 0.7, (150, width))
+        loop.consider(SubmapView(number, features, empty, np.zeros((5, 3))))
+        marks.append(time.process_time() - started)
+    third = marks[count // 3] / (count // 3)
+    print(
+        f"{count} synthetic submaps: {marks[-1]:.1f} s in all, {1000 * third:.0f} ms a submap up "
+        f"to the first third, the last took {1000 * (marks[-1] - marks[-2]):.0f} ms"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+"""The room/hallway baseline: which rooms are hallways, what it learns, which borders it sees."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from specmap_cli.evaluation.semantic import (
+    HALLWAY,
+    ROOM,
+    RoomHallway,
+    hallways,
+    kinds_of,
+    semantic_scores,
+)
+
+
+def test_the_corridor_of_the_flat_is_its_hallway(flat_rooms: Any) -> None:
+    assert hallways(flat_rooms) == {4}
+
+
+def test_it_learns_the_kinds_of_one_tour(flat_tour: Any, flat_rooms: Any) -> None:
+    scans = [sweep.planar for sweep, _ in flat_tour]
+    rooms = flat_rooms.at(np.array([pose for _, pose in flat_tour]))
+    kinds = kinds_of(rooms, {4})
+    model = RoomHallway(20).fit(scans[::2], kinds[::2])
+    assert np.mean(model.predict(scans[1::2]) == kinds[1::2]) > 0.95
+
+
+def test_a_border_between_two_rooms_is_not_seen() -> None:
+    submaps = np.array([0, 0, 1, 1, 2, 2])
+    predicted = np.array([HALLWAY, HALLWAY, ROOM, ROOM, ROOM, ROOM])
+    truth = np.array([HALLWAY, -1, ROOM, ROOM, ROOM, HALLWAY])
+    result = semantic_scores(predicted, truth, submaps, [(0, 1), (1, 2), (2, 7)])
+    assert result.borders_seen == pytest.approx(0.5)
+    assert result.borders == 2
+    assert result.scores.scans == 5
+    assert result.as_dict()["room_hallway"]["accuracy"] == pytest.approx(0.8)
