@@ -33,11 +33,16 @@ def local_scales(
     return scales
 
 
+def edge_weights(lengths: FloatArray, pairs: IndexArray, scales: FloatArray) -> FloatArray:
+    """(m,) S_ij of eq. 1 for the visible pairs (m, 2)."""
+    product = scales[pairs[:, 0]] * scales[pairs[:, 1]]
+    return np.asarray(np.exp(-(lengths**2) / product))  # eq. 1
+
+
 def similarity(lengths: FloatArray, pairs: IndexArray, scales: FloatArray, nodes: int) -> Any:
     """S of eq. 1, (n, n) sparse and symmetric: zero on the diagonal and between unseen pairs."""
-    i, j = pairs[:, 0], pairs[:, 1]
-    weight = np.exp(-(lengths**2) / (scales[i] * scales[j]))  # eq. 1
-    half = sparse.coo_array((weight, (i, j)), shape=(nodes, nodes)).tocsr()
+    weight = edge_weights(lengths, pairs, scales)
+    half = sparse.coo_array((weight, (pairs[:, 0], pairs[:, 1])), shape=(nodes, nodes)).tocsr()
     return (half + half.T).tocsr()
 
 

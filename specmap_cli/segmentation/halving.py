@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from specmap_cli.segmentation.affinity import local_scales, normalised, similarity
+from specmap_cli.gridmap import BoolArray
+from specmap_cli.segmentation.affinity import edge_weights, local_scales
 from specmap_cli.segmentation.kmeans import LabelArray, bisect
-from specmap_cli.segmentation.spectrum import largest_eigenpairs
+from specmap_cli.segmentation.spectrum import two_largest
 from specmap_cli.segmentation.visibility import IndexArray, VisibilityGraph
 
 _FEWEST = 4  # nodes of a cluster that is looked at
@@ -22,17 +24,25 @@ def split_again(
     piece of corridor it was put together with among all the rooms of the map.
     """
     labels = labels.copy()
-    pending = list(range(int(labels.max(initial=-1)) + 1))
-    count = len(pending)
+    count = int(labels.max(initial=-1)) + 1
+    alike = labels[graph.pairs[:, 0]] == labels[graph.pairs[:, 1]]
+    pairs, lengths = graph.pairs[alike], graph.lengths[alike]
+    owner = labels[pairs[:, 0]]
+    pending = []
+    for label in range(count):
+        members, own = np.flatnonzero(labels == label), owner == label
+        whole = VisibilityGraph(graph.nodes, pairs[own], lengths[own])
+        pending.append((members, subgraph(whole, members)))
     while pending:
-        label = pending.pop()
-        members = np.flatnonzero(labels == label)
-        other = _second_half(subgraph(graph, members), neighbours, least)
+        members, part = pending.pop()
+        other = _second_half(part, neighbours, least)
         if other is None:
             continue
         labels[members[other]] = count
-        pending += [label, count]
         count += 1
+        pending += [
+            (members[half], subgraph(part, np.flatnonzero(half))) for half in (~other, other)
+        ]
     return np.unique(labels, return_inverse=True)[1].astype(np.int32)
 
 
@@ -45,18 +55,21 @@ def subgraph(graph: VisibilityGraph, members: IndexArray) -> VisibilityGraph:
     return VisibilityGraph(graph.nodes[members], pairs[inside], graph.lengths[inside])
 
 
-def _second_half(part: VisibilityGraph, neighbours: int, least: float) -> IndexArray | None:
-    """Numbers of the nodes to split off, None when the cluster stays whole."""
+def _second_half(part: VisibilityGraph, neighbours: int, least: float) -> BoolArray | None:
+    """(n,) the nodes to split off, None when the cluster stays whole."""
     nodes = len(part.nodes)
     if nodes < _FEWEST:
         return None
+    i, j = part.pairs[:, 0], part.pairs[:, 1]
     scales = local_scales(part.lengths, part.pairs, nodes, neighbours)
-    affinity = similarity(part.lengths, part.pairs, scales, nodes)
-    pieces, piece = connected_components(affinity, directed=False)
+    S = np.zeros((nodes, nodes))
+    S[i, j] = S[j, i] = edge_weights(part.lengths, part.pairs, scales)  # Algorithm 2, line 1
+    pieces, piece = connected_components(coo_array((S[i, j], (i, j)), S.shape), directed=False)
     if pieces > 1:
-        return np.flatnonzero(piece > 0)
-    values, vectors = largest_eigenpairs(normalised(affinity)[0], 2)
+        return np.asarray(piece > 0)
+    root = S.sum(axis=1) ** -0.5
+    values, vectors = two_largest(S * root[:, None] * root)  # Algorithm 2, lines 2 and 4
     if values[1] <= least:
         return None
-    other = np.flatnonzero(bisect(vectors[:, 0], vectors[:, 1]))
-    return other if 0 < len(other) < nodes else None
+    other = bisect(vectors[:, 0], vectors[:, 1]) == 1
+    return other if other.any() and not other.all() else None

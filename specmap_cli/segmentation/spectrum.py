@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
 from specmap_cli.geometry import FloatArray
@@ -30,8 +31,19 @@ def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]
         values, vectors = eigsh(matrix, k=count, which="LA", v0=start, tol=_TOLERANCE)
         order = np.argsort(-values, kind="stable")
         values, vectors = values[order], vectors[:, order]
-    sign = np.where((vectors**3).sum(axis=0) < 0.0, -1.0, 1.0)
-    return np.asarray(values), np.asarray(vectors * sign)
+    return np.asarray(values), with_fixed_signs(vectors)
+
+
+def two_largest(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The two largest eigenvalues, falling, and eigenvectors (n, 2) of a dense matrix (n, n)."""
+    size = len(matrix)
+    values, vectors = eigh(matrix, subset_by_index=[size - 2, size - 1])
+    return np.asarray(values[::-1]), with_fixed_signs(vectors[:, ::-1])
+
+
+def with_fixed_signs(vectors: FloatArray) -> FloatArray:
+    """Eigenvectors (n, k), each turned so that the sum of its cubes is not negative."""
+    return np.asarray(vectors * np.where((vectors**3).sum(axis=0) < 0.0, -1.0, 1.0))
 
 
 def eigenpairs_above(matrix: Any, least: float) -> tuple[FloatArray, FloatArray]:
