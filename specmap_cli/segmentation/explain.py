@@ -12,7 +12,9 @@ from specmap_cli.segmentation.splitting import SplitTest
 
 Picture = NDArray[np.uint8]
 
-_SIDE = 480  # pixels of the longer side of a map
+_SIDE = 480  # pixels of the longer side of the map of a test
+_LARGE_SIDE = 900  # and of a divided map
+_FRAME_M = 0.5  # shown round the free cells of a divided map
 _BARS = (480, 150)  # width and height of a spectrum
 _WHITE, _GREY, _BLACK = (255, 255, 255), (215, 215, 215), (40, 40, 40)
 _AHEAD, _LEFT = (60, 110, 235), (200, 120, 30)  # BGR: the robot's side, the side it left
@@ -25,7 +27,7 @@ def draw_test(test: SplitTest, threshold: float, split: bool) -> Picture:
     (H, W, 3) BGR. Nodes on the robot's side are orange, the others blue, and the fainter the closer
     the eigenvector is to zero there.
     """
-    picture, scale = _map_picture(test.grid)
+    picture, scale = _map_picture(test.grid, _SIDE)
     if len(test.nodes):
         strength = np.abs(test.eigenvector) / max(float(np.abs(test.eigenvector).max()), 1e-12)
         for spot, near, weight in zip(
@@ -43,7 +45,8 @@ def draw_test(test: SplitTest, threshold: float, split: bool) -> Picture:
 
 def draw_segmentation(grid: GridMap, found: Segmentation, threshold: float) -> Picture:
     """A divided map: nodes and sight lines in the colours of the regions, and the spectrum."""
-    picture, scale = _map_picture(grid)
+    grid = _cropped(grid)
+    picture, scale = _map_picture(grid, _LARGE_SIDE)
     spots = _pixels(grid, found.nodes, scale)
     lines = np.array(spots, dtype=np.int32).reshape(-1, 2)[found.pairs]
     near = np.hypot(*(found.nodes[found.pairs[:, 0]] - found.nodes[found.pairs[:, 1]]).T)
@@ -61,12 +64,25 @@ def draw_segmentation(grid: GridMap, found: Segmentation, threshold: float) -> P
     return _stacked(picture, _spectrum(values[: used + _SHOWN], threshold, 0, caption))
 
 
-def _map_picture(grid: GridMap) -> tuple[Picture, float]:
-    """The map, free white and unknown grey, and its pixels a cell."""
+def _cropped(grid: GridMap) -> GridMap:
+    """The part of a map round its free cells; the whole when there are none."""
+    cells = np.argwhere(grid.free)
+    if not len(cells):
+        return grid
+    frame = round(_FRAME_M / grid.resolution)
+    low = np.maximum(cells.min(axis=0) - frame, 0)
+    high = cells.max(axis=0) + frame + 1
+    x, y = grid.origin
+    corner = (x + int(low[1]) * grid.resolution, y + int(low[0]) * grid.resolution)
+    return GridMap(grid.cells[low[0] : high[0], low[1] : high[1]], grid.resolution, corner)
+
+
+def _map_picture(grid: GridMap, side: int) -> tuple[Picture, float]:
+    """The map, free white and unknown grey, `side` pixels at its longer side; its pixels a cell."""
     shades = np.full((*grid.cells.shape, 3), _GREY, dtype=np.uint8)
     shades[grid.cells == FREE] = _WHITE
     shades[grid.cells == OCCUPIED] = _BLACK
-    scale = _SIDE / max(grid.cells.shape)
+    scale = side / max(grid.cells.shape)
     size = max(1, round(shades.shape[1] * scale)), max(1, round(shades.shape[0] * scale))
     return cv2.resize(shades[::-1], size, interpolation=cv2.INTER_NEAREST).astype(np.uint8), scale
 
