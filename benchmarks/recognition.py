@@ -34,6 +34,7 @@ from specmap_cli.mapfiles import read_grid
 from specmap_cli.mapper import Mapper
 from specmap_cli.progress import Silent
 from specmap_cli.recognition.closure import LoopCloser, SubmapView
+from specmap_cli.recognition.features import FEATURE_SETS, scans_features
 from specmap_cli.recognition.localizer import Localizer
 from specmap_cli.recognition.training import train_localizer
 from specmap_cli.recognition.verification import tracks_overlap
@@ -97,15 +98,12 @@ def _closures_of(folder: Path, name: str, preset: str) -> str:
         for region, keyframes in mapper.regions.items():
             known = [k for k in keyframes if rows[k] >= 0]
             if known:
-                laser = store.base_from_laser(known[0])
-                tracks[region] = compose(poses[rows[known]], np.array(laser.inverse()))
-                first = compose(store.poses_of([known[0]]), invert(store.poses_of(keyframes[:1])))
-                tracks[region] = np.vstack([tracks[region]])
-                del first
-        return _judged(mapper, store, tracks, rows, poses)
+                base = np.array(store.base_from_laser(known[0]).inverse())
+                tracks[region] = compose(poses[rows[known]], base)
+        return _judged(mapper, tracks, rows, poses)
 
 
-def _judged(mapper: Mapper, store: KeyframeStore, tracks: Any, rows: Any, poses: Any) -> str:
+def _judged(mapper: Mapper, tracks: Any, rows: Any, poses: Any) -> str:
     here = Pose2(0.0, 0.0, 0.0)
     overlap = {
         (a, b): tracks_overlap(tracks[a], tracks[b], here, 1.0)
@@ -177,13 +175,11 @@ def _tour_row(folder: Path, clutter: str, view: float) -> str:
     plan = read_grid(folder / "rooms" / f"Freiburg79_scan{clutter}.png", RESOLUTION_M)
     other = read_grid(folder / "rooms" / f"lab_c_scan{clutter}.png", RESOLUTION_M)
     first, again = _tour(plan, view, 0), _tour(plan, view, 11, spacing_m=2.6)
-    localizers = _localizer(first, rooms, config)
+    localizers = _localizers(first, rooms, config)
     labels = [localizers[0].update(scan) for scan in again]
     truth = rooms.at(np.array([scan.map_from_base for scan in again]))
     ids = localizers[0].classifiers.ids
     raw = localizers[0].classifiers
-    from specmap_cli.recognition.features import scans_features
-
     votes = raw.margins(scans_features([s.planar for s in again], raw.raw.feature_set))
     single = classification_scores(truth, np.array(ids)[votes.argmax(axis=1)], ids)
     filtered = classification_scores(truth, [label.filtered_submap for label in labels], ids)
@@ -205,7 +201,7 @@ def _tour(plan: GridMap, view: float, seed: int, **more: Any) -> list[PosedScan]
     ]
 
 
-def _localizer(tour: list[PosedScan], rooms: Any, config: Config) -> list[Localizer]:
+def _localizers(tour: list[PosedScan], rooms: Any, config: Config) -> list[Localizer]:
     """Two localizers of the same map, whose submaps are the rooms of the plan."""
     selector = KeyframeSelector(config.keyframes)
     with KeyframeStore() as store:
@@ -232,22 +228,17 @@ def cost(folder: Path, quick: bool) -> None:
     name = LOGS[1] if quick else LOGS[0]
     config = load_config()
     with KeyframeStore() as store:
-        views: list[SubmapView] = []
         mapper = _mapped(folder / "logs" / f"{name}.mcap", config, store)
-        views = [mapper._view_of(k) for k in mapper.regions] if hasattr(mapper, "_view_of") else []
         finish_map(mapper, Silent())
     seconds = mapper.clock.seconds
     ours = seconds["recognition"] + seconds["training"]
     print(f"{name}: closing and training {ours:.1f} s of {sum(seconds.values()):.1f} s")
     print("  " + ", ".join(f"{stage} {value:.1f}" for stage, value in seconds.items()))
-    del views
     _many_submaps(20 if quick else 300)
 
 
 def _many_submaps(count: int) -> None:
     """Closing alone, for synthetic submaps of 150 scans with features around their own centres."""
-    from specmap_cli.recognition.features import FEATURE_SETS
-
     config = load_config().recognition
     rng = np.random.default_rng(0)
     width = len(FEATURE_SETS[config.feature_set])

@@ -119,8 +119,8 @@ class RecognitionConfig(_Section):
 
     feature_set: Literal["table1", "pairs", "shape", "places", "full"] = "full"
     booster: Literal["trees", "stumps"] = "trees"
-    rounds: int = Field(300, ge=1, description="weak classifiers of a submap's final classifier")
-    shrinkage: float = Field(0.3, gt=0, le=1, description="trees: scale of every vote")
+    rounds: int = Field(200, ge=1, description="weak classifiers of a submap's final classifier")
+    shrinkage: float = Field(0.5, gt=0, le=1, description="trees: scale of every vote")
     feature_share: float = Field(0.2, gt=0, le=1, description="trees: features drawn a round")
     negatives: int = Field(2000, ge=10, description="scans of other submaps a classifier sees")
     closure_rounds: int = Field(40, ge=1, description="weak classifiers while ranking")
@@ -132,6 +132,7 @@ class RecognitionConfig(_Section):
     xi_threshold: float = Field(0.175, ge=0, le=1, description="eq. 5, judge without `verify`")
     verify: bool = Field(True, description="a closure needs a match of the two grids")
     candidates: int = Field(4, ge=1, description="best ranked old submaps whose grids are matched")
+    leftovers: int = Field(3, ge=0, description="pairs matched a submap in search of duplicates")
     members: int = Field(2, ge=1, description="visits of an old submap whose grids are matched")
     min_score: float = Field(0.75, le=1, description="inliers less twice the contradictions")
     min_lead: float = Field(0.1, ge=0, description="over the next best match, or it is ambiguous")
@@ -174,7 +175,7 @@ class LocalizationConfig(_Section):
     virtual_beams: int = Field(360, ge=16)
     virtual_range_m: float = Field(20.0, gt=0)
     raw_weight: float = Field(0.25, ge=0, le=1, description="of the single scan; 1 at the start")
-    augmentation: int = Field(3000, ge=0, description="virtual scans from free cells, training")
+    augmentation: int = Field(2000, ge=0, description="virtual scans from free cells, training")
     stay: float = Field(
         0.97, gt=0, lt=1, description="chance to stay in a submap from scan to scan"
     )

@@ -7,6 +7,7 @@ With `verify` off, xi alone decides, as in the paper.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
@@ -64,7 +65,8 @@ class LoopCloser:
         self._submaps: dict[int, list[_Visit]] = {}
         self._owner: dict[int, int] = {}
         self._ranker = ClaimRanker(config, rng)
-        self._checked: dict[tuple[int, int], Check | None] = {}
+        self._checked: set[tuple[int, int]] = set()
+        self._ranks: dict[tuple[int, int], float] = {}
 
     def consider(self, new: SubmapView) -> list[Closure]:
         """Compare a new submap with every old one, and remember it as one of its own.
@@ -81,6 +83,7 @@ class LoopCloser:
         )
         features = evenly(new.features, self.config.samples_per_submap)
         claims = self._ranker.claims(features)
+        self._ranks.update({(old, new.id): c.rank for old, c in claims.items()})
         self._ranker.remember(new.id, features)
         closures = (
             self._verified(visit, claims) if self.config.verify else self._claimed(visit, claims)
@@ -104,13 +107,14 @@ class LoopCloser:
     def consider_leftovers(self, adjacency: Mapping[int, Collection[int]]) -> list[Closure]:
         """Pairs of submaps that may be duplicates by the topology, verified; at most one merge.
 
-        `adjacency` is of the submaps that are left. Neighbours of one submap are compared first.
-        Call again after merging, until nothing merges; pairs are never matched twice.
+        `adjacency` is of the submaps that are left. Submaps one or two edges apart are compared,
+        the best ranked first. Call again after merging, until nothing merges; pairs are never
+        matched twice.
         """
         if not self.config.verify:
             return []
         found: list[Closure] = []
-        for old, new in _likely_duplicates(sorted(self._submaps), adjacency):
+        for old, new in self._leftover_pairs(adjacency):
             none = Claims(0.0, 0.0, 0.0, np.zeros(len(self._submaps[old])))
             for visit in self._submaps[new][-self.config.members :]:
                 closures = self._verified_pair(visit, old, none)
@@ -118,6 +122,23 @@ class LoopCloser:
                 if any(closure.merged for closure in closures):
                     return found
         return found
+
+    def _leftover_pairs(self, adjacency: Mapping[int, Collection[int]]) -> list[tuple[int, int]]:
+        """Pairs that may be duplicates, for each submap the best ranked of those near it."""
+        pairs = _likely_duplicates(sorted(self._submaps), adjacency)
+        pairs.sort(key=lambda pair: -self._rank(*pair))
+        taken: Counter[int] = Counter()
+        chosen = []
+        for old, new in pairs:
+            if taken[new] < self.config.leftovers:
+                taken[new] += 1
+                chosen.append((old, new))
+        return chosen
+
+    def _rank(self, old: int, new: int) -> float:
+        """The best rank among the visits of two submaps."""
+        keys = ((a.id, b.id) for a in self._submaps[old] for b in self._submaps[new])
+        return max(self._ranks.get((min(key), max(key)), 0.0) for key in keys)
 
     def _claimed(self, visit: _Visit, claims: Mapping[int, Claims]) -> list[Closure]:
         """The paper's own rule: the largest xi merges when it passes the threshold."""
@@ -160,7 +181,7 @@ class LoopCloser:
             if key in self._checked or member.place is None or visit.place is None:
                 continue
             check = verify(member.place, visit.place)
-            self._checked[key] = check
+            self._checked.add(key)
             verdict = self._judge(member, visit, check)
             closure = _closure(visit.id, member.id, claims, check, *verdict)
             if best is None or _merit(closure) > _merit(best):
@@ -221,24 +242,13 @@ def _closure(
 def _likely_duplicates(
     ids: list[int], adjacency: Mapping[int, Collection[int]]
 ) -> list[tuple[int, int]]:
-    """Pairs (smaller, larger) of submaps at most three edges apart, nearest first."""
-    pairs: list[tuple[int, int, int]] = []
+    """Pairs (smaller, larger) of submaps one or two edges apart."""
+    pairs: list[tuple[int, int]] = []
     for start in ids:
-        distance = {start: 0}
-        frontier = [start]
-        for hops in (1, 2, 3):
-            frontier = sorted(
-                {n for s in frontier for n in adjacency.get(s, ()) if n not in distance}
-            )
-            distance.update(dict.fromkeys(frontier, hops))
-        pairs.extend(
-            (hops, start, other)
-            for other, hops in distance.items()
-            if other > start and other in ids
-        )
-    # submaps two edges apart share a neighbour: the usual place of a duplicate
-    order = {2: 0, 1: 1, 3: 2}
-    return [(a, b) for hops, a, b in sorted(pairs, key=lambda p: (order[p[0]], p[1], p[2]))]
+        near = set(adjacency.get(start, ()))
+        near |= {n for neighbour in near for n in adjacency.get(neighbour, ())}
+        pairs.extend((start, other) for other in sorted(near) if other > start and other in ids)
+    return pairs
 
 
 def _merit(closure: Closure) -> tuple[bool, bool, float]:

@@ -14,11 +14,10 @@ import cv2
 import numpy as np
 
 from specmap_cli.geometry import FloatArray
-from specmap_cli.recognition.outline import Outline
+from specmap_cli.recognition.outline import PAIR_STEP_M, Outline
 
 GAP_THRESHOLDS_M = (0.3, 0.6, 1.2)
 DISTANCE_EDGES_M = tuple(0.5 * k for k in range(1, 24))
-_PAIR_POINTS = 90  # points whose distances make the histogram of group 12
 _LARGEST_RATIO = 1e6
 
 
@@ -65,7 +64,7 @@ def area_and_convexity(outline: Outline) -> list[float]:
     Area convexity is the area over that of the convex hull; perimeter convexity the hull's
     perimeter over that of the polygon.
     """
-    area, perimeter = _area_and_perimeter(outline)
+    area, perimeter = outline.area_and_perimeter
     if perimeter <= 0.0:
         return [0.0] * 4
     hull = cv2.convexHull(outline.polygon.astype(np.float32))
@@ -76,10 +75,10 @@ def area_and_convexity(outline: Outline) -> list[float]:
 
 def circularity(outline: Outline) -> list[float]:
     """Group 6: circularity 4 pi A / P^2, and compactness, the area over its enclosing circle's."""
-    area, perimeter = _area_and_perimeter(outline)
+    area, perimeter = outline.area_and_perimeter
     if area <= 0.0 or perimeter <= 0.0:
         return [0.0, 0.0]
-    reach = float(_centroid_distances(outline).max())
+    reach = float(outline.centroid_distances.max())
     return [4.0 * math.pi * area / perimeter**2, area / (math.pi * reach**2 + 1e-12)]
 
 
@@ -139,7 +138,7 @@ def aspect_ratio(outline: Outline) -> list[float]:
 
 def mean_distance_to_centroid(outline: Outline) -> list[float]:
     """Group 10: mean distance of the points to their centroid."""
-    return [float(_centroid_distances(outline).mean()) if len(outline) else 0.0]
+    return [float(outline.centroid_distances.mean()) if len(outline) else 0.0]
 
 
 def second_derivative_flips(outline: Outline) -> list[float]:
@@ -165,15 +164,9 @@ def distance_histogram(outline: Outline) -> list[float]:
 
 
 def pair_histogram(outline: Outline, edges_m: tuple[float, ...]) -> FloatArray:
-    """(len(edges) + 1,) shares of pairs of returns by distance; at least two returns."""
-    points = outline.points[:: max(1, -(-len(outline) // _PAIR_POINTS))]
-    x, y = points[:, 0], points[:, 1]
-    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
-    n = len(points)
-    flat = squared[np.triu(np.ones((n, n), dtype=bool), 1)]
-    bins = np.searchsorted(np.square(edges_m), flat, side="right")
-    counts = np.bincount(bins, minlength=len(edges_m) + 1)
-    return np.asarray(counts / max(1, len(flat)), dtype=np.float64)
+    """(len(edges) + 1,) shares of pairs of returns by distance; edges are tenths of a metre."""
+    starts = [0, *(round(edge / PAIR_STEP_M) for edge in edges_m)]
+    return np.add.reduceat(outline.pair_shares, starts)
 
 
 def _range_changes(outline: Outline) -> FloatArray:
@@ -183,27 +176,6 @@ def _range_changes(outline: Outline) -> FloatArray:
     if outline.closed and len(r) > 2:
         change = np.concatenate([change, r[:1] - r[-1:]])
     return change
-
-
-def _area_and_perimeter(outline: Outline) -> tuple[float, float]:
-    """Area and perimeter of the polygon seen, zero with fewer than two returns."""
-    if len(outline) < 2:
-        return 0.0, 0.0
-    x, y = outline.points[:, 0], outline.points[:, 1]
-    twice = float(x[:-1] @ y[1:] - x[1:] @ y[:-1])
-    perimeter = float(outline.steps.sum())
-    if outline.closed:
-        twice += float(x[-1] * y[0] - x[0] * y[-1])
-        perimeter += math.hypot(x[-1] - x[0], y[-1] - y[0])
-    else:
-        perimeter += float(outline.ranges[0] + outline.ranges[-1])
-    return 0.5 * abs(twice), perimeter
-
-
-def _centroid_distances(outline: Outline) -> FloatArray:
-    """(N,) distance of each return to the mean of all returns."""
-    centred = outline.points - outline.points.mean(axis=0)
-    return np.asarray(np.sqrt(centred[:, 0] ** 2 + centred[:, 1] ** 2))
 
 
 GROUPS: tuple[tuple[Callable[[Outline], list[float]], tuple[str, ...]], ...] = (

@@ -6,15 +6,22 @@ shifts the beams, leaves it as it is up to a rotation of the plane.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from specmap_cli.geometry import FloatArray
 from specmap_cli.records import PlanarScan
 
+PAIR_STEP_M = 0.1
+PAIR_STEPS = 120  # distances of pairs are told apart up to 12 m
+_PAIR_POINTS = 90
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True)
 class Outline:
     """Returns of one scan in the order of their bearings.
 
@@ -40,6 +47,49 @@ class Outline:
         if self.closed:
             return self.points
         return np.vstack([np.zeros((1, 2)), self.points])
+
+    @cached_property
+    def area_and_perimeter(self) -> tuple[float, float]:
+        """Square metres and metres of the polygon, zero with fewer than two returns."""
+        if len(self) < 2:
+            return 0.0, 0.0
+        x, y = self.points[:, 0], self.points[:, 1]
+        twice = float(x[:-1] @ y[1:] - x[1:] @ y[:-1])
+        perimeter = float(self.steps.sum())
+        if self.closed:
+            twice += float(x[-1] * y[0] - x[0] * y[-1])
+            perimeter += math.hypot(x[-1] - x[0], y[-1] - y[0])
+        else:
+            perimeter += float(self.ranges[0] + self.ranges[-1])
+        return 0.5 * abs(twice), perimeter
+
+    @cached_property
+    def centroid_distances(self) -> FloatArray:
+        """(N,) metres from each return to the mean of all returns."""
+        return _lengths(self.points - self.points.mean(axis=0))
+
+    @cached_property
+    def pair_shares(self) -> FloatArray:
+        """(121,) share of pairs of returns by distance in steps of 0.1 m, the last one open.
+
+        All pairs of every k-th return, at most 90 of them, so that a scan has one histogram.
+        """
+        points = self.points[:: max(1, -(-len(self) // _PAIR_POINTS))]
+        n = len(points)
+        first, second = pairs_of(n)
+        x, y = points[:, 0], points[:, 1]
+        dx, dy = x.take(first) - x.take(second), y.take(first) - y.take(second)
+        steps = (np.sqrt(dx * dx + dy * dy) * (1.0 / PAIR_STEP_M)).astype(np.intp)
+        np.minimum(steps, PAIR_STEPS, out=steps)
+        counts = np.bincount(steps, minlength=PAIR_STEPS + 1)
+        return np.asarray(counts / max(1, len(steps)), dtype=np.float64)
+
+
+@lru_cache(maxsize=256)
+def pairs_of(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Both numbers (k,) of every pair of `count` items."""
+    first, second = np.triu_indices(count, 1)
+    return first, second
 
 
 def outline_of(scan: PlanarScan) -> Outline:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.geometry import FloatArray
 from specmap_cli.recognition.features_shape import breaks_of
-from specmap_cli.recognition.outline import Outline
+from specmap_cli.recognition.outline import Outline, pairs_of
 
 DISTANCE_EDGES_M = (0.4, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0)
 ORIENTATIONS = ("parallel", "corner_in", "corner_out", "opposed")
@@ -22,7 +22,7 @@ NAMES = (
     "boundary_points",
 )
 _SPACING_M = 0.08
-_MOST_POINTS = 150
+_MOST_POINTS = 130
 _NORMAL_REACH_M = 0.2
 _ALIGNED = np.cos(np.pi / 4)
 
@@ -32,7 +32,6 @@ _LAST_STEP = int(DISTANCE_EDGES_M[-1] ** 2 * _STEPS_PER_M2)
 _BIN_OF_STEP: NDArray[np.intp] = len(ORIENTATIONS) * np.searchsorted(
     np.round(np.square(DISTANCE_EDGES_M) * _STEPS_PER_M2), np.arange(_LAST_STEP + 1), side="right"
 )
-_UPPER = np.triu(np.ones((_MOST_POINTS, _MOST_POINTS), dtype=bool), 1)
 
 
 def point_pair_histogram(outline: Outline) -> list[float]:
@@ -45,20 +44,20 @@ def point_pair_histogram(outline: Outline) -> list[float]:
     n = len(points)
     if n < 2:
         return [0.0] * (len(NAMES) - 2) + [length, float(n)]
-    upper = _UPPER[:n, :n]
-    squares = points[:, 0] ** 2 + points[:, 1] ** 2
-    distance = (squares[:, None] + squares - 2.0 * (points @ points.T))[upper]
-    cosine = (normals @ normals.T)[upper]
-    along = points @ normals.T
-    own = along.diagonal()
+    first, second = pairs_of(n)
+    x, y = points[:, 0], points[:, 1]
+    u, v = normals[:, 0], normals[:, 1]
+    dx, dy = x.take(second) - x.take(first), y.take(second) - y.take(first)
+    u1, v1, u2, v2 = u.take(first), v.take(first), u.take(second), v.take(second)
+    cosine = u1 * u2 + v1 * v2
     # (p_j - p_i) . (n_i - n_j) > 0: the two surfaces face each other
-    facing = (along + along.T > own[:, None] + own)[upper]
-    orientation = np.where(facing, 1, 2)
+    facing = dx * (u1 - u2) + dy * (v1 - v2) > 0.0
+    orientation = 2 - facing
     orientation[cosine > _ALIGNED] = 0
     orientation[cosine < -_ALIGNED] = 3
-    step = np.minimum(distance * _STEPS_PER_M2, _LAST_STEP).astype(np.intp)
-    np.maximum(step, 0, out=step)
-    counts = np.bincount(_BIN_OF_STEP[step] + orientation, minlength=len(NAMES) - 2)
+    step = ((dx * dx + dy * dy) * _STEPS_PER_M2).astype(np.intp)
+    np.minimum(step, _LAST_STEP, out=step)
+    counts = np.bincount(_BIN_OF_STEP.take(step) + orientation, minlength=len(NAMES) - 2)
     return [*(counts / len(step)).tolist(), length, float(n)]
 
 
@@ -66,7 +65,7 @@ def boundary(outline: Outline) -> tuple[FloatArray, FloatArray, float]:
     """The boundary by arc length: points (K, 2), unit normals (K, 2) to the robot, its length.
 
     Leaps from one surface to another are not boundary. Points lie 0.08 m apart, or farther so that
-    there are at most 150.
+    there are at most 130.
     """
     if len(outline) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2)), 0.0
