@@ -209,8 +209,8 @@ PRESETS: dict[str, dict[str, Any]] = {
             "nodes": "centre",
             "node_step_m": 0.5,
             "clearance_m": 0.0,
-            "sight_m": 20.0,
-            "neighbours": 7,
+            "sight_m": 6.0,
+            "neighbours": 60,  # the paper leaves l open; fewer cut every room into pieces
             "eigenvalue_min": 0.9,
             "halve": False,
             "labels": "nearest",
