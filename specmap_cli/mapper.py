@@ -96,11 +96,15 @@ class Mapper:
         return labels
 
     def constraints(self) -> list[Constraint]:
-        """What the verified closures say about the poses of pairs of keyframes."""
+        """What the merges say about the poses of pairs of keyframes.
+
+        Grids that match while the robot's tracks do not overlap are no evidence for the layout:
+        that is what look-alike rooms do, too.
+        """
         return [
             self._constraint(closure, closure.old_from_new)
             for closure in self.closures
-            if closure.old_from_new is not None
+            if closure.merged and closure.old_from_new is not None
         ]
 
     def _restart(self, stamp_ns: int) -> None:

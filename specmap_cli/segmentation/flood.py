@@ -26,6 +26,8 @@ def flood_labels(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -
     on a checkerboard of signs that difference is the sum of both heights, which is the wanted
     order, and a second channel makes the step into a wall the last of all.
     """
+    if not len(nodes):
+        return np.full(clearance.shape, -1, dtype=np.int32)
     free = clearance > 0.0
     top = max(float(clearance.max(initial=0.0)), 1e-9)
     height = np.rint((1.0 - clearance / top) * _LEVELS).astype(np.int16)
