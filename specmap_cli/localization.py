@@ -21,7 +21,7 @@ from specmap_cli.outputs.grids import write_png
 from specmap_cli.outputs.predictions import render_labels
 from specmap_cli.outputs.store import CLASSIFIERS, StoredMap
 from specmap_cli.outputs.tables import NO_SUBMAP
-from specmap_cli.outputs.text import counted, stamp_text
+from specmap_cli.outputs.text import counted, legible, stamp_text
 from specmap_cli.progress import Progress, Silent
 from specmap_cli.recognition.classifiers import ClassifierSet
 from specmap_cli.recognition.localizer import Label, Localizer
@@ -126,7 +126,7 @@ def localize_log(
         warnings = [*stream.warnings, *notes]
         for warning in warnings:
             progress.warn(warning)
-        return LocalizationReport(Path(log.name).name, scans, warnings)
+        return LocalizationReport(legible(Path(log.name).name), scans, warnings)
 
 
 def settings_for(stored: StoredMap, overrides: dict[str, Any]) -> Config:

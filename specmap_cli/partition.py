@@ -14,7 +14,7 @@ from specmap_cli.mapfiles import read_grid
 from specmap_cli.outputs.directory import OutputDirectory
 from specmap_cli.outputs.regions import Regions
 from specmap_cli.outputs.store import write_segmentation
-from specmap_cli.outputs.text import counted
+from specmap_cli.outputs.text import counted, legible
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.segmentation.floorplan import (
     FloorplanResult,
@@ -68,7 +68,7 @@ def partition_map(
     result = segment_floorplan(grid, config.segmentation)
     regions = Regions.of(grid, np.asarray(result.segmentation.labels, dtype=np.int64))
     with OutputDirectory(out, overwrite) as partial:
-        write_segmentation(partial, _topology(result), regions, LogInfo(path.name))
+        write_segmentation(partial, _topology(result), regions, LogInfo(legible(path.name)))
     return PartitionReport(out, result)
 
 

@@ -21,7 +21,7 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.mapper import Mapper
 from specmap_cli.outputs.directory import OutputDirectory
 from specmap_cli.outputs.store import MapResult, write_map
-from specmap_cli.outputs.text import counted
+from specmap_cli.outputs.text import counted, legible
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.progress import Progress, Silent
 
@@ -96,7 +96,7 @@ def build_map(
 
 def _result(log: Log, finished: FinishedMap, run: dict[str, Any]) -> MapResult:
     stamps = finished.trajectory.stamps_ns
-    info = LogInfo(Path(log.name).name, int(stamps.min()), int(stamps.max()), len(stamps))
+    info = LogInfo(legible(Path(log.name).name), int(stamps.min()), int(stamps.max()), len(stamps))
     return MapResult(
         finished.topology,
         finished.trajectory,

@@ -85,4 +85,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         command = context.command_path if context is not None else "specmap"
         message = error.format_message().rstrip(".")
         raise UsageError(f"{message}; see `{command} --help`") from None
+    except SystemExit as leaving:
+        if isinstance(leaving.__context__, BrokenPipeError):  # `specmap --help | head`
+            return 0
+        raise
     return code if isinstance(code, int) else 0

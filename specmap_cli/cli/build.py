@@ -47,19 +47,13 @@ def build(
     specmap build log.bag -o map --scan-topic /scan --set grid.resolution_m=0.1
     """
     from specmap_cli.cli.console import ConsoleProgress, print_result
+    from specmap_cli.config import load_config
     from specmap_cli.pipeline import build_map
 
-    effective = options.effective(
-        config,
-        preset,
-        settings,
-        scan_topic=scan_topic,
-        odom_topic=odom_topic,
-        base_frame=base_frame,
-        no_odometry=no_odometry,
-        no_relax=no_relax,
-        seed=seed,
+    flags = options.overrides(
+        settings, scan_topic, odom_topic, base_frame, no_odometry, no_relax=no_relax, seed=seed
     )
+    effective = load_config(config, preset, flags)
     keep_inputs([out], logs)
     with ConsoleProgress(quiet) as progress:
         report = build_map(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import typer
-
 from specmap_cli.cli import options
+from specmap_cli.cli.stdout import print_text
 
 
 def show_config(
@@ -21,7 +20,7 @@ def show_config(
     specmap config > specmap.toml
     specmap config --preset paper --set seed=3
     """
-    from specmap_cli.config import to_toml
+    from specmap_cli.config import load_config, to_toml
 
-    effective = options.effective(config, preset, settings)
-    typer.echo(effective.model_dump_json(indent=2) if as_json else to_toml(effective), nl=as_json)
+    effective = load_config(config, preset, options.overrides(settings))
+    print_text(effective.model_dump_json(indent=2) + "\n" if as_json else to_toml(effective))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from types import TracebackType
 from typing import Any
 
@@ -10,6 +9,8 @@ from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.text import Text
+
+from specmap_cli.cli.stdout import print_text
 
 
 class _Rate(ProgressColumn):
@@ -35,7 +36,7 @@ class ConsoleProgress:
             TimeRemainingColumn(),
             console=self._console,
             transient=True,
-            disable=quiet or not sys.stderr.isatty(),
+            disable=quiet or not self._console.file.isatty(),
         )
         self._task: TaskID | None = None
 
@@ -79,4 +80,4 @@ def print_result(result: dict[str, Any], lines: list[str], as_json: bool) -> Non
     """The result of a command on stdout: one JSON object, or lines for a person."""
     from specmap_cli.outputs.text import to_json
 
-    print(to_json(result) if as_json else "\n".join(lines), end="" if as_json else "\n")
+    print_text(to_json(result) if as_json else "\n".join(lines) + "\n")

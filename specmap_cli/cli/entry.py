@@ -6,21 +6,22 @@ It imports nothing that takes time, so that a signal is heeded from the first mo
 from __future__ import annotations
 
 import errno
-import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from specmap_cli.cli.interruption import Interruption, interruptible
-from specmap_cli.errors import SpecmapError, UsageError
+from specmap_cli.cli.stdout import discard_stdout
+from specmap_cli.errors import InputError, SpecmapError, UsageError
 
 # What a machine runs out of; no fault of the program, and no trace of it would help.
 _EXHAUSTED = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.EMFILE}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return the process's exit code."""
+    """Run the command line and return the exit code; without `arguments`, those of the process."""
     try:
-        with interruptible():
+        with interruptible(last=arguments is None):
             return _run(arguments)
     except Interruption as interruption:
         return _fail(
@@ -39,25 +40,29 @@ def _run(arguments: Sequence[str] | None) -> int:
         return code
     except SpecmapError as error:
         return _fail(str(error), error.exit_code)
-    except BrokenPipeError:  # the reader, such as `head`, has seen enough
-        _discard_stdout()
+    except BrokenPipeError:
+        discard_stdout()
         return 0
     except OSError as error:
         if error.errno not in _EXHAUSTED:
             raise
-        _discard_stdout()
-        where = f"{error.filename}: " if error.filename else ""
-        return _fail(f"{where}cannot write: {error.strerror}", UsageError.exit_code)
-
-
-def _discard_stdout() -> None:
-    """What is still buffered has nowhere to go: the interpreter must not try again at its exit."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
-    os.close(nowhere)
+        discard_stdout()
+        what = error.filename or "the output"
+        return _fail(
+            f"{what}: cannot be written: {error.strerror}; make room or write elsewhere",
+            UsageError.exit_code,
+        )
+    except MemoryError as error:
+        return _fail(
+            f"not enough memory: {error}; a coarser grid (--set grid.resolution_m) needs less",
+            InputError.exit_code,
+        )
 
 
 def _fail(message: str, code: int) -> int:
+    """One line on stderr, which may be closed or full: the exit code tells then."""
     line = " ".join(message.split())
-    print(f"specmap: error: {line}", file=sys.stderr)
+    if sys.stderr is not None:
+        with suppress(OSError):
+            print(f"specmap: error: {line}", file=sys.stderr)
     return code

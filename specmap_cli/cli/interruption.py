@@ -23,21 +23,23 @@ class Interruption(BaseException):
 
 
 @contextmanager
-def interruptible() -> Iterator[None]:
-    """Raise Interruption inside the block when a signal asks to end; afterwards all is as before.
+def interruptible(*, last: bool = False) -> Iterator[None]:
+    """Raise Interruption inside the block when a signal asks to end.
 
-    Only the main thread can receive signals: in another one the block runs as it is.
+    Afterwards all is as before; when the block is the `last` thing a process does, signals find it
+    done and are ignored, so that the exit code stays what it was. Only the main thread receives
+    signals: in another one the block runs as it is.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    last = -_PATIENCE_S
+    heeded = -_PATIENCE_S
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
-        nonlocal last
+        nonlocal heeded
         now = time.monotonic()
-        if now - last >= _PATIENCE_S:
-            last = now
+        if now - heeded >= _PATIENCE_S:
+            heeded = now
             raise Interruption(number)
 
     before = {number: signal.signal(number, interrupt) for number in SIGNALS}
@@ -45,4 +47,4 @@ def interruptible() -> Iterator[None]:
         yield
     finally:
         for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+            signal.signal(number, signal.SIG_IGN if last else handler or signal.SIG_DFL)

@@ -56,21 +56,11 @@ def localize(
 
     check_files([output, plot], logs, overwrite=overwrite)
     stored = read_map(map_directory)
-    flags = options.overrides(
-        settings,
-        scan_topic=scan_topic,
-        odom_topic=odom_topic,
-        base_frame=base_frame,
-        no_odometry=no_odometry,
-    )
+    flags = options.overrides(settings, scan_topic, odom_topic, base_frame, no_odometry)
+    config = settings_for(stored, flags)
     with ConsoleProgress(quiet) as progress:
         report = localize_log(
-            logs,
-            stored,
-            settings_for(stored, flags),
-            offline=offline,
-            metric=metric,
-            progress=progress,
+            logs, stored, config, offline=offline, metric=metric, progress=progress
         )
     if output is not None:
         write_csv(output, report, metric)

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from specmap_cli.errors import UsageError
-
-if TYPE_CHECKING:
-    from specmap_cli.config import Config
 
 Logs = Annotated[
     list[Path],
@@ -45,22 +42,13 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instea
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing result.")]
 
 
-def effective(
-    config: Path | None, preset: str | None, settings: list[str] | None, **flags: Any
-) -> Config:
-    """The configuration in force: flags over the file over the preset over the defaults."""
-    from specmap_cli.config import load_config
-
-    return load_config(config, preset, overrides(settings, **flags))
-
-
 def overrides(
     settings: list[str] | None,
-    *,
     scan_topic: str | None = None,
     odom_topic: str | None = None,
     base_frame: str | None = None,
     no_odometry: bool = False,
+    *,
     no_relax: bool = False,
     seed: int | None = None,
 ) -> dict[str, Any]:

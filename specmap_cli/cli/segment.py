@@ -39,9 +39,10 @@ def segment(
     specmap segment plan.png --resolution 0.05 -o rooms
     """
     from specmap_cli.cli.console import print_result
+    from specmap_cli.config import load_config
     from specmap_cli.partition import partition_map
 
-    effective = options.effective(config, preset, settings)
+    effective = load_config(config, preset, options.overrides(settings))
     keep_inputs([out], [grid])
     report = partition_map(grid, out, effective, resolution=resolution, overwrite=overwrite)
     print_result(report.as_dict(), report.lines(), as_json)

@@ -70,12 +70,17 @@ def simulate(
     from specmap_cli.evaluation.simulate import simulation_options
     from specmap_cli.mapfiles import read_grid
 
-    names = {"field_of_view_deg": fov, "range_max_m": range_max, "rate_hz": rate, "sweep_s": sweep}
-    names |= {"noise_m": noise, "dropouts": dropouts, "speed_mps": speed, "spacing_m": spacing}
     robot = simulation_options(
-        **names,
+        field_of_view_deg=fov,
         beams=beams,
+        range_max_m=range_max,
+        rate_hz=rate,
+        sweep_s=sweep,
+        noise_m=noise,
+        dropouts=dropouts,
+        speed_mps=speed,
         odometry_drift=odometry_drift,
+        spacing_m=spacing,
         laps=laps,
         max_duration_s=max_duration,
         seed=seed,

@@ -38,12 +38,17 @@ def plain(value: Any) -> Any:
         return rounded(float(value))
     if isinstance(value, np.integer):
         return int(value)
-    return value if value is None or isinstance(value, (str, int)) else str(value)
+    return value if value is None or isinstance(value, int) else legible(str(value))
 
 
 def rounded(value: float) -> float | None:
     """`value` to six decimals without a negative zero; None when it is not finite."""
     return round(value, _DECIMALS) + 0.0 if math.isfinite(value) else None
+
+
+def legible(text: str) -> str:
+    """`text` with escapes for what is no Unicode, as in a file name of any bytes."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def counted(count: int, noun: str) -> str:
