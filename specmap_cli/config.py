@@ -71,7 +71,7 @@ class RegistrationConfig(_Section):
 class GridConfig(_Section):
     """The occupancy grid of a submap."""
 
-    resolution_m: float = Field(0.05, gt=0)
+    resolution_m: float = Field(0.05, ge=0.005, le=1.0, description="side of a cell")
     max_range_m: float = Field(20.0, gt=0, description="beams are cut here and prove no obstacle")
     occupied_share: float = Field(0.25, gt=0, le=1, description="hits / (hits + misses) of a wall")
     surface_gap_m: float = Field(0.3, gt=0, description="returns this close bound one surface")
@@ -83,7 +83,9 @@ class GridConfig(_Section):
 class SegmentationConfig(_Section):
     """Section II of the paper. docs/segmentation.md says what each choice is for."""
 
-    cell_m: float = Field(0.1, gt=0, description="cells of the working grid; finer is only slower")
+    cell_m: float = Field(
+        0.1, ge=0.01, le=1.0, description="cells of the working grid; finer is only slower"
+    )
     obstacle_m: float = Field(1.0, ge=0, description="isolated obstacles up to this size are free")
     fill: bool = Field(True, description="cells of removed obstacles take their room's label")
     nodes: Literal["clearest", "centre"] = Field("clearest", description="cell taken in a block")
@@ -119,7 +121,7 @@ class RecognitionConfig(_Section):
 
     feature_set: Literal["table1", "pairs", "shape", "places", "full"] = "full"
     booster: Literal["trees", "stumps"] = "trees"
-    rounds: int = Field(200, ge=1, description="weak classifiers of a submap's final classifier")
+    rounds: int = Field(300, ge=1, description="weak classifiers of a submap's final classifier")
     shrinkage: float = Field(0.5, gt=0, le=1, description="trees: scale of every vote")
     feature_share: float = Field(0.2, gt=0, le=1, description="trees: features drawn a round")
     negatives: int = Field(2000, ge=10, description="scans of other submaps a classifier sees")
@@ -158,8 +160,8 @@ class RelaxationConfig(_Section):
     loop_radius_m: float = Field(3.0, gt=0, description="how near a pass must be")
     loops_per_node: int = Field(2, ge=0, description="passes matched at the most, 0: none")
     loop_score: float = Field(0.6, ge=0, le=1, description="a match below this is no edge")
-    stray_places: int = Field(
-        6, ge=0, description="places tried to rejoin a piece of the path after tracking was lost"
+    stray_tries: int = Field(
+        30, ge=0, description="searches to rejoin a piece of the path after tracking was lost"
     )
     solve_every: int = Field(12, ge=1, description="edges found before the layout is renewed")
 

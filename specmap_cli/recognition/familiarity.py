@@ -41,14 +41,12 @@ class Familiarity:
         cls,
         feature_set: str,
         samples: Mapping[int, FloatArray],
-        stretch: float,
         false_unknown: float,
     ) -> Familiarity | None:
         """Exemplars of every submap's samples (n, F), the limit from the samples left over.
 
-        All but a share of `false_unknown` of these lie within the limit before it is stretched, by
-        a factor for paths that were never driven. None when the set has no histograms, or when
-        there are too few samples.
+        All but a share of `false_unknown` of these lie within it. None when the set has no
+        histograms, or when there are too few samples.
         """
         if not _columns(feature_set):
             return None
@@ -65,9 +63,7 @@ class Familiarity:
             _coded(np.vstack([samples[i][rows] for i, rows in chosen.items()]), feature_set),
             0.0,
         )
-        known.limit = round(
-            stretch * float(np.quantile(known.distance(left), 1.0 - false_unknown)), 6
-        )
+        known.limit = round(float(np.quantile(known.distance(left), 1.0 - false_unknown)), 6)
         return known
 
     def distance(self, X: NDArray[Any]) -> FloatArray:
@@ -77,8 +73,8 @@ class Familiarity:
         return np.array(nearest, dtype=np.float64)
 
     def strangeness(self, X: NDArray[Any]) -> FloatArray:
-        """(n,) distance over the limit, less one: positive where nothing fits."""
-        return self.distance(X) / max(self.limit, 1e-9) - 1.0
+        """(n,) distance over the limit: above one where nothing fits."""
+        return self.distance(X) / max(self.limit, 1e-9)
 
     def to_dict(self) -> dict[str, Any]:
         """Limit and exemplars, ready for JSON."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from specmap_cli.geometry import FloatArray
 
 _LEAP = 1e-4  # chance of arriving anywhere: kidnapped, or by an edge that was never driven
-_LEAVE = 1e-3  # chance of leaving the map, or of coming back
+_LEAVE = 1e-4  # chance of leaving the map, or of coming back
 
 
 class HiddenMarkovFilter:
@@ -36,13 +36,27 @@ class HiddenMarkovFilter:
         """Forget every scan."""
         self._belief = None
 
+    def predicted(self) -> FloatArray:
+        """(m + 1,) probabilities of the states at the next scan, before it is seen."""
+        if self._belief is None:
+            return np.full(len(self.ids) + 1, 1.0 / (len(self.ids) + 1))
+        return np.asarray(self._belief @ self.transition_)
+
+    def with_unknown(self, known: NDArray[Any], worth: float) -> FloatArray:
+        """(m + 1,) the log likelihoods `known` (m,) of the submaps and, last, that of unknown.
+
+        It is `worth` more than what the submaps, as likely as they are now, explain together: how
+        well they are told apart says nothing about whether the scan is from any of them.
+        """
+        prior = self.predicted()[:-1]
+        highest = float(np.max(known))
+        together = float(prior @ np.exp(known - highest)) / max(float(prior.sum()), 1e-300)
+        return np.append(known, highest + np.log(max(together, 1e-300)) + worth)
+
     def update(self, log_likelihoods: NDArray[Any]) -> FloatArray:
         """(m + 1,) probabilities of the states after one more scan of given log likelihoods."""
-        if self._belief is None:
-            prior = np.full(len(self.ids) + 1, 1.0 / (len(self.ids) + 1))
-        else:
-            prior = self._belief @ self.transition_
-        self._belief = _posterior(prior, np.asarray(log_likelihoods, dtype=np.float64))
+        evidence = np.asarray(log_likelihoods, dtype=np.float64)
+        self._belief = _posterior(self.predicted(), evidence)
         return self._belief
 
     def smooth(self, log_likelihoods: NDArray[Any]) -> FloatArray:

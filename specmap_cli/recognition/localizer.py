@@ -20,7 +20,10 @@ from specmap_cli.recognition.metric import MetricTracker
 from specmap_cli.recognition.virtual import RecentScans
 from specmap_cli.records import PlanarScan, PosedScan
 
-_STRANGE_GAIN, _STRANGE_MOST = 6.0, 1.5  # log likelihood of unknown against the best submap
+# a scan at this share of the limit speaks neither for nor against unknown; log likelihood per share
+# beyond it, and at most: strange views come in a row, so that none of them may weigh much
+_STRANGE_ALONE = 1.1  # a single scan is called unknown from here
+_STRANGE_FROM, _STRANGE_GAIN, _STRANGE_MOST = 0.87, 2.0, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,15 +110,20 @@ class Localizer:
         known = self.config.sharpness * evidence
         if not self.config.unknown or strange == -math.inf:
             return np.append(known, -math.inf)
-        worth = float(np.clip(_STRANGE_GAIN * strange, -_STRANGE_MOST, _STRANGE_MOST))
-        return np.append(known, known.max() + worth)
+        worth = _STRANGE_GAIN * (strange - _STRANGE_FROM)
+        worth = min(max(worth, -_STRANGE_MOST), _STRANGE_MOST)
+        if worth > 0.0 and self.classifiers.virtual is not None:
+            # what a short window of a narrow laser has seen so far looks strange anywhere
+            view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
+            worth *= max(self._recent.filled, view) ** 2
+        return self.filter.with_unknown(known, worth)
 
     def _raw_label(self, stamp_ns: int, margins: FloatArray, strange: float) -> Label:
         order = np.argsort(-margins, kind="stable")
         best = float(margins[order[0]])
         second = self.filter.ids[order[1]] if len(order) > 1 else None
         lead = best - float(margins[order[1]]) if len(order) > 1 else best
-        known = strange <= 0.0 or not self.config.unknown
+        known = strange <= _STRANGE_ALONE or not self.config.unknown
         return Label(
             stamp_ns, self.filter.ids[order[0]] if known else None, lead, second, None, 0.0
         )

@@ -21,7 +21,6 @@ from specmap_cli.recognition.virtual import RecentScans, cast_circles
 _TRACK_REACH_M = 1.5
 _WINDOW_SHARES = (0.1, 0.2, 0.5, 1.0)  # of the window: it has to work while it fills
 _MOST_WINDOW_SAMPLES = 1200
-_STRETCH = 1.05  # how much farther from all exemplars a new path lies than the old one
 
 
 def train_localizer(
@@ -44,14 +43,12 @@ def train_localizer(
     }
     sensor = Sensor.of(store.scan(min(numbers[0] for numbers in submaps.values())))
     trained = ClassifierSet.train(raw, sensor, recognition, rng)
-    trained.raw_known = Familiarity.of(
-        recognition.feature_set, raw, _STRETCH, localization.false_unknown
-    )
+    trained.raw_known = Familiarity.of(recognition.feature_set, raw, localization.false_unknown)
     if localization.virtual:
         samples = virtual_samples(store, submaps, poses, grids, localization, rng)
         trained.virtual = OneVsAll(localization.feature_set, recognition).fit(samples, rng)
         trained.virtual_known = Familiarity.of(
-            localization.feature_set, samples, _STRETCH, localization.false_unknown
+            localization.feature_set, samples, localization.false_unknown
         )
     return trained
 

@@ -39,7 +39,7 @@ def trained(config: RecognitionConfig = SMALL) -> ClassifierSet:
     made = samples(config)
     model = ClassifierSet.train(made, SENSOR, config, np.random.default_rng(0))
     model.virtual = OneVsAll(config.feature_set, config).fit(made, np.random.default_rng(1))
-    model.virtual_known = Familiarity.of(config.feature_set, made, 1.2, 0.05)
+    model.virtual_known = Familiarity.of(config.feature_set, made, 0.05)
     return model
 
 
@@ -155,13 +155,13 @@ def test_sensors_are_told_apart() -> None:
 
 def test_strange_samples_are_far_from_every_exemplar() -> None:
     made = samples(SMALL)
-    known = Familiarity.of("pairs", made, 1.2, 0.05)
+    known = Familiarity.of("pairs", made, 0.05)
     assert known is not None
-    assert (known.strangeness(made[2]) <= 0.0).mean() > 0.95
+    assert (known.strangeness(made[2]) <= 1.0).mean() > 0.9
     foreign = made[2].copy()
     foreign[:, 60:] += 0.4
-    assert (known.strangeness(foreign) > 0.0).all()
+    assert (known.strangeness(foreign) > 1.0).all()
 
 
 def test_a_set_without_histograms_knows_nothing_strange() -> None:
-    assert Familiarity.of("table1", {0: np.zeros((5, len(FEATURE_SETS["table1"])))}, 1, 0.1) is None
+    assert Familiarity.of("table1", {0: np.zeros((5, len(FEATURE_SETS["table1"])))}, 0.1) is None

@@ -77,3 +77,14 @@ def test_smoothing_leaves_the_filter_as_it_was() -> None:
     model.update(np.array([5.0, 0, 0, 0, 0]))
     model.smooth(np.array([[0.0, 0, 5.0, 0, 0]] * 4))
     assert int(model.update(np.zeros(5)).argmax()) == 0
+
+
+def test_unknown_is_weighed_against_what_the_submaps_explain_together() -> None:
+    model = HiddenMarkovFilter({0: [1], 1: [0]})
+    known = np.array([-1.0, -9.0])
+    prior = model.predicted()
+    together = (prior[:2] @ np.exp(known)) / prior[:2].sum()
+    assert model.with_unknown(known, 0.3)[2] == pytest.approx(np.log(together) + 0.3)
+    # with no worth of its own unknown neither gains nor loses, whatever the submaps say
+    belief = model.update(model.with_unknown(known, 0.0))
+    assert belief[2] == pytest.approx(prior[2])

@@ -95,7 +95,7 @@ def test_another_tour_is_labelled_with_its_rooms(
     smoothed = np.mean(
         [a.filtered_submap == b for a, b in zip(guide.smoothed(), truth, strict=True)]
     )
-    assert raw > 0.85
+    assert raw > 0.8
     assert filtered > 0.85
     assert smoothed > 0.85
     assert guide.note == ""
