@@ -86,7 +86,7 @@ class SegmentationConfig(_Section):
     cell_m: float = Field(
         0.1, ge=0.01, le=1.0, description="cells of the working grid; finer is only slower"
     )
-    obstacle_m: float = Field(1.0, ge=0, description="isolated obstacles up to this size are free")
+    obstacle_m: float = Field(2.0, ge=0, description="isolated obstacles up to this size are free")
     fill: bool = Field(True, description="cells of removed obstacles take their room's label")
     nodes: Literal["clearest", "centre"] = Field("clearest", description="cell taken in a block")
     node_step_m: float = Field(0.7, gt=0, description="side of a block; one node a block")
@@ -107,6 +107,7 @@ class SegmentationConfig(_Section):
     split_eigenvalue: float = Field(0.6, gt=0, lt=1, description="a second region is entered above")
     split_share: float = Field(0.1, ge=0, lt=0.5, description="least share of the way on each side")
     split_scale: float = Field(3.0, gt=0, description="sigma of eq. 1 in a test, times its median")
+    split_obstacle_m: float = Field(1.0, ge=0, description="as obstacle_m, in a test")
     split_clearance_m: float = Field(0.3, ge=0, description="as clearance_m, in a test")
     split_sight_m: float = Field(1000.0, gt=0, description="as sight_m, in a test")
     split_nodes: int = Field(250, ge=16, description="most nodes in a test: the blocks grow")
@@ -221,6 +222,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "split_eigenvalue": 0.8,
             "split_share": 0.0,
             "split_scale": 1.0,
+            "split_obstacle_m": 0.0,
             "split_clearance_m": 0.0,
             "split_sight_m": 20.0,
             "path_band_m": 0.0,

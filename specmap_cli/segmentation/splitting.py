@@ -58,7 +58,7 @@ class SplitTest:
 def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> SplitTest:
     """Look for a second region in `grid` along the way `poses` (p, 3), oldest first."""
     window = _window(grid, poses, config)
-    opened = window.free | small_obstacles(window.free, config.obstacle_m / window.resolution)
+    opened = window.free | small_obstacles(window.free, config.split_obstacle_m / window.resolution)
     work = working_grid(opened, window.resolution, config.cell_m)
     cells = np.clip(
         window.cells_of(poses[:, :2]) // work.step, 0, np.array(work.clearance.shape) - 1
