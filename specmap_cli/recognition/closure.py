@@ -23,6 +23,7 @@ from specmap_cli.recognition.verification import Check, tracks_overlap, verify
 from specmap_cli.records import Closure
 
 _TWIN_MARGIN_M = 1.5
+_NO_CLAIMS = Claims(0.0, 0.0, 0.0, np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,7 @@ class LoopCloser:
         self._owner: dict[int, int] = {}
         self._ranker = ClaimRanker(config, rng)
         self._checked: set[tuple[int, int]] = set()
-        self._ranks: dict[tuple[int, int], float] = {}
+        self._claims: dict[tuple[int, int], Claims] = {}
 
     def consider(self, new: SubmapView) -> list[Closure]:
         """Compare a new submap with every old one, and remember it as one of its own.
@@ -83,7 +84,7 @@ class LoopCloser:
         )
         features = evenly(new.features, self.config.samples_per_submap)
         claims = self._ranker.claims(features)
-        self._ranks.update({(old, new.id): c.rank for old, c in claims.items()})
+        self._claims.update({(old, new.id): claim for old, claim in claims.items()})
         self._ranker.remember(new.id, features)
         closures = (
             self._verified(visit, claims) if self.config.verify else self._claimed(visit, claims)
@@ -115,9 +116,10 @@ class LoopCloser:
             return []
         found: list[Closure] = []
         for old, new in self._leftover_pairs(adjacency):
-            none = Claims(0.0, 0.0, 0.0, np.zeros(len(self._submaps[old])))
+            even = np.zeros(len(self._submaps[old]))
+            claims = replace(self._best_claims(old, new), by_member=even)
             for visit in self._submaps[new][-self.config.members :]:
-                closures = self._verified_pair(visit, old, none)
+                closures = self._verified_pair(visit, old, claims)
                 found.extend(closures)
                 if any(closure.merged for closure in closures):
                     return found
@@ -126,7 +128,7 @@ class LoopCloser:
     def _leftover_pairs(self, adjacency: Mapping[int, Collection[int]]) -> list[tuple[int, int]]:
         """Pairs that may be duplicates, for each submap the best ranked of those near it."""
         pairs = _likely_duplicates(sorted(self._submaps), adjacency)
-        pairs.sort(key=lambda pair: -self._rank(*pair))
+        pairs.sort(key=lambda pair: -self._best_claims(*pair).rank)
         taken: Counter[int] = Counter()
         chosen = []
         for old, new in pairs:
@@ -135,10 +137,11 @@ class LoopCloser:
                 chosen.append((old, new))
         return chosen
 
-    def _rank(self, old: int, new: int) -> float:
-        """The best rank among the visits of two submaps."""
+    def _best_claims(self, old: int, new: int) -> Claims:
+        """The best ranked claims between visits of two submaps, none when they were never asked."""
         keys = ((a.id, b.id) for a in self._submaps[old] for b in self._submaps[new])
-        return max(self._ranks.get((min(key), max(key)), 0.0) for key in keys)
+        asked = (self._claims.get((min(key), max(key)), _NO_CLAIMS) for key in keys)
+        return max(asked, key=lambda claims: claims.rank)
 
     def _claimed(self, visit: _Visit, claims: Mapping[int, Claims]) -> list[Closure]:
         """The paper's own rule: the largest xi merges when it passes the threshold."""
