@@ -58,6 +58,9 @@ class RegistrationConfig(_Section):
     min_points: int = Field(10, ge=3, description="a scan with fewer walls is lost")
     cloud_range_m: float = Field(40.0, gt=0, description="as max_range_m, for 3D clouds")
     cloud_voxel_m: float = Field(0.2, gt=0, description="as voxel_m, for 3D clouds")
+    level_share: float = Field(
+        0.2, ge=0, le=1, description="of a 3D lidar's roll and pitch taken back at every scan"
+    )
     window_keyframes: int = Field(80, ge=1, description="keyframes in the local map")
     keyframe_m: float = Field(0.3, gt=0, description="motion between keyframes of the local map")
     keyframe_rad: float = Field(0.25, gt=0, description="turn between them")
@@ -86,7 +89,7 @@ class SegmentationConfig(_Section):
     cell_m: float = Field(
         0.1, ge=0.01, le=1.0, description="cells of the working grid; finer is only slower"
     )
-    obstacle_m: float = Field(2.0, ge=0, description="isolated obstacles up to this size are free")
+    obstacle_m: float = Field(1.5, ge=0, description="isolated obstacles up to this size are free")
     fill: bool = Field(True, description="cells of removed obstacles take their room's label")
     nodes: Literal["clearest", "centre"] = Field("clearest", description="cell taken in a block")
     node_step_m: float = Field(0.7, gt=0, description="side of a block; one node a block")
