@@ -1,0 +1,135 @@
+"""A tiny log and its map, made once a session, and a way to run a command and see what it says."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from specmap_cli.cli import main
+from specmap_cli.evaluation.simulate import SimulationOptions, simulate
+from specmap_cli.geometry import Pose2
+from specmap_cli.gridmap import GridMap
+from specmap_cli.logs.writer import LogWriter
+from specmap_cli.outputs.grids import write_grid
+
+ROOT = Path(__file__).parents[2]
+# training would take most of the time of a tiny build
+QUICK = ("--set", "recognition.rounds=4", "--set", "localization.augmentation=10")
+ERROR = "specmap: error: "
+START_NS = 1_700_000_000 * 10**9
+
+Run = Callable[..., "Outcome"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command left: its exit code and what it said."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def error(self) -> str:
+        """The one line of an error; nothing may have gone to stdout."""
+        assert self.out == ""
+        *notes, line = self.err.splitlines()
+        assert line.startswith(ERROR)
+        assert not any(note.startswith(ERROR) for note in notes)
+        return line.removeprefix(ERROR)
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command in this process: `run("info", path) -> Outcome`. A bug raises."""
+
+    def run_command(*arguments: str | Path) -> Outcome:
+        capsys.readouterr()
+        code = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+    return run_command
+
+
+def command(*arguments: str | Path) -> list[str]:
+    """The command line of a process of its own."""
+    return [sys.executable, "-m", "specmap_cli", *map(str, arguments)]
+
+
+def spawn(*arguments: str | Path, cwd: Path | None = None, **options: int) -> subprocess.Popen[str]:
+    """A command as a process of its own, its stdout and stderr in pipes unless given."""
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        command(*arguments),
+        text=True,
+        cwd=cwd,
+        env=environment,
+        stdout=streams["stdout"],
+        stderr=streams["stderr"],
+    )
+
+
+def leftovers(directory: Path) -> list[str]:
+    """Names of files that no command may leave."""
+    return [path.name for path in directory.rglob(".*")]
+
+
+@pytest.fixture(scope="session")
+def plan(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The YAML of a small flat."""
+    stem = tmp_path_factory.mktemp("plan") / "flat"
+    write_grid(stem, flat)
+    return stem.with_suffix(".yaml")
+
+
+def record_tour(flat: GridMap, path: Path, **options: float) -> Path:
+    """A short tour of the flat."""
+    settings = {"field_of_view_deg": 270, "beams": 91, "range_max_m": 12, "rate_hz": 5}
+    simulate(flat, SimulationOptions.model_validate({**settings, **options}), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def tiny_log(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve seconds of a tour."""
+    return record_tour(flat, tmp_path_factory.mktemp("tiny") / "tiny.mcap", max_duration_s=12)
+
+
+@pytest.fixture(scope="session")
+def tiny_map(tiny_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of the tiny log: one submap. Not to be changed."""
+    out = tmp_path_factory.mktemp("maps") / "map"
+    assert main(["build", str(tiny_log), "-o", str(out), "--quiet", *QUICK]) == 0
+    return out
+
+
+@pytest.fixture
+def own_map(tiny_map: Path, tmp_path: Path) -> Path:
+    """A copy of the tiny map, to be changed."""
+    return Path(shutil.copytree(tiny_map, tmp_path / "own_map"))
+
+
+def standing_log(
+    path: Path, distance: float, topics: tuple[str, ...] = ("/scan",), scans: int = 5
+) -> Path:
+    """A robot that stands in a round room: scans of one distance, 91 beams over 270 degrees."""
+    view = np.radians(270.0)
+    with LogWriter(path) as writer:
+        writer.static_transform("base_link", "laser", stamp_ns=START_NS)
+        for k in range(scans):
+            stamp = START_NS + k * 200_000_000
+            writer.odometry("/odom", "odom", "base_link", stamp, Pose2(0.0, 0.0, 0.0))
+            for topic in topics:
+                ranges = np.full(91, distance)
+                writer.scan(topic, "laser", stamp, -view / 2, view / 90, ranges, range_max=12.0)
+    return path

@@ -1,0 +1,181 @@
+"""What the command line says of itself, and what it answers to a wrong line."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from specmap_cli import __version__
+from tests.cli.conftest import ROOT, Run, command
+
+COMMANDS = ("info", "build", "localize", "segment", "evaluate", "simulate", "convert", "config")
+LATE = {"cv2", "kiss_icp", "networkx", "numpy", "rosbags", "scipy"}
+
+
+def test_the_version(run: Run) -> None:
+    said = run("--version")
+    assert (said.code, said.out, said.err) == (0, f"specmap {__version__}\n", "")
+
+
+def test_without_a_command_the_help_goes_to_stderr(run: Run) -> None:
+    said = run()
+    assert (said.code, said.out) == (2, "")
+    assert all(f"  {name} " in said.err for name in COMMANDS)
+
+
+def test_the_help_lists_every_command_with_a_whole_sentence(run: Run) -> None:
+    said = run("--help")
+    assert said.code == 0
+    for name in COMMANDS:
+        line = next(line for line in said.out.splitlines() if line.startswith(f"  {name} "))
+        assert line.endswith(".")
+        assert not line.endswith("...")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_help_of_a_command_has_an_example_and_the_exit_codes(name: str, run: Run) -> None:
+    said = run(name, "--help")
+    assert (said.code, said.err) == (0, "")
+    assert f"specmap {name}" in said.out.split("Arguments:")[0].split("Usage:")[1][20:]
+    for code in ("0 done", "1 a bug", "2 wrong usage", "3 an input", "4 no result", "130 and 143"):
+        assert code in " ".join(said.out.split())
+    assert "\b" not in said.out
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["build", "--help"], ["frobnicate"]])
+def test_help_and_usage_errors_load_nothing_heavy(arguments: list[str]) -> None:
+    code = (
+        "import sys; from specmap_cli.cli import main; main(sys.argv[1:]);"
+        "print(*sorted({m.split('.')[0] for m in sys.modules}), file=sys.stderr)"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+    )
+    assert not LATE & set(found.stderr.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_shell_completion(shell: str) -> None:
+    words = {"COMP_WORDS": "specmap lo", "COMP_CWORD": "1"}
+    words |= {"_TYPER_COMPLETE_ARGS": "specmap lo", "_SPECMAP_COMPLETE": f"complete_{shell}"}
+    if shell == "fish":
+        words["_TYPER_COMPLETE_FISH_ACTION"] = "get-args"
+    found = subprocess.run(
+        command(),
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+        env={**os.environ, **words},
+    )
+    assert "localize" in found.stdout
+    assert "build" not in found.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["biuld"], "No such command 'biuld'. Did you mean 'build'?; see `specmap --help`"),
+        (["build"], "Missing argument 'LOG'; see `specmap build --help`"),
+        (["localize", "x.mcap"], "Missing option '--map' / '-m'; see `specmap localize --help`"),
+        (["build", "x.mcap", "--frob"], "No such option: --frob; see `specmap build --help`"),
+        (["build", "x.mcap", "--seed", "x"], "Invalid value for '--seed'"),
+        (["info", "x.mcap", "--quite"], "No such option: --quite"),
+        (["config", "--preset", "papre"], "unknown preset 'papre': choose from default, paper"),
+    ],
+)
+def test_wrong_usage(arguments: list[str], told: str, run: Run) -> None:
+    said = run(*arguments)
+    assert said.code == 2
+    assert told in said.error
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("grid", "--set grid: expected KEY=VALUE, such as grid.resolution_m=0.1"),
+        ("=3", "--set =3: expected KEY=VALUE"),
+        ("grid..x=3", "--set grid..x=3: expected KEY=VALUE"),
+        ("preset=paper", "--set preset=paper: choose a preset with --preset paper"),
+        ("grid.resolution_m=wide", "grid.resolution_m: Input should be a valid number"),
+        ("grid.resolution_m=-1", "grid.resolution_m: Input should be greater than or equal to"),
+        ("grid.resolution_m=nan", "grid.resolution_m: Input should be a finite number"),
+        ("grid.resolution_m=1e-9", "found 1e-09"),
+        ("grid.resolutoin_m=1", "grid.resolutoin_m: no such setting, did you mean grid.resol"),
+        ("nothing.x=1", "nothing: no such setting"),
+        ("grid=1", "grid: is a section: expected one of its keys, found 1"),
+        ("grid.resolution_m.x=1", "grid.resolution_m: Input should be a valid number"),
+        ("seed=-1", "seed: Input should be greater than or equal to 0, found -1"),
+        ("segmentation.labels=far", "segmentation.labels: Input should be 'flood' or 'nearest'"),
+        ("grid.resolution_m=" + "9" * 5000, "grid.resolution_m"),
+        ("grid.resolution_m=" + "[" * 5000, "grid.resolution_m"),
+    ],
+)
+def test_a_wrong_setting_is_named(setting: str, told: str, run: Run) -> None:
+    said = run("config", "--set", setting)
+    assert said.code == 2
+    assert told in said.error
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (b"a = = 3", "not valid TOML: Invalid value (at line 1, column 5)"),
+        (b"[grid]\nresolutoin_m = 0.1", "grid.resolutoin_m: no such setting, did you mean"),
+        (b"grid = 3", "grid: is a section"),
+        (b"[grip]\nx = 1", "grip: no such setting"),
+        (b"preset = 'mine'", "unknown preset 'mine'"),
+        (b"\xff\xfe", "not UTF-8 text"),
+    ],
+)
+def test_a_wrong_file_of_settings_is_named(
+    text: bytes, told: str, tmp_path: Path, run: Run
+) -> None:
+    path = tmp_path / "specmap.toml"
+    path.write_bytes(text)
+    said = run("config", "--config", path)
+    assert said.code == 2
+    assert said.error.startswith(f"{path}: ")
+    assert told in said.error
+
+
+def test_a_missing_file_of_settings(tmp_path: Path, run: Run) -> None:
+    said = run("config", "--config", tmp_path / "none.toml")
+    assert said.code == 2
+    assert "none.toml: cannot read the configuration: No such file" in said.error
+
+
+def test_settings_over_file_over_preset_over_default(tmp_path: Path, run: Run) -> None:
+    path = tmp_path / "specmap.toml"
+    path.write_text("seed = 5\n[grid]\nresolution_m = 0.2\nmax_range_m = 9.0\n", encoding="utf-8")
+    line = ("config", "--preset", "paper", "--config", path, "--set", "grid.resolution_m=0.1")
+    effective = tomllib.loads(run(*line).out)
+    assert effective["preset"] == "paper"
+    assert effective["seed"] == 5
+    assert effective["grid"]["max_range_m"] == 9.0
+    assert effective["grid"]["resolution_m"] == 0.1
+    assert effective["segmentation"]["split_eigenvalue"] == 0.8
+    as_json = json.loads(run(*line, "--json").out)
+    assert as_json["grid"] == effective["grid"]
+
+
+def test_the_printed_settings_can_be_given_back(tmp_path: Path, run: Run) -> None:
+    printed = run("config", "--preset", "paper", "--set", "seed=3").out
+    path = tmp_path / "specmap.toml"
+    path.write_text(printed, encoding="utf-8")
+    assert run("config", "--config", path).out == printed
+
+
+def test_a_value_in_the_place_of_a_section_gives_way(run: Run) -> None:
+    said = run("config", "--set", "grid=1", "--set", "grid.resolution_m=0.1")
+    assert tomllib.loads(said.out)["grid"]["resolution_m"] == 0.1
