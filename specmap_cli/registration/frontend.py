@@ -28,6 +28,7 @@ from specmap_cli.registration.judgement import (
     POOR,
     agrees,
     bounded,
+    levelled,
     needed_score,
 )
 from specmap_cli.registration.localmap import LocalMap
@@ -105,6 +106,8 @@ class FrontEnd:
             lost |= fit.score < HOPELESS
         if lost:
             fit = _Fit(guess, fit.score)
+        elif sweep.cloud is not None:
+            fit = _Fit(levelled(fit.pose, self.config.level_share), fit.score)
         self._conclude(fit, lost, view, local)
         planar = deskewed(sweep.planar, sweep.base_from_laser, step.motion, step.interval_s)
         return PosedScan(

@@ -8,6 +8,7 @@ whether it agrees with the expected motion. Neither alone will do: a robot that 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from specmap_cli.geometry import FloatArray, Pose2
 from specmap_cli.registration.motion import Step
@@ -52,3 +53,15 @@ def bounded(guess: FloatArray, found: FloatArray) -> bool:
     upright = float(found[2, 2]) > np.cos(_MAX_TILT)
     near = float(np.linalg.norm(change[:3, 3])) <= _MAX_STEP_M
     return near and turn <= _MAX_STEP_RAD and upright
+
+
+def levelled(pose: FloatArray, share: float) -> FloatArray:
+    """A pose (4, 4) with `share` of its roll and pitch taken back, the heading and place kept.
+
+    A lidar of few rings says little about its own tilt, whose drift would lift the robot off.
+    """
+    yaw, pitch, roll = Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX")
+    level = np.array(pose)
+    kept = 1.0 - share
+    level[:3, :3] = Rotation.from_euler("ZYX", [yaw, kept * pitch, kept * roll]).as_matrix()
+    return level

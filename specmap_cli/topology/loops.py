@@ -31,7 +31,8 @@ from specmap_cli.topology.posegraph import Link
 _CACHED_NODES = 256
 _FEWEST_POINTS = 20
 _RIVALS, _LEAD = 4, 0.05  # places compared when nothing is known, and by how much to be ahead
-_PINNED_M = 0.1
+_PINNED_M = 0.1  # largest mean deviation of a place found without a guess
+_ROUGH_M, _MOST_CELLS = 0.3, 512  # step of the search everywhere, and cells a side at the most
 _FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])  # of a match: cells, moved furniture, people
 
 
@@ -57,6 +58,16 @@ class Walls:
             for k, pose in zip(others, relative, strict=True)
         ]
         return np.concatenate(clouds)
+
+    def of_all(self, nodes: Sequence[int], poses: FloatArray) -> FloatArray:
+        """Points (N, 2) seen from all of `nodes`, in the map, thinned as they are gathered."""
+        gathered, fresh = np.zeros((0, 2)), []
+        for count, k in enumerate(nodes, start=1):
+            fresh.append(Pose2(*poses[k].tolist()).apply(self._points(k)))
+            if count % 50 == 0 or count == len(nodes):
+                gathered = thinned(np.concatenate([gathered, *fresh]), 0.05)
+                fresh = []
+        return gathered
 
     def _points(self, node: int) -> FloatArray:
         """Points of one node in its base frame."""
@@ -105,26 +116,6 @@ def verified(
     return _confirmed(field, source, rough.pose, config.loop_score)
 
 
-def found_anywhere(
-    source: FloatArray, target: FloatArray, config: RelaxationConfig
-) -> tuple[Pose2, FloatArray] | None:
-    """The same without a guess, for passes whose relation is unknown.
-
-    It must fit much better, nowhere else nearly as well, and leave no direction open: in a bare
-    corridor nothing is found.
-    """
-    field, few = _field(target, config), thinned(source, 0.2)
-    rough = search_everywhere(field, thinned(source, 0.25), count=_RIVALS)
-    fine = [search(field, few, match.pose, Window(0.3, 0.09, 0.1)) for match in rough]
-    fine.sort(key=lambda match: -match.score)
-    if not fine or (len(fine) > 1 and fine[1].score > fine[0].score - _LEAD):
-        return None
-    found = _confirmed(field, source, fine[0].pose, 0.5 + 0.5 * config.loop_score)
-    if found is None or np.linalg.inv(found[1])[:2, :2].trace() > 2 * _PINNED_M**2:
-        return None
-    return found
-
-
 def _field(target: FloatArray, config: RelaxationConfig) -> ScoreField:
     return ScoreField.from_points(target, 0.05, 0.1, 4.0 * config.match_range_m)
 
@@ -148,6 +139,44 @@ def _confirmed(
     return pose, np.asarray(information, dtype=np.float64)
 
 
+class OlderWalls:
+    """The walls of all parts older than `part`, to find a piece of a later part among."""
+
+    def __init__(self, part: int, points: FloatArray, config: RelaxationConfig) -> None:
+        self.part, self._points, self._config = part, points, config
+        side = 40.0 * config.match_range_m
+        self._field = ScoreField.from_points(points, 0.1, 0.1, side)
+        area = self._field.values.size * self._field.resolution**2
+        self._step = max(_ROUGH_M, float(np.sqrt(area)) / _MOST_CELLS)
+
+    def place_of(self, source: FloatArray) -> tuple[Pose2, FloatArray] | None:
+        """The pose of points (N, 2) and its information.
+
+        They must fit well, nowhere else nearly as well, and leave no direction open: in a bare
+        corridor nothing is found.
+        """
+        few = thinned(source, 0.2)
+        if len(few) < _FEWEST_POINTS:
+            return None
+        turn = 0.04 * self._step / _ROUGH_M
+        rough = search_everywhere(
+            self._field, thinned(source, 0.25), _RIVALS, self._step, min(turn, 0.08)
+        )
+        window = Window(0.75 * self._step, 0.06, 0.1)
+        fine = [search(self._field, few, match.pose, window) for match in rough]
+        fine.sort(key=lambda match: -match.score)
+        if not fine or (len(fine) > 1 and fine[1].score > fine[0].score - _LEAD):
+            return None
+        pose = fine[0].pose
+        away = self._points - (pose.x, pose.y)
+        near = np.hypot(away[:, 0], away[:, 1]) < 2.0 * self._config.match_range_m
+        field = _field(self._points[near], self._config)
+        found = _confirmed(field, source, pose, 0.5 + 0.5 * self._config.loop_score)
+        if found is None or np.linalg.inv(found[1])[:2, :2].trace() > 2 * _PINNED_M**2:
+            return None
+        return found
+
+
 class NearbyPasses:
     """Finds edges between nearby passes, node by node along the path."""
 
@@ -163,6 +192,8 @@ class NearbyPasses:
         self._config = config
         self._tried: dict[tuple[int, int], Pose2] = {}
         self._tied_parts = {0}
+        self._older: OlderWalls | None = None
+        self._tries: dict[int, int] = {}
 
     def links(self, node: int, poses: FloatArray, drift_m: float) -> list[Link]:
         """The edges from older nodes to `node` that could be verified at the poses (M, 3)."""
@@ -180,23 +211,24 @@ class NearbyPasses:
     def links_of_stray(self, node: int, poses: FloatArray) -> list[Link]:
         """Edges to `node` of a part joined by a guess only: no pose is trusted, the fit must be.
 
-        Up to `stray_places` places of the older parts are tried, nearest by the guess first.
+        Its walls are looked for among those of all older parts, at any angle.
         """
-        config = self._config
-        old = np.flatnonzero(self._part < self._part[node])
-        away = np.hypot(*(poses[old, :2] - poses[node, :2]).T)
-        chosen: list[int] = []
-        for k in old[np.argsort(away, kind="stable")].tolist():
-            if all(abs(self._path[k] - self._path[c]) > config.loop_radius_m for c in chosen):
-                chosen.append(k)
-            if len(chosen) == config.stray_places:
-                break
-        for k in chosen:
-            source, target = self._around(node, k, poses)
-            match = found_anywhere(source, target, config)
-            if match is not None:
-                return [Link(self._nodes[k], self._nodes[node], *match, "nearby")]
-        return []
+        part = int(self._part[node])
+        if self._tries.get(part, 0) >= self._config.stray_tries:
+            return []
+        self._tries[part] = self._tries.get(part, 0) + 1
+        old = np.flatnonzero(self._part < part)
+        if self._older is None or self._older.part != part:
+            self._older = OlderWalls(part, self._walls.of_all(old.tolist(), poses), self._config)
+        source = self._walls.around(node, 8, poses, self._part)
+        match = self._older.place_of(source)
+        if match is None:
+            return []
+        pose, information = match
+        away = np.hypot(poses[old, 0] - pose.x, poses[old, 1] - pose.y)
+        nearest = int(old[np.argmin(away)])
+        relative = Pose2(*compose(invert(poses[nearest]), np.array(pose)).tolist())
+        return [Link(self._nodes[nearest], self._nodes[node], relative, information, "nearby")]
 
     def tie(self, part: int) -> None:
         """Note that the poses of a part can be trusted to some metres."""
