@@ -180,8 +180,8 @@ class LocalizationConfig(_Section):
     window_m: float = Field(10.0, gt=0, description="path whose scans make a virtual scan")
     virtual_beams: int = Field(360, ge=16)
     virtual_range_m: float = Field(20.0, gt=0)
-    raw_weight: float = Field(0.25, ge=0, le=1, description="of the single scan; 1 at the start")
-    augmentation: int = Field(2000, ge=0, description="virtual scans from free cells, training")
+    raw_weight: float = Field(0.1, ge=0, le=1, description="of the single scan; 1 at the start")
+    augmentation: int = Field(3000, ge=0, description="virtual scans from free cells, training")
     stay: float = Field(
         0.97, gt=0, lt=1, description="chance to stay in a submap from scan to scan"
     )

@@ -22,7 +22,7 @@ from specmap_cli.records import PlanarScan, PosedScan
 
 # a scan at this share of the limit speaks neither for nor against unknown; log likelihood per share
 # beyond it, and at most: strange views come in a row, so that none of them may weigh much
-_STRANGE_ALONE = 1.1  # a single scan is called unknown from here
+_STRANGE_ALONE = 1.2  # a single scan is called unknown from here
 _STRANGE_FROM, _STRANGE_GAIN, _STRANGE_MOST = 0.87, 2.0, 0.2
 
 
