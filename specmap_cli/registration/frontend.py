@@ -19,7 +19,7 @@ from kiss_icp.registration import Registration
 from specmap_cli.config import RegistrationConfig
 from specmap_cli.geometry import FloatArray, Pose2
 from specmap_cli.matching import Window, search, thinned
-from specmap_cli.records import PosedScan, Sweep
+from specmap_cli.records import PlanarScan, PosedScan, Sweep
 from specmap_cli.registration.deskew import deskewed, moved_returns
 from specmap_cli.registration.judgement import (
     BETTER,
@@ -41,8 +41,13 @@ _COARSE = 0.5  # kernels above this many voxels need neither all points nor full
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """What one sweep offers: `cloud` (N, 3) to register, `walls` (M, 2) to insert and score."""
+    """What one sweep offers, de-skewed and in the base frame.
 
+    `cloud` (N, 3) is registered, `sparse` (K, 3) is enough for its coarse steps; `walls` (M, 2) go
+    into the score field and `probe` (L, 2) is scored on it; `planar` is the scan to hand on.
+    """
+
+    planar: PlanarScan
     cloud: FloatArray
     sparse: FloatArray
     walls: FloatArray
@@ -109,12 +114,11 @@ class FrontEnd:
         elif sweep.cloud is not None:
             fit = _Fit(levelled(fit.pose, self.config.level_share), fit.score)
         self._conclude(fit, lost, view, local)
-        planar = deskewed(sweep.planar, sweep.base_from_laser, step.motion, step.interval_s)
         return PosedScan(
             sweep.index,
             sweep.stamp_ns,
             fit.planar,
-            planar,
+            view.planar,
             sweep.base_from_laser,
             fit.score,
             agreed,
@@ -127,7 +131,7 @@ class FrontEnd:
         """The points of a sweep, de-skewed and thinned, in the base frame."""
         config = self.config
         reach = min(config.max_range_m, 0.999 * sweep.planar.range_max)
-        scan = deskewed(sweep.planar, sweep.base_from_laser, step.motion, step.interval_s)
+        scan = deskewed(sweep.planar, sweep.base_from_laser, step.during, step.interval_s)
         near = np.where(scan.ranges > config.min_range_m, scan.ranges, np.nan)
         hit = np.isfinite(near) & (near <= reach)
         r, b = near[hit], scan.bearings[hit]
@@ -135,12 +139,12 @@ class FrontEnd:
         walls = thinned_to(hits, config.voxel_m / 2, config.max_points)
         probe = thinned(walls, config.voxel_m)
         if sweep.cloud is None:
-            return _View(_in_space(walls), _in_space(probe), walls, probe)
-        cloud = moved_returns(sweep.cloud, sweep.cloud_times_s, step.motion, step.interval_s)
+            return _View(scan, _in_space(walls), _in_space(probe), walls, probe)
+        cloud = moved_returns(sweep.cloud, sweep.cloud_times_s, step.during, step.interval_s)
         distance = np.sqrt((cloud[:, :2] ** 2).sum(axis=1))
         cloud = cloud[(distance > config.min_range_m) & (distance <= config.cloud_range_m)]
         cloud = thinned(cloud, config.cloud_voxel_m)
-        return _View(cloud, thinned(cloud, 2 * config.cloud_voxel_m), walls, probe)
+        return _View(scan, cloud, thinned(cloud, 2 * config.cloud_voxel_m), walls, probe)
 
     def _local_map(self, sweep: Sweep) -> LocalMap:
         """The local map, made for the sensor of the first sweep."""

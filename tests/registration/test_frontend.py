@@ -201,6 +201,17 @@ def test_stamps_in_bursts_and_backwards_do_not_matter(world: GridMap) -> None:
     assert worst(run(items)[1], truth)[0] < 0.08
 
 
+def test_a_resting_robot_without_odometry_does_not_begin_to_swing(world: GridMap) -> None:
+    """Each error of the estimated motion comes back through de-skewing, and must die out."""
+    truth = np.tile(path()[10], (60, 1))
+    items = []
+    for sweep in sweeps(world, truth, odometry=False):
+        timed = dataclasses.replace(sweep.planar, beam_times_s=np.linspace(0.0, 0.1, 240))
+        items.append(dataclasses.replace(sweep, planar=timed))
+    _, scans = run(items)
+    assert worst(scans, truth)[0] < 0.03
+
+
 def cloud_of(world: GridMap, pose: FloatArray) -> FloatArray:
     """Walls from floor to ceiling and the floor itself, as a 3D lidar 0.5 m up would see them."""
     bearings = np.linspace(-np.pi, np.pi, 180, endpoint=False)
