@@ -72,6 +72,9 @@ class Localizer:
         """The label of the next scan. Raises InputError when its laser sees too little."""
         if self._sampler is None:
             self._sampler = BeamSampler(Sensor.of(posed.planar), self.classifiers.sensor)
+        if posed.restarted:
+            self._recent.clear()
+            self.filter.reset()
         raw = self.classifiers.raw
         features = scan_features(self._sampler.apply(posed.planar), raw.feature_set)[None]
         margins = raw.margins(features)[0]
@@ -99,8 +102,6 @@ class Localizer:
 
     def _virtual_scan(self, posed: PosedScan) -> PlanarScan:
         """What a full circle would have seen from here, of the last metres."""
-        if posed.restarted:
-            self._recent.clear()
         if not posed.lost:
             self._recent.add(posed)
         return self._recent.scan(posed.stamp_ns, posed.map_from_laser)
