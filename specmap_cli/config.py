@@ -53,11 +53,11 @@ class RegistrationConfig(_Section):
 
     min_range_m: float = Field(0.05, ge=0, description="nearer returns are the robot itself")
     max_range_m: float = Field(20.0, gt=0, description="farther returns are left out; planar")
-    voxel_m: float = Field(0.1, gt=0, description="cell of the local map; kernels scale with it")
+    voxel_m: float = Field(0.1, ge=0.01, description="cell of the local map; kernels scale with it")
     max_points: int = Field(600, ge=50, description="a denser planar scan is thinned to this")
     min_points: int = Field(10, ge=3, description="a scan with fewer walls is lost")
     cloud_range_m: float = Field(40.0, gt=0, description="as max_range_m, for 3D clouds")
-    cloud_voxel_m: float = Field(0.2, gt=0, description="as voxel_m, for 3D clouds")
+    cloud_voxel_m: float = Field(0.2, ge=0.01, description="as voxel_m, for 3D clouds")
     level_share: float = Field(
         0.2, ge=0, le=1, description="of a 3D lidar's roll and pitch taken back at every scan"
     )
@@ -78,7 +78,9 @@ class GridConfig(_Section):
     max_range_m: float = Field(20.0, gt=0, description="beams are cut here and prove no obstacle")
     occupied_share: float = Field(0.25, gt=0, le=1, description="hits / (hits + misses) of a wall")
     surface_gap_m: float = Field(0.3, gt=0, description="returns this close bound one surface")
-    footprint_m: float = Field(0.2, ge=0, description="radius of the robot, free where it stood")
+    footprint_m: float = Field(
+        0.2, ge=0, le=5, description="radius of the robot, free where it stood"
+    )
     max_extent_m: float = Field(1000.0, gt=0, description="a grid never grows past this side")
     max_area_m2: float = Field(100_000.0, gt=0, description="nor past this area")
 
@@ -92,7 +94,7 @@ class SegmentationConfig(_Section):
     obstacle_m: float = Field(1.5, ge=0, description="isolated obstacles up to this size are free")
     fill: bool = Field(True, description="cells of removed obstacles take their room's label")
     nodes: Literal["clearest", "centre"] = Field("clearest", description="cell taken in a block")
-    node_step_m: float = Field(0.7, gt=0, description="side of a block; one node a block")
+    node_step_m: float = Field(0.7, gt=0, le=10, description="side of a block; one node a block")
     clearance_m: float = Field(0.25, ge=0, description="nodes and sight lines keep this off walls")
     sight_m: float = Field(5.0, gt=0, description="longest sight line")
     neighbours: int = Field(0, ge=0, description="l of eq. 1; 0: all visible nodes")

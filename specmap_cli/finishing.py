@@ -43,7 +43,7 @@ class FinishedMap:
 def finish_map(mapper: Mapper, progress: Progress) -> FinishedMap:
     """Lay the submaps out, derive the topology, rebuild the grids, train the classifiers.
 
-    Raises NoResultError when the log left no keyframe.
+    Raises NoResultError when the log left no keyframe, or none that fits the grid.
     """
     config, store, clock = mapper.config, mapper.store, mapper.clock
     if not len(store):
@@ -57,6 +57,11 @@ def finish_map(mapper: Mapper, progress: Progress) -> FinishedMap:
     progress.start("grids", len(store))
     with clock.stage("grids"):
         whole = integrate_keyframes(store, range(len(store)), layout.poses, config.grid).snapshot()
+    if not whole.cells.size:
+        raise NoResultError(
+            "no scan fits into the largest grid allowed: nothing to map; raise grid.max_extent_m "
+            "or grid.max_area_m2, or lower grid.max_range_m"
+        )
     with clock.stage("segmentation"):
         labels = _final_labels(mapper, layout, whole)
     with clock.stage("grids"):

@@ -58,6 +58,8 @@ class SplitTest:
 def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> SplitTest:
     """Look for a second region in `grid` along the way `poses` (p, 3), oldest first."""
     window = _window(grid, poses, config)
+    if not window.cells.size:  # the way leaves a grid that may not grow any more
+        return _undivided(window, poses, np.empty((0, 2)))
     opened = window.free | small_obstacles(window.free, config.split_obstacle_m / window.resolution)
     work = working_grid(opened, window.resolution, config.cell_m)
     cells = np.clip(

@@ -1,0 +1,225 @@
+"""What commands write: complete or not at all, never over an input, the same bytes every time."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+import os
+import resource
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import QUICK, ROOT, Run, command, leftovers
+
+
+def test_two_builds_are_byte_identical(tiny_log: Path, tiny_map: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again"
+    line = command("build", tiny_log, "-o", again, "--quiet", *QUICK)
+    environment = {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(ROOT)}
+    subprocess.run(line, check=True, capture_output=True, env=environment)
+    names = [path.relative_to(tiny_map) for path in sorted(tiny_map.rglob("*")) if path.is_file()]
+    assert names == [path.relative_to(again) for path in sorted(again.rglob("*")) if path.is_file()]
+    compared = [str(name) for name in names if name != Path("run.json")]
+    assert len(compared) >= 8
+    assert filecmp.cmpfiles(tiny_map, again, compared, shallow=False) == (compared, [], [])
+    first, second = (json.loads((each / "run.json").read_text()) for each in (tiny_map, again))
+    assert first.pop("seconds").keys() == second.pop("seconds").keys()
+    assert first == second
+
+
+def test_localizing_twice_is_byte_identical(
+    tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
+) -> None:
+    written = []
+    for name in ("first", "second"):
+        csv, plot = tmp_path / f"{name}.csv", tmp_path / f"{name}.png"
+        said = run("localize", tiny_log, "--map", tiny_map, "-o", csv, "--plot", plot, "--metric")
+        assert said.code == 0
+        written.append((said.out, csv.read_bytes(), plot.read_bytes()))
+    assert written[0] == written[1]
+    assert written[0][1].count(b"\n") == 62  # a header, and a line a scan
+
+
+@pytest.fixture
+def lines(
+    tiny_log: Path, tiny_map: Path, plan: Path, tmp_path: Path
+) -> dict[str, tuple[str | Path, ...]]:
+    """A line of every command that succeeds."""
+    return {
+        "info": ("info", tiny_log),
+        "build": ("build", tiny_log, "-o", tmp_path / "map", *QUICK),
+        "localize": ("localize", tiny_log, "--map", tiny_map),
+        "segment": ("segment", plan, "-o", tmp_path / "rooms"),
+        "simulate": ("simulate", plan, "-o", tmp_path / "tour.mcap", "--max-duration", "1"),
+        "convert": ("convert", tiny_log, tmp_path / "copy.mcap"),
+        "config": ("config",),
+    }
+
+
+@pytest.mark.parametrize(
+    "name", ["info", "build", "localize", "segment", "simulate", "convert", "config"]
+)
+def test_json_is_one_object_and_all_there_is_on_stdout(
+    name: str, lines: dict[str, tuple[str | Path, ...]], run: Run
+) -> None:
+    said = run(*lines[name], "--json")
+    assert said.code == 0
+    assert isinstance(json.loads(said.out), dict)
+    assert all(line.startswith("specmap: ") for line in said.err.splitlines())
+
+
+@pytest.mark.parametrize("name", ["build", "localize", "simulate", "convert"])
+def test_quiet_says_nothing_but_the_result(
+    name: str, lines: dict[str, tuple[str | Path, ...]], run: Run
+) -> None:
+    said = run(*lines[name], "--quiet")
+    assert (said.code, said.err) == (0, "")
+    assert said.out
+
+
+@pytest.mark.parametrize("name", ["build", "segment", "simulate", "convert"])
+def test_what_exists_is_replaced_only_when_told(
+    name: str, lines: dict[str, tuple[str | Path, ...]], tmp_path: Path, run: Run
+) -> None:
+    assert run(*lines[name]).code == 0
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    said = run(*lines[name])
+    assert said.code == 2
+    assert "--overwrite" in said.error
+    assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    assert run(*lines[name], "--overwrite").code == 0
+    assert leftovers(tmp_path) == []
+
+
+def test_labels_and_picture_are_replaced_only_when_told(
+    tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
+) -> None:
+    line = ("localize", tiny_log, "--map", tiny_map)
+    for option in ("-o", "--plot"):
+        path = tmp_path / "there"
+        path.write_text("mine", encoding="utf-8")
+        said = run(*line, option, path)
+        assert (said.code, path.read_text(encoding="utf-8")) == (2, "mine")
+        assert "there: exists already: choose another name or say --overwrite" in said.error
+        assert run(*line, option, path, "--overwrite").code == 0
+        path.unlink()
+
+
+Place = Callable[[Path], Path]
+
+
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [
+        (lambda at: at / "none" / "x.csv", "there is no directory"),
+        (lambda at: at / "file" / "x.csv", "there is no directory"),
+        (lambda at: at, "is a directory: name the file to write"),
+    ],
+    ids=["missing", "a file", "itself"],
+)
+@pytest.mark.parametrize("option", ["-o", "--plot"])
+def test_an_output_without_a_place_is_told_before_the_work(
+    option: str, place: Place, told: str, tiny_map: Path, tmp_path: Path, run: Run
+) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    said = run("localize", "never-opened.mcap", "--map", tiny_map, option, place(tmp_path))
+    assert said.code == 2
+    assert told in said.error
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_map_below_a_file_or_in_a_foreign_directory(
+    tiny_log: Path, tmp_path: Path, run: Run
+) -> None:
+    (tmp_path / "file").write_text("mine", encoding="utf-8")
+    said = run("build", tiny_log, "-o", tmp_path / "file" / "a" / "map")
+    assert (said.code, "Not a directory" in said.error) == (2, True)
+    said = run("build", tiny_log, "-o", tmp_path / "file", "--overwrite")
+    assert (said.code, "is a file" in said.error) == (2, True)
+    said = run("build", tiny_log, "-o", tmp_path, "--overwrite")
+    assert (said.code, "is not empty and holds no map" in said.error) == (2, True)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_inputs_are_never_replaced(plan: Path, own_map: Path, tiny_log: Path, run: Run) -> None:
+    log = own_map / "log.mcap"
+    log.write_bytes(tiny_log.read_bytes())
+    for line in (
+        ("build", log, "-o", own_map),
+        ("convert", log, log),
+        ("localize", log, "--map", own_map, "-o", log),
+        ("localize", log, "--map", own_map, "--plot", log),
+        ("segment", own_map / "map.yaml", "-o", own_map),
+        ("simulate", own_map / "map.yaml", "-o", own_map / "map.yaml"),
+        ("simulate", plan, "-o", plan),
+    ):
+        said = run(*line, "--overwrite")
+        assert said.code == 2
+        assert "would replace the input" in said.error
+    assert log.read_bytes() == tiny_log.read_bytes()
+
+
+def test_two_outputs_need_two_files(
+    tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
+) -> None:
+    same = tmp_path / "same"
+    said = run("localize", tiny_log, "--map", tiny_map, "-o", same, "--plot", same)
+    assert (said.code, "given for two outputs" in said.error) == (2, True)
+
+
+def test_the_true_poses_are_not_replaced_either(plan: Path, tmp_path: Path, run: Run) -> None:
+    (tmp_path / "tour.tum").write_text("mine", encoding="utf-8")
+    said = run("simulate", plan, "-o", tmp_path / "tour.mcap", "--max-duration", "1")
+    assert (said.code, "tour.tum: exists already" in said.error) == (2, True)
+    assert [path.name for path in tmp_path.iterdir()] == ["tour.tum"]
+
+
+@pytest.mark.parametrize("unbuffered", ["1", ""])
+@pytest.mark.parametrize("line", [["--help"], ["config"], ["info"], ["info", "--json"]])
+def test_a_reader_that_leaves_early_is_no_error(
+    line: list[str], unbuffered: str, tiny_log: Path
+) -> None:
+    arguments = [*line, str(tiny_log)] if line[0] == "info" else line
+    reading, writing = os.pipe()
+    os.close(reading)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": unbuffered}
+    try:
+        said = subprocess.run(
+            command(*arguments),
+            stdout=writing,
+            stderr=subprocess.PIPE,
+            env=environment,
+            check=False,
+        )
+    finally:
+        os.close(writing)
+    assert (said.returncode, said.stderr) == (0, b"")
+
+
+def test_a_full_disk_is_one_line(tiny_log: Path, tmp_path: Path) -> None:
+    said = subprocess.run(
+        command("build", tiny_log, "-o", tmp_path / "map", "--quiet", *QUICK),
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000)),
+        check=False,
+    )
+    assert said.returncode == 2
+    assert said.stderr.startswith("specmap: error: ")
+    assert said.stderr.count("\n") == 1
+    assert "File too large" in said.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_stdout_that_is_full_is_one_line() -> None:
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        said = subprocess.run(
+            command("config"), stdout=full, stderr=subprocess.PIPE, cwd=ROOT, check=False
+        )
+    assert said.returncode == 2
+    assert said.stderr.startswith(b"specmap: error: the output: cannot be written: No space left")
+    assert said.stderr.count(b"\n") == 1

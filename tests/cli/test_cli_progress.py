@@ -1,0 +1,51 @@
+"""Progress on a terminal, and none where nobody watches."""
+
+from __future__ import annotations
+
+import os
+import pty
+from pathlib import Path
+
+from tests.cli.conftest import QUICK, Run, spawn
+
+
+def watched(*arguments: str | Path) -> tuple[str, str]:
+    """What a command says on stdout, and on stderr that is a terminal."""
+    terminal, stderr = pty.openpty()
+    process = spawn(*arguments, stderr=stderr)
+    os.close(stderr)
+    said = b""
+    while True:
+        try:
+            piece = os.read(terminal, 4096)
+        except OSError:  # the other end has been closed
+            break
+        if not piece:
+            break
+        said += piece
+    os.close(terminal)
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    return out, said.decode()
+
+
+def test_a_terminal_shows_steps_and_rate_and_time_left(tiny_log: Path, tmp_path: Path) -> None:
+    out, shown = watched("build", tiny_log, "-o", tmp_path / "map", *QUICK)
+    assert "mapping" in shown
+    assert "/61 " in shown
+    assert "/s" in shown
+    assert "0:00:0" in shown
+    assert "mapping" not in out
+    assert ": 1 submap" in out
+
+
+def test_a_quiet_command_leaves_a_terminal_alone(tiny_log: Path, tmp_path: Path) -> None:
+    _, shown = watched("build", tiny_log, "-o", tmp_path / "map", "--quiet", *QUICK)
+    assert shown == ""
+
+
+def test_a_file_gets_notes_alone(tiny_log: Path, tmp_path: Path, run: Run) -> None:
+    said = run("build", tiny_log, "-o", tmp_path / "map", *QUICK)
+    assert said.err == (
+        "specmap: scans from /scan (LaserScan, 61), odometry from /odom, base frame base_link\n"
+    )
