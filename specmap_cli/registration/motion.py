@@ -49,7 +49,7 @@ class MotionModel:
         if before is not None and now is not None:
             motion = before.inverse() @ now
             if motion.distance <= _JUMP_M + _JUMP_SPEED * interval_s:
-                return Step(motion, motion, interval_s, True)
+                return Step(motion, self._steady(), interval_s, True)
             jumped = True
         return Step(self.carried_on(), self._steady(), interval_s, False, jumped)
 
@@ -62,10 +62,11 @@ class MotionModel:
         return _clipped(self._last)
 
     def _steady(self) -> Pose2:
-        """The mean of the last two motions, clipped.
+        """The mean of the last two motions as registered, clipped.
 
-        De-skewing with the last one alone feeds each error back with its sign turned: a robot at
-        rest would seem to swing, ever wider. The mean lets go of what alternates.
+        Odometry, whose clock may be apart from the laser's, draws walls double in turns. The last
+        motion alone feeds each error back with its sign turned: a robot at rest would seem to
+        swing, ever wider. The mean lets go of what alternates.
         """
         a, b = self._before, self._last
         return _clipped(Pose2((a.x + b.x) / 2, (a.y + b.y) / 2, (a.theta + b.theta) / 2))
