@@ -153,7 +153,7 @@ def _classifiers_of(stored: StoredMap) -> ClassifierSet:
     except MapError as error:
         if str(path) in str(error):
             raise
-        raise MapError(f"{path}: {error}") from None
+        raise MapError(f"{path}: {str(error).removeprefix('classifiers: ')}") from None
     if classifiers.ids != stored.ids:
         raise MapError(
             f"{path}: classifiers of the submaps {classifiers.ids}, but the map has "

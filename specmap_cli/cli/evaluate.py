@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from specmap_cli.cli import options
+from specmap_cli.cli.targets import check_files
 
 if TYPE_CHECKING:
     from specmap_cli.config import Config
@@ -66,19 +67,22 @@ def evaluate(
     preset: options.Preset = None,
     config: options.ConfigFile = None,
     settings: options.Settings = None,
+    overwrite: options.Overwrite = False,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
 ) -> None:
     """Score localisation or a trajectory against truth.
 
-    Examples: specmap evaluate log.mcap --protocol holdout;
-    specmap evaluate log.mcap --protocol revisit log2.mcap --reference log.tum --reference log2.tum;
-    specmap evaluate --trajectory out/trajectory.tum --reference truth.tum
+    \b
+    specmap evaluate log.mcap --protocol holdout
+    specmap evaluate map log2.mcap --protocol revisit --reference log.tum --reference log2.tum
+    specmap evaluate --trajectory map/trajectory.tum --reference log.tum
     """
     from specmap_cli.config import load_config
     from specmap_cli.errors import UsageError
 
     paths, truths = logs or [], reference or []
+    check_files([confusion], [*paths, *truths], overwrite=overwrite)
     if trajectory is not None:
         _score_trajectory(trajectory, relations, truths, as_json)
         return

@@ -129,7 +129,8 @@ class ChunkedFile(Recording):
         where = f"damaged at byte {offset} of {self.size}"
         if offset >= self.size:
             where = f"cut off at byte {self.size}"
-        self.report(f"{where}: what followed {seconds(last_ns)} is lost")
+        lost = f"what followed {seconds(last_ns)}" if last_ns > 0 else "everything"
+        self.report(f"{where}: {lost} is lost")
 
     def report_chunk(self, ref: ChunkRef) -> None:
         """Note that messages of an indexed chunk are lost."""

@@ -178,7 +178,9 @@ class StoredMap:
         try:
             return Config.model_validate(self.run.get("config"))
         except ValidationError as error:
-            raise MapError(f"{self.path / RUN}: config: {_first(error)}") from None
+            raise MapError(
+                f"{self.path / RUN}: config: {_first(error)}: build the map again"
+            ) from None
 
     def _read_grid(self, node: NodeRecord) -> GridMap:
         return read_grid((self.path / node.image).with_suffix(".yaml"))

@@ -223,3 +223,16 @@ def test_stdout_that_is_full_is_one_line() -> None:
     assert said.returncode == 2
     assert said.stderr.startswith(b"specmap: error: the output: cannot be written: No space left")
     assert said.stderr.count(b"\n") == 1
+
+
+def test_a_confusion_matrix_never_replaces_a_log(tiny_log: Path, tmp_path: Path, run: Run) -> None:
+    log = tmp_path / "log.mcap"
+    log.write_bytes(tiny_log.read_bytes())
+    line = ("evaluate", log, "--protocol", "holdout", "--confusion")
+    said = run(*line, log)
+    assert (said.code, "log.mcap: exists already" in said.error) == (2, True)
+    said = run(*line, log, "--overwrite")
+    assert (said.code, "would replace the input" in said.error) == (2, True)
+    said = run(*line, tmp_path / "none" / "matrix.png")
+    assert (said.code, "there is no directory" in said.error) == (2, True)
+    assert log.read_bytes() == tiny_log.read_bytes()
