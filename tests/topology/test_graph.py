@@ -33,12 +33,15 @@ def grids_of(labels: list[int]) -> dict[int, GridMap]:
 
 
 def topology_of(
-    labels: list[int], breaks: tuple[int, ...] = (), closures: tuple[Closure, ...] = ()
+    labels: list[int],
+    breaks: tuple[int, ...] = (),
+    closures: tuple[Closure, ...] = (),
+    poses: np.ndarray | None = None,
 ) -> TopologicalMap:
     stamps = [1000 * k for k in range(len(labels))]
     return build_topology(
         np.array(labels),
-        line_of_poses(len(labels)),
+        line_of_poses(len(labels)) if poses is None else poses,
         stamps,
         breaks,
         closures,
@@ -74,10 +77,16 @@ def test_a_loss_of_tracking_leaves_a_loose_edge_until_the_robot_drives_across() 
     assert topology_of([0, 1, 0], breaks=(1,)).edges[0, 1].kind == "traversed"
 
 
-def test_a_verified_closure_that_did_not_merge_is_an_edge() -> None:
-    topology = topology_of([0, 1, 2], closures=(closure(0, 2, True, False),))
+def test_a_verified_closure_is_an_edge_where_the_tracks_meet() -> None:
+    labels, poses = [0, 0, 1, 1, 2, 2], line_of_poses(6)
+    poses[4] = poses[0]  # the robot comes back to where it was in submap 0
+    verified = (closure(0, 2, True, False), closure(1, 2, True, False))
+    topology = topology_of(labels, closures=verified, poses=poses)
     assert topology.edges[0, 2].kind == "closure"
-    assert (0, 2) not in topology_of([0, 1, 2], closures=(closure(0, 2, False, False),)).edges
+    assert topology.edges[1, 2].kind == "traversed"
+    assert (0, 2) not in topology_of(labels, closures=verified).edges, "tracks apart"
+    refused = (closure(0, 2, False, False),)
+    assert (0, 2) not in topology_of(labels, closures=refused, poses=poses).edges
 
 
 @given(st.lists(st.integers(0, 4), min_size=1, max_size=30))
