@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from specmap_cli import __version__
+from specmap_cli.album import TestAlbum
 from specmap_cli.config import Config
 from specmap_cli.errors import NoResultError
 from specmap_cli.finishing import FinishedMap, finish_map
@@ -62,16 +63,20 @@ def build_map(
 ) -> BuildReport:
     """Build the map of a recording and write it to the directory `out`, complete or not at all.
 
+    `explain` is a directory for a picture of every test that may split a submap.
+
     Raises UsageError for an output that cannot be written or topics that must be chosen, LogError
     for a recording that cannot be used, NoResultError when no scan could be registered.
     """
     progress = progress or Silent()
-    observer = None
     with (
         OutputDirectory(out, overwrite) as partial,
         open_log(logs) as log,
         KeyframeStore() as store,
     ):
+        observer = None
+        if explain is not None:
+            observer = TestAlbum(explain, config.segmentation, overwrite=overwrite)
         stream = SweepStream(log, config.log)
         progress.note(stream.selection.note)
         mapper = Mapper(config, store, progress, observer)

@@ -235,3 +235,18 @@ def test_a_confusion_matrix_never_replaces_a_log(tiny_log: Path, tmp_path: Path,
     said = run(*line, tmp_path / "none" / "matrix.png")
     assert (said.code, "there is no directory" in said.error) == (2, True)
     assert log.read_bytes() == tiny_log.read_bytes()
+
+
+def test_a_picture_of_every_test(tiny_log: Path, tmp_path: Path, run: Run) -> None:
+    line = ("build", tiny_log, "-o", tmp_path / "map", "--explain", tmp_path / "tests", *QUICK)
+    assert run(*line).code == 0
+    pictures = sorted(path.name for path in (tmp_path / "tests").iterdir())
+    assert pictures[:2] == ["test_0001.png", "test_0002.png"]
+    (tmp_path / "tests" / "test_9999.png").write_bytes(b"of an earlier run")
+    said = run(*line[:3], tmp_path / "map2", *line[4:])
+    assert (said.code, "holds pictures of an earlier run" in said.err) == (2, True)
+    assert run(*line, "--overwrite").code == 0
+    assert sorted(path.name for path in (tmp_path / "tests").iterdir()) == pictures
+    said = run(*line[:3], tmp_path / "map3", "--explain", tiny_log / "tests", *QUICK)
+    assert (said.code, "cannot write pictures there" in said.err) == (2, True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["map", "tests"]
