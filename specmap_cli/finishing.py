@@ -54,6 +54,7 @@ def finish_map(mapper: Mapper, progress: Progress) -> FinishedMap:
     with clock.stage("layout"):
         layout = relax(store, mapper.constraints(), mapper.breaks, config.relaxation)
         trajectory = corrected(mapper.trajectory.trajectory(), store, layout)
+    mapper.refute({(link.source, link.target) for link in layout.dropped if link.kind == "closure"})
     progress.start("grids", len(store))
     with clock.stage("grids"):
         whole = integrate_keyframes(store, range(len(store)), layout.poses, config.grid).snapshot()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -94,6 +95,24 @@ class Mapper:
         for region, keyframes in self.regions.items():
             labels[keyframes] = self.merger.find(region)
         return labels
+
+    def refute(self, dropped: Collection[tuple[int, int]]) -> None:
+        """Take back the merges whose constraint, between two keyframes, the layout dropped."""
+        for number, closure in enumerate(self.closures):
+            if not closure.merged or closure.old_from_new is None:
+                continue
+            constraint = self._constraint(closure, closure.old_from_new)
+            if (constraint.source, constraint.target) in dropped:
+                reason = "contradicts the layout"
+                self.closures[number] = replace(
+                    closure, merged=False, verified=False, reason=reason, old_from_new=None
+                )
+        self.merger = RegionMerger()
+        for region in self.regions:
+            self.merger.add(region)
+        for closure in self.closures:
+            if closure.merged:
+                self.merger.merge(closure.old, closure.new)
 
     def constraints(self) -> list[Constraint]:
         """What the merges say about the poses of pairs of keyframes.

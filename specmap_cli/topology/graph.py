@@ -97,9 +97,9 @@ def build_topology(
     """The topological map of keyframes with submap `labels` (n,) and `poses` (n, 3) in the map.
 
     Submaps are linked where the robot drove across, and where a verified closure shows that its
-    tracks meet. `breaks` are keyframes at which tracking restarted: what lies before
-    is linked by a loose edge only. `closures` name regions, which `submap_of_region` maps to labels; `grids` are in the
-    frames of the submaps, whose origin is the pose of their first keyframe.
+    tracks meet. `breaks` are keyframes at which tracking restarted: what lies before is linked by a
+    loose edge only. `closures` name regions, which `submap_of_region` maps to labels; `grids` are
+    in the frames of the submaps, whose origin is the pose of their first keyframe.
     """
     topology = TopologicalMap(closures=list(closures))
     runs = _runs(labels)

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from specmap_cli.config import RelaxationConfig
 from specmap_cli.geometry import FloatArray, Pose2, compose, invert
@@ -23,6 +25,7 @@ from specmap_cli.topology.parts import agreed, corrections, moved
 from specmap_cli.topology.posegraph import Edges, Link, Solution, solve
 
 _KERNEL = 2.0  # width of Cauchy's kernel, in sigmas
+_FIRM_M, _DRIFT_SHARE = 0.5, 0.15  # a closure may mend this, and this share of the way between
 _OUTLIER_CHI2 = 25.0
 _STRAY_VOTES = 3  # matches that must agree on where a lost piece of the path belongs
 
@@ -103,12 +106,18 @@ class _Relaxation:
         self.passes = NearbyPasses(walls, self.nodes.tolist(), self.path, self.part, config)
 
     def run(self) -> Layout:
-        """Closures first, then what they brought near each other, then what contradicts."""
+        """Nearby passes, the closures that drift allows, then what these brought near."""
         self._place_parts()
-        if self.loops:
-            self._tighten()
+        closures, self.loops = self.loops, []
         self._find_passes()
+        self._solve()
+        near, far, refuted = self._sorted_by_drift(closures)
+        self.loops += near + far
+        if far:
+            self._tighten()
+            self._find_passes()
         dropped, chi2 = self._settle()
+        dropped = refuted + dropped
         return Layout(
             carried(self.tracked, self.nodes, self.poses),
             self.nodes,
@@ -147,6 +156,44 @@ class _Relaxation:
         self.poses = moved(self.poses, self.part, part, best[0])
         self.passes.tie(part)
         return True
+
+    def _sorted_by_drift(
+        self, closures: Sequence[Link]
+    ) -> tuple[list[Link], list[Link], list[Link]]:
+        """Closures that agree with the layout, that drift explains, and that nothing explains.
+
+        Drift grows along the shortest chain of edges between the two keyframes: in look-alike rooms
+        off one corridor the chain is short, and a closure between them impossible.
+        """
+        near: list[Link] = []
+        far: list[Link] = []
+        refuted: list[Link] = []
+        for closure, chain in zip(closures, self._chains(closures), strict=True):
+            source, target = self.row[closure.source], self.row[closure.target]
+            expected = Pose2(*self.poses[source].tolist()).inverse() @ Pose2(
+                *self.poses[target].tolist()
+            )
+            away = (closure.source_from_target.inverse() @ expected).distance
+            if away > _FIRM_M + _DRIFT_SHARE * chain:
+                refuted.append(closure)
+            else:
+                (near if away <= _FIRM_M else far).append(closure)
+        return near, far, refuted
+
+    def _chains(self, closures: Sequence[Link]) -> FloatArray:
+        """(c,) metres along the shortest chain of edges between the ends of each closure."""
+        if not closures:
+            return np.zeros(0)
+        edges = [link for link in [*self.odometry, *self.loops] if link.kind != "loose"]
+        rows = [self.row[link.source] for link in edges]
+        columns = [self.row[link.target] for link in edges]
+        lengths = [max(link.source_from_target.distance, 1e-3) for link in edges]
+        count = len(self.nodes)
+        graph = csr_array((lengths, (rows, columns)), shape=(count, count))
+        starts = [self.row[closure.source] for closure in closures]
+        ends = [self.row[closure.target] for closure in closures]
+        unique, which = np.unique(starts, return_inverse=True)
+        return np.asarray(dijkstra(graph, directed=False, indices=unique)[which, ends])
 
     def _tighten(self) -> None:
         """Closures pull over any drift at first; those outvoted are let go step by step.
