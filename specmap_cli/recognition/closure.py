@@ -189,6 +189,8 @@ class LoopCloser:
             closure = _closure(visit.id, member.id, claims, check, *verdict)
             if best is None or _merit(closure) > _merit(best):
                 best = closure
+            if closure.merged:
+                break
         return [best] if best is not None else []
 
     def _judge(self, member: _Visit, visit: _Visit, check: Check | None) -> tuple[bool, bool, str]:

@@ -9,6 +9,7 @@ stand where the other saw free space: a right transform contradicts nothing.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +24,8 @@ from specmap_cli.recognition.sampling import evenly
 _SLACKS_RAD = (0.0, math.radians(-3.0), math.radians(3.0))
 _PEAKS = 8
 _REFINED = 4
-_HOPELESS = 0.4
+_HOPELESS = 0.3
+_SURE = 0.8
 _REFINE_POINTS = 250
 _INLIER_M = 0.15
 _DEEP_M = 0.25
@@ -49,9 +51,22 @@ class Check:
 
 
 def verify(old: Place, new: Place) -> Check | None:
-    """The best transform between two places and its judgement; None when nothing overlaps."""
+    """The best transform between two places and its judgement; None when nothing overlaps.
+
+    Directions of walls are taken as they are first; when that looks promising but not right, they
+    are tried a few degrees off as well.
+    """
+    best = _best(old, new, _SLACKS_RAD[:1])
+    if best is not None and _HOPELESS <= best.score < _SURE:
+        slack = _best(old, new, _SLACKS_RAD)
+        best = slack if slack is not None and _rank(slack) > _rank(best) else best
+    return best
+
+
+def _best(old: Place, new: Place, slacks: Sequence[float]) -> Check | None:
+    """The best transform whose rotation is within the slacks of aligned walls."""
     points = evenly(new.walls, _REFINE_POINTS)
-    guesses = _candidates(old, new)
+    guesses = _candidates(old, new, slacks)
     likely = np.argsort([-old.wide.score(points, guess) for guess in guesses], kind="stable")
     checks = []
     for k in likely[:_REFINED]:
@@ -120,24 +135,16 @@ def _agreement(place: Place, points: FloatArray) -> tuple[float, float, int, flo
     )
 
 
-def _candidates(old: Place, new: Place) -> list[Pose2]:
+def _candidates(old: Place, new: Place, slacks: Sequence[float]) -> list[Pose2]:
     """The most promising transforms old_from_new, best first."""
     aligned = old.direction - new.direction
-    angles = [aligned + k * math.pi / 2 + slack for k in range(4) for slack in _SLACKS_RAD]
     centre = new.coarse_walls.mean(axis=0)
-    reach = np.abs(np.vstack([new.coarse_walls, new.coarse_free]) - centre).max() * math.sqrt(2.0)
-    side = 2 * math.ceil(reach / COARSE_M) + 3
-    shape = [scipy.fft.next_fast_len(n + side, real=True) for n in old.target.shape]
-    target = scipy.fft.rfft2(old.target, shape)
-    obstacles = scipy.fft.rfft2(old.obstacles, shape)
     found: list[tuple[float, Pose2]] = []
-    for angle in angles:
+    for angle in (aligned + k * math.pi / 2 + slack for k in range(4) for slack in slacks):
         turn = Pose2(0.0, 0.0, wrap_angle(angle))
-        walls = _picture(turn.apply(new.coarse_walls - centre), shape)
-        free = _picture(turn.apply(new.coarse_free - centre), shape)
-        product = target * np.conj(scipy.fft.rfft2(walls))
-        product -= 0.5 * obstacles * np.conj(scipy.fft.rfft2(free))
-        correlation = scipy.fft.irfft2(product, shape)
+        correlation = _correlate(
+            old, turn.apply(new.coarse_walls - centre), turn.apply(new.coarse_free - centre)
+        )
         for value, x, y in _peaks(correlation, old.target.shape):
             at = Pose2(x + old.coarse_origin[0], y + old.coarse_origin[1], turn.theta)
             found.append((value, at @ Pose2(-float(centre[0]), -float(centre[1]), 0.0)))
@@ -149,6 +156,23 @@ def _candidates(old: Place, new: Place) -> list[Pose2]:
         if len(kept) == _PEAKS:
             break
     return kept
+
+
+def _correlate(old: Place, walls: FloatArray, free: FloatArray) -> ImageArray:
+    """How well walls (N, 2) and free space (M, 2) of another place, turned and centred, fall on an
+    old place, for every shift in coarse cells; periodic, with room enough not to wrap.
+    """
+    reach = 2 * np.ceil(np.abs(np.vstack([walls, free])).max(axis=0) / COARSE_M).astype(int) + 3
+    rows, columns = old.target.shape
+    shape = [
+        scipy.fft.next_fast_len(rows + int(reach[1]), real=True),
+        scipy.fft.next_fast_len(columns + int(reach[0]), real=True),
+    ]
+    pictures = np.stack([_picture(walls, shape), _picture(free, shape)])
+    moved = np.conj(scipy.fft.rfft2(pictures))
+    product = scipy.fft.rfft2(old.target, shape) * moved[0]
+    product -= 0.5 * scipy.fft.rfft2(old.obstacles, shape) * moved[1]
+    return np.asarray(scipy.fft.irfft2(product, shape), dtype=np.float32)
 
 
 def _picture(points: FloatArray, shape: list[int]) -> ImageArray:
