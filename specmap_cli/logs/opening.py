@@ -27,7 +27,7 @@ def open_log(paths: Path | str | Sequence[Path | str]) -> Log:
     """Open one recording, or several files of it, as one log in time order.
 
     A path is a file, or a directory whose recordings are taken together. Raises LogError for a
-    path that is missing, empty, or no recording, and when nothing in it can be read.
+    path that is missing, empty, no recording or given twice, and when nothing in it can be read.
     """
     given = [paths] if isinstance(paths, str | Path) else list(paths)
     if not given:
@@ -36,6 +36,7 @@ def open_log(paths: Path | str | Sequence[Path | str]) -> Log:
     try:
         for path in given:
             recordings.extend(_recordings_at(Path(path)))
+        _refuse_repetition(recordings)
         log = Log(recordings, [Path(path) for path in given])
         _refuse_rubble(log)
     except BaseException:
@@ -43,6 +44,16 @@ def open_log(paths: Path | str | Sequence[Path | str]) -> Log:
             recording.close()
         raise
     return log
+
+
+def _refuse_repetition(recordings: Sequence[Recording]) -> None:
+    """A file given twice, such as by its name and by its directory, would count twice."""
+    seen: set[Path] = set()
+    for recording in recordings:
+        place = recording.path.resolve()
+        if place in seen:
+            raise LogError(f"{recording.path}: given twice; name each file of a recording once")
+        seen.add(place)
 
 
 def _refuse_rubble(log: Log) -> None:

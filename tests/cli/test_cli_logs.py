@@ -60,6 +60,13 @@ def test_a_missing_file_and_a_directory_without_logs(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_file_given_twice(tiny_log: Path, run: Run) -> None:
+    for again in (tiny_log, tiny_log.parent):
+        said = run("info", tiny_log, again)
+        assert said.code == 3
+        assert "tiny.mcap: given twice; name each file of a recording once" in said.error
+
+
 def test_a_log_cut_off_anywhere(tiny_log: Path, tmp_path: Path, run: Run) -> None:
     whole = tiny_log.read_bytes()
     codes = []
