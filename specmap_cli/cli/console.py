@@ -28,7 +28,9 @@ class ConsoleProgress:
 
     def __init__(self, quiet: bool = False) -> None:
         self.quiet = quiet
-        self._console = Console(stderr=True, highlight=False, soft_wrap=True)
+        self._console = Console(
+            stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False
+        )
         self._bars = RichProgress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -73,7 +75,7 @@ class ConsoleProgress:
         self._line(f"warning: {message}")
 
     def _line(self, message: str) -> None:
-        self._console.print(f"specmap: {message}", markup=False)
+        self._console.print(f"specmap: {message}")
 
 
 def print_result(result: dict[str, Any], lines: list[str], as_json: bool) -> None:

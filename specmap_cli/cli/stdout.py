@@ -8,9 +8,17 @@ from contextlib import suppress
 
 
 def print_text(text: str) -> None:
-    """`text` on stdout as it is; a reader that has seen enough, such as `head`, is no error."""
+    """`text` on stdout; a reader that has seen enough, such as `head`, is no error.
+
+    What the terminal cannot show, such as a file name of any bytes, is escaped.
+    """
     try:
-        print(text, end="", flush=True)
+        try:
+            print(text, end="", flush=True)
+        except UnicodeEncodeError:
+            encoding = sys.stdout.encoding
+            shown = text.encode(encoding, "backslashreplace").decode(encoding)
+            print(shown, end="", flush=True)
     except BrokenPipeError:
         discard_stdout()
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import os
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import QUICK, Run, leftovers, standing_log
+from tests.cli.conftest import QUICK, ROOT, Run, command, leftovers, standing_log
 
 DATA = Path(os.environ.get("SPECMAP_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
 DAMAGED_BAG = DATA / "damaged" / "laser_scan_matcher_demo.bag"
@@ -163,6 +164,15 @@ def test_a_name_of_any_bytes(tmp_path: Path, run: Run) -> None:
     assert run("build", path, "-o", tmp_path / "map", *QUICK).code == 0
     assert run("localize", path, "--map", tmp_path / "map", "--plot", plot).code == 0
     assert plot.is_file()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_a_name_that_the_terminal_cannot_show(encoding: str, tmp_path: Path) -> None:
+    path = standing_log(tmp_path / os.fsdecode(b"\xff-\xc3\xa9.mcap"), 3.0)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": encoding}
+    said = subprocess.run(command("info", path), capture_output=True, env=environment, check=True)
+    assert said.stdout.startswith(os.fsencode(tmp_path) + b"/\\udcff-")
+    assert said.stderr == b""
 
 
 @pytest.mark.skipif(not DAMAGED_BAG.is_file(), reason=f"no {DAMAGED_BAG} (set SPECMAP_DATA)")

@@ -6,6 +6,9 @@ import os
 import pty
 from pathlib import Path
 
+import pytest
+
+from specmap_cli.cli.console import ConsoleProgress
 from tests.cli.conftest import QUICK, Run, spawn
 
 
@@ -49,3 +52,15 @@ def test_a_file_gets_notes_alone(tiny_log: Path, tmp_path: Path, run: Run) -> No
     assert said.err == (
         "specmap: scans from /scan (LaserScan, 61), odometry from /odom, base frame base_link\n"
     )
+
+
+def test_notes_and_warnings_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    message = "[bold]log[/]:cat:.mcap " + "long " * 40 + "/end"
+    for quiet in (False, True):
+        with ConsoleProgress(quiet) as progress:
+            progress.start("working", None)
+            progress.note(message)
+            progress.warn(message)
+            progress.advance()
+    note, warning = f"specmap: {message}\n", f"specmap: warning: {message}\n"
+    assert capsys.readouterr().err == note + warning + warning
