@@ -127,14 +127,14 @@ class RecognitionConfig(_Section):
 
     feature_set: Literal["table1", "pairs", "shape", "places", "full"] = "full"
     booster: Literal["trees", "stumps"] = "trees"
-    rounds: int = Field(300, ge=1, description="weak classifiers of a submap's final classifier")
+    rounds: int = Field(200, ge=1, description="weak classifiers of a submap's final classifier")
     shrinkage: float = Field(0.5, gt=0, le=1, description="trees: scale of every vote")
     feature_share: float = Field(0.2, gt=0, le=1, description="trees: features drawn a round")
     negatives: int = Field(2000, ge=10, description="scans of other submaps a classifier sees")
     closure_rounds: int = Field(40, ge=1, description="weak classifiers while ranking")
     closure_shrinkage: float = Field(0.5, gt=0, le=1)
-    closure_negatives: int = Field(500, ge=10)
-    samples_per_submap: int = Field(150, ge=1, description="scans of a submap used for ranking")
+    closure_negatives: int = Field(400, ge=10)
+    samples_per_submap: int = Field(100, ge=1, description="scans of a submap used for ranking")
     groups: int = Field(4, ge=0, description="held-out groups of old submaps; 0 = one by one")
     refresh_growth: float = Field(0.25, ge=0, description="retrain once the submaps grew by this")
     xi_threshold: float = Field(0.175, ge=0, le=1, description="eq. 5, judge without `verify`")
@@ -183,7 +183,7 @@ class LocalizationConfig(_Section):
     virtual_beams: int = Field(360, ge=16)
     virtual_range_m: float = Field(20.0, gt=0)
     raw_weight: float = Field(0.1, ge=0, le=1, description="of the single scan; 1 at the start")
-    augmentation: int = Field(3000, ge=0, description="virtual scans from free cells, training")
+    augmentation: int = Field(1500, ge=0, description="virtual scans from free cells, training")
     stay: float = Field(
         0.97, gt=0, lt=1, description="chance to stay in a submap from scan to scan"
     )

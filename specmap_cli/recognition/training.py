@@ -20,7 +20,7 @@ from specmap_cli.recognition.virtual import RecentScans, cast_circles
 
 _TRACK_REACH_M = 1.5
 _WINDOW_SHARES = (0.1, 0.2, 0.5, 1.0)  # of the window: it has to work while it fills
-_MOST_WINDOW_SAMPLES = 1200
+_MOST_WINDOW_SAMPLES = 800
 
 
 def train_localizer(
