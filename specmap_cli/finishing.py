@@ -80,7 +80,9 @@ def finish_map(mapper: Mapper, progress: Progress) -> FinishedMap:
     with clock.stage("training"):
         keyframes = {id_: submap.keyframes for id_, submap in topology.submaps.items()}
         rng = np.random.default_rng(config.seed)
-        classifiers = train_localizer(store, keyframes, layout.poses, grids, config, rng)
+        classifiers = train_localizer(
+            store, keyframes, layout.poses, grids, config, rng, mapper.features
+        )
     table = Labels(np.array(store.stamps_ns, dtype=np.int64), layout.poses, labels)
     return FinishedMap(topology, table, trajectory, whole, classifiers.to_json(), layout)
 

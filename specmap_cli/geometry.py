@@ -132,9 +132,7 @@ def quaternion_from_rotation(rotation: NDArray[Any]) -> tuple[float, float, floa
     return float(x), float(y), float(z), float(w)
 
 
-def quaternions_from_rpy(
-    roll: NDArray[Any], pitch: NDArray[Any], yaw: NDArray[Any]
-) -> FloatArray:
+def quaternions_from_rpy(roll: NDArray[Any], pitch: NDArray[Any], yaw: NDArray[Any]) -> FloatArray:
     """(n, 4) unit quaternions (x, y, z, w), w >= 0, of Rz(yaw) Ry(pitch) Rx(roll), each (n,)."""
     (sr, sp, sy), (cr, cp, cy) = (
         (f(roll / 2.0), f(pitch / 2.0), f(yaw / 2.0)) for f in (np.sin, np.cos)

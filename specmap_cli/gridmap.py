@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -209,10 +210,10 @@ def _carved(
     centre = np.round((start[None] - 0.5) * scale).astype(np.int32)
     same = returned[1:] & returned[:-1]
     same &= np.hypot(*(ends[1:] - ends[:-1]).T) * config.resolution_m <= config.surface_gap_m
-    firsts = np.flatnonzero(~same) + 1
-    for first, surface in zip([0, *firsts.tolist()], np.split(fixed, firsts), strict=True):
+    bounds = [0, *(np.flatnonzero(~same) + 1).tolist(), len(fixed)]
+    for first, end in pairwise(bounds):
         if returned[first]:  # then all of them did; of a single beam the fan is a line
-            fan = np.concatenate([centre, surface])
+            fan = np.concatenate([centre, fixed[first:end]])
             cv2.fillPoly(picture, [fan], 1, cv2.LINE_8, _SUBPIXEL_BITS)
     return picture
 

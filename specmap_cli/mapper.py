@@ -13,7 +13,7 @@ from specmap_cli.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
 from specmap_cli.progress import Progress, Silent
 from specmap_cli.recognition.closure import LoopCloser, SubmapView
-from specmap_cli.recognition.features import scans_features
+from specmap_cli.recognition.features import KeyframeFeatures
 from specmap_cli.records import Closure, IntArray, Sweep
 from specmap_cli.registration import FrontEnd
 from specmap_cli.segmentation.online import Observer, OnlineSegmenter, Region
@@ -50,6 +50,7 @@ class Mapper:
         self.trajectory = TrajectoryRecorder()
         self.segmenter = OnlineSegmenter(config.segmentation, config.grid, store, observer)
         self.closer = LoopCloser(config.recognition, np.random.default_rng(config.seed))
+        self.features = KeyframeFeatures(store, config.recognition.feature_set)
         self.merger = RegionMerger()
         self.regions: dict[int, list[int]] = {}
         self.closures: list[Closure] = []
@@ -165,10 +166,9 @@ class Mapper:
             grid = integrate_keyframes(self.store, keyframes, track, self.config.grid).snapshot()
         limit = self.config.recognition.samples_per_submap
         spread = np.linspace(0, len(keyframes) - 1, min(len(keyframes), limit)).astype(int)
-        scans = (self.store.scan(keyframes[i]) for i in spread)
         return SubmapView(
             region.number,
-            scans_features(scans, self.config.recognition.feature_set),
+            self.features.of([keyframes[i] for i in spread.tolist()]),
             grid,
             track,
             self.store.pose(keyframes[0]),

@@ -25,6 +25,7 @@ from specmap_cli.outputs.store import MapResult, write_map
 from specmap_cli.outputs.text import counted, legible
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.progress import Progress, Silent
+from specmap_cli.topology.g2o import write_g2o
 
 _LIBRARIES = ("kiss-icp", "mcap", "networkx", "numpy", "opencv-python-headless", "rosbags", "scipy")
 
@@ -110,6 +111,7 @@ def _result(log: Log, finished: FinishedMap, run: dict[str, Any]) -> MapResult:
         info,
         run,
         finished.grid,
+        write_g2o(finished.layout),
     )
 
 

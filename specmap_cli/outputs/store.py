@@ -35,6 +35,7 @@ CLASSIFIERS = "classifiers.json"
 RUN = "run.json"
 LABELS = "labels.csv"
 TRAJECTORY = "trajectory.tum"
+POSE_GRAPH = "trajectory.g2o"
 OVERVIEW = "overview.png"
 LABELS_IMAGE = "labels.png"
 
@@ -44,8 +45,8 @@ class MapResult:
     """Everything a map directory is written from.
 
     `labels` are all keyframes, row i being keyframe number i; `classifiers` is JSON text; `run` the
-    contents of run.json. `map_grid` is the grid of the whole map where one was integrated, None to
-    lay out the submaps' grids.
+    contents of run.json; `pose_graph` text in g2o's format. `map_grid` is the grid of the whole map
+    where one was integrated, None to lay out the submaps' grids.
     """
 
     topology: TopologicalMap
@@ -55,6 +56,7 @@ class MapResult:
     log: LogInfo
     run: Mapping[str, Any]
     map_grid: GridMap | None = None
+    pose_graph: str = ""
     frame: str = "map"
 
 
@@ -72,6 +74,7 @@ def write_map(directory: Path, result: MapResult) -> None:
     for name, text in (
         (CLASSIFIERS, result.classifiers),
         (TRAJECTORY, trajectory_text(result.trajectory)),
+        (POSE_GRAPH, result.pose_graph),
         (LABELS, labels_text(result.labels)),
         (RUN, to_json(dict(result.run))),
     ):

@@ -252,4 +252,21 @@ def _submap_id(key: str) -> int:
 
 def _readable(data: Any) -> str:
     """JSON, indented to the rounds and a round a line."""
-    return json.dumps(data, sort_keys=True, indent=1).replace("\n     ", " ") + "\n"
+    return _indented(data, 5, "") + "\n"
+
+
+def _indented(value: Any, levels: int, margin: str) -> str:
+    """JSON with keys sorted, a line an entry in the outer `levels`, compact below."""
+    if not levels or not value or not isinstance(value, dict | list):
+        return json.dumps(value, sort_keys=True)
+    inner = margin + " "
+    if isinstance(value, dict):
+        entries = [
+            f"{json.dumps(key)}: {_indented(value[key], levels - 1, inner)}"
+            for key in sorted(value)
+        ]
+    else:
+        entries = [_indented(entry, levels - 1, inner) for entry in value]
+    brackets = "{}" if isinstance(value, dict) else "[]"
+    lines = f",\n{inner}".join(entries)
+    return f"{brackets[0]}\n{inner}{lines}\n{margin}{brackets[1]}"

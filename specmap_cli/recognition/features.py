@@ -8,12 +8,13 @@ column is documented where its group is defined, finite for every scan, and unch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from specmap_cli.errors import UsageError
 from specmap_cli.geometry import FloatArray
+from specmap_cli.keyframes import KeyframeStore
 from specmap_cli.recognition import (
     features_profile,
     features_shape,
@@ -55,6 +56,21 @@ def scans_features(scans: Iterable[PlanarScan], feature_set: str = "full") -> Fl
     """(n, F) features of several scans."""
     rows = [scan_features(scan, feature_set) for scan in scans]
     return np.array(rows).reshape(len(rows), len(FEATURE_SETS[feature_set]))
+
+
+class KeyframeFeatures:
+    """Features of the keyframes of a store, each computed once: some kilobytes a keyframe."""
+
+    def __init__(self, store: KeyframeStore, feature_set: str) -> None:
+        self.store, self.feature_set = store, feature_set
+        self._rows: dict[int, FloatArray] = {}
+
+    def of(self, numbers: Sequence[int]) -> FloatArray:
+        """(n, F) features of some keyframes, by their numbers."""
+        for number in numbers:
+            if number not in self._rows:
+                self._rows[number] = scan_features(self.store.scan(number), self.feature_set)
+        return np.array([self._rows[number] for number in numbers])
 
 
 def _groups(feature_set: str) -> tuple[Group, ...]:

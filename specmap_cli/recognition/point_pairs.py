@@ -22,7 +22,7 @@ NAMES = (
     "boundary_points",
 )
 _SPACING_M = 0.08
-_MOST_POINTS = 130
+_MOST_POINTS = 110
 _NORMAL_REACH_M = 0.2
 _ALIGNED = np.cos(np.pi / 4)
 
@@ -65,7 +65,7 @@ def boundary(outline: Outline) -> tuple[FloatArray, FloatArray, float]:
     """The boundary by arc length: points (K, 2), unit normals (K, 2) to the robot, its length.
 
     Leaps from one surface to another are not boundary. Points lie 0.08 m apart, or farther so that
-    there are at most 130.
+    there are at most 110.
     """
     if len(outline) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2)), 0.0

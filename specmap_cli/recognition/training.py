@@ -14,7 +14,7 @@ from specmap_cli.gridmap import GridMap
 from specmap_cli.keyframes import KeyframeStore
 from specmap_cli.recognition.classifiers import ClassifierSet, OneVsAll, Sensor
 from specmap_cli.recognition.familiarity import Familiarity
-from specmap_cli.recognition.features import scan_features, scans_features
+from specmap_cli.recognition.features import KeyframeFeatures, scan_features, scans_features
 from specmap_cli.recognition.sampling import evenly
 from specmap_cli.recognition.virtual import RecentScans, cast_circles
 
@@ -30,17 +30,17 @@ def train_localizer(
     grids: Mapping[int, GridMap],
     config: Config,
     rng: np.random.Generator,
+    features: KeyframeFeatures | None = None,
 ) -> ClassifierSet:
     """Classifiers of raw scans and, where wanted, of virtual ones.
 
     `submaps` lists the keyframes of each submap, ascending; `poses` (n, 3) are those of all
-    keyframes, map from base; `grids` are in the frame of each submap's first keyframe.
+    keyframes, map from base; `grids` are in the frame of each submap's first keyframe. `features`
+    are those of the store's keyframes known so far.
     """
     recognition, localization = config.recognition, config.localization
-    raw = {
-        i: scans_features((store.scan(k) for k in numbers), recognition.feature_set)
-        for i, numbers in submaps.items()
-    }
+    features = features or KeyframeFeatures(store, recognition.feature_set)
+    raw = {i: features.of(numbers) for i, numbers in submaps.items()}
     sensor = Sensor.of(store.scan(min(numbers[0] for numbers in submaps.values())))
     trained = ClassifierSet.train(raw, sensor, recognition, rng)
     trained.raw_known = Familiarity.of(recognition.feature_set, raw, localization.false_unknown)

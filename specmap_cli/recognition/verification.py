@@ -23,10 +23,11 @@ from specmap_cli.recognition.sampling import evenly
 
 _SLACKS_RAD = (0.0, math.radians(-3.0), math.radians(3.0))
 _PEAKS = 8
-_REFINED = 4
+_REFINED = 3
 _HOPELESS = 0.3
 _SURE = 0.8
-_REFINE_POINTS = 250
+_REFINE_POINTS = 160
+_FINAL_POINTS = 1000
 _INLIER_M = 0.15
 _DEEP_M = 0.25
 _CLEAR_M = 0.3
@@ -70,7 +71,7 @@ def _best(old: Place, new: Place, slacks: Sequence[float]) -> Check | None:
     likely = np.argsort([-old.wide.score(points, guess) for guess in guesses], kind="stable")
     checks = []
     for k in likely[:_REFINED]:
-        match = refine(old.field, points, guesses[k], iterations=8, max_shift=0.6)
+        match = refine(old.field, points, guesses[k], iterations=6, max_shift=0.6)
         checks.append(judge(old, new, match.pose))
     if not checks:
         return None
@@ -78,7 +79,8 @@ def _best(old: Place, new: Place, slacks: Sequence[float]) -> Check | None:
     best = checks[0]
     if best.score < _HOPELESS:
         return best
-    match = refine(old.field, new.walls, best.old_from_new, max_shift=0.2)
+    points = evenly(new.walls, _FINAL_POINTS)
+    match = refine(old.field, points, best.old_from_new, iterations=15, max_shift=0.2)
     final = judge(old, new, match.pose)
     centre = new.coarse_walls.mean(axis=0)
     rivals = [c for c in checks[1:] if _apart(c.old_from_new, best.old_from_new, centre, 1.0, 10.0)]
