@@ -39,6 +39,7 @@ FILES = {
     "submaps/002.png",
     "submaps/002.yaml",
     "topology.json",
+    "trajectory.g2o",
     "trajectory.tum",
 }
 
