@@ -33,7 +33,9 @@ bench: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.recognition
 
 sample-logs: $(VENV)/installed
-	BIN=$(BIN) sh sample_logs/make.sh
+	$(BIN)/python sample_logs/draw_office.py
+	$(BIN)/specmap simulate sample_logs/office.yaml -o sample_logs/office.mcap --beams 181 --speed 0.8 --spacing 3 --laps 2 --seed 2 --overwrite
+	$(BIN)/specmap simulate sample_logs/office.yaml -o sample_logs/office_again.mcap --beams 181 --speed 0.8 --spacing 3 --seed 7 --overwrite
 
 clean:
 	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -22,18 +22,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.data import data_folder
+from benchmarks.data import plan, rooms_of
 from specmap_cli.config import Config, load_config
 from specmap_cli.evaluation.scores import stay_scores, visits_of
 from specmap_cli.evaluation.simulate import SimulationOptions, simulate_sweeps
-from specmap_cli.evaluation.worlds import RoomTruth, read_rooms
+from specmap_cli.evaluation.worlds import RoomTruth
 from specmap_cli.geometry import FloatArray, Pose2
+from specmap_cli.gridmap import GridMap
 from specmap_cli.keyframes import KeyframeSelector, KeyframeStore
-from specmap_cli.mapfiles import read_grid
 from specmap_cli.registration import FrontEnd
 from specmap_cli.segmentation.online import OnlineSegmenter, Region
 
-RESOLUTION_M = 0.05
 PLANS = ("Freiburg79_scan", "Freiburg79_scan_furnitures", "office_a", "lab_c_scan")
 LASERS = ((180.0, 361, 8.0), (360.0, 720, 20.0))
 
@@ -74,8 +73,8 @@ def main() -> None:
     config = load_config(preset=arguments.preset)
     plans = PLANS if arguments.plan is None else (arguments.plan,)
     rows = []
-    for plan, laser in ((plan, laser) for plan in plans for laser in LASERS):
-        rows.append(measure(plan, laser, config, 300.0 if arguments.quick else None))
+    for name, laser in ((name, laser) for name in plans for laser in LASERS):
+        rows.append(measure(name, laser, config, 300.0 if arguments.quick else None))
         print(line(rows[-1]), flush=True)
     numbers = np.array([list(asdict(row).values())[2:] for row in rows])
     rows.append(Row("mean", "", *numbers.mean(axis=0).tolist()))
@@ -85,29 +84,25 @@ def main() -> None:
 
 
 def measure(
-    plan: str, laser: tuple[float, int, float], config: Config, seconds: float | None
+    name: str, laser: tuple[float, int, float], config: Config, seconds: float | None
 ) -> Row:
     """Drive one tour, split it on line, and compare with the rooms."""
     degrees, beams, reach = laser
     options = SimulationOptions(
         field_of_view_deg=degrees, beams=beams, range_max_m=reach, max_duration_s=seconds, seed=1
     )
-    folder = data_folder() / "rooms"
-    rooms = read_rooms(
-        folder / f"{plan.removesuffix('_furnitures')}_gt_segmentation.png", RESOLUTION_M
-    )
-    tour = drive(folder / f"{plan}.png", options, config)
+    tour = drive(plan(name), options, config)
     with tour.store:
-        return score(plan, f"{degrees:.0f} deg {reach:.0f} m", tour, rooms, config)
+        return score(name, f"{degrees:.0f} deg {reach:.0f} m", tour, rooms_of(name), config)
 
 
-def drive(plan: Path, options: SimulationOptions, config: Config) -> Tour:
+def drive(world: GridMap, options: SimulationOptions, config: Config) -> Tour:
     """Register a simulated tour and keep its keyframes."""
     store = KeyframeStore()
     selector, front_end = KeyframeSelector(config.keyframes), FrontEnd(config.registration)
     truth: list[Pose2] = []
     breaks: list[int] = []
-    for sweep, pose in simulate_sweeps(read_grid(plan, RESOLUTION_M), options):
+    for sweep, pose in simulate_sweeps(world, options):
         scan = front_end.register(sweep)
         if scan.restarted:
             breaks.append(len(store))
@@ -117,7 +112,7 @@ def drive(plan: Path, options: SimulationOptions, config: Config) -> Tour:
     return Tour(store, np.array(truth), breaks)
 
 
-def score(plan: str, laser: str, tour: Tour, rooms: RoomTruth, config: Config) -> Row:
+def score(name: str, laser: str, tour: Tour, rooms: RoomTruth, config: Config) -> Row:
     """Split the tour and hold the outcome against the rooms it went through."""
     durations: list[float] = []
     regions = list(split(tour, config, durations))
@@ -128,7 +123,7 @@ def score(plan: str, laser: str, tour: Tour, rooms: RoomTruth, config: Config) -
     scores = stay_scores(room, visits, submap, region_of)
     third = max(1, len(durations) // 3)
     return Row(
-        plan=plan,
+        plan=name,
         laser=laser,
         homogeneity=scores.homogeneity,
         completeness=scores.completeness,

@@ -13,24 +13,20 @@ from __future__ import annotations
 
 import argparse
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.data import data_folder
+from benchmarks.data import RESOLUTION_M, log_file, plan, rooms_of, truth_file
 from specmap_cli.config import Config, load_config
 from specmap_cli.evaluation.classification import classification_scores
-from specmap_cli.evaluation.protocols import HoldOut, hold_out, rows_by_stamp
+from specmap_cli.evaluation.protocols import HoldOut, hold_out, map_log
 from specmap_cli.evaluation.simulate import SimulationOptions, simulate_sweeps
-from specmap_cli.evaluation.worlds import read_rooms
+from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.finishing import finish_map
 from specmap_cli.geometry import Pose2, compose, invert, wrap_angle
 from specmap_cli.gridmap import GridMap
 from specmap_cli.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
-from specmap_cli.logs import open_log
-from specmap_cli.logs.stream import SweepStream
-from specmap_cli.mapfiles import read_grid
 from specmap_cli.mapper import Mapper
 from specmap_cli.progress import Silent
 from specmap_cli.recognition.closure import LoopCloser, SubmapView
@@ -42,7 +38,6 @@ from specmap_cli.records import PosedScan
 
 LOGS = ("fr079", "mit_csail")
 PAPER = {"fr079": (0.9728, 0.9818, 0.9089, 0.9212), "mit_csail": (0.9689, 0.9739, 0.83, 0.8458)}
-RESOLUTION_M = 0.05
 REVISIT = 0.4
 
 
@@ -52,14 +47,13 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=sorted(sections), default=sorted(sections))
     parser.add_argument("--quick", action="store_true", help="the smallest case of each")
     arguments = parser.parse_args()
-    folder = data_folder()
     for name, run in sections.items():
         if name in arguments.only:
-            run(folder, arguments.quick)
+            run(arguments.quick)
             print()
 
 
-def table2(folder: Path, quick: bool) -> None:
+def table2(quick: bool) -> None:
     print("Table II         | training recall precision | test recall precision | filtered")
     for name in LOGS[1:] if quick else LOGS:
         row = PAPER[name]
@@ -68,8 +62,7 @@ def table2(folder: Path, quick: bool) -> None:
             for options in (HoldOut(seed=0), HoldOut("blocks", seed=0)):
                 if preset == "paper" and (quick or options.split == "blocks"):
                     continue
-                log = folder / "logs" / f"{name}.mcap"
-                result = hold_out([log], load_config(preset=preset), options)
+                result = hold_out([log_file(name)], load_config(preset=preset), options)
                 print(
                     f"{name:<9} {preset} {options.split} | {result.train.recall:.3f} "
                     f"{result.train.precision:.3f} | {result.test.recall:.3f} "
@@ -79,21 +72,22 @@ def table2(folder: Path, quick: bool) -> None:
                 )
 
 
-def closures(folder: Path, quick: bool) -> None:
+def closures(quick: bool) -> None:
     print("closures          | submaps merges right | revisits found | constraints, wrong, error")
     for name in LOGS[1:] if quick else LOGS:
         for preset in ("default",) if quick else ("default", "paper"):
-            print(f"{name:<10}{preset:<8}| {_closures_of(folder, name, preset)}", flush=True)
+            print(f"{name:<10}{preset:<8}| {_closures_of(name, preset)}", flush=True)
 
 
-def _closures_of(folder: Path, name: str, preset: str) -> str:
+def _closures_of(name: str, preset: str) -> str:
     config = load_config(preset=preset)
     with KeyframeStore() as store:
-        mapper = _mapped(folder / "logs" / f"{name}.mcap", config, store)
-        truth = np.loadtxt(folder / "truth" / f"{name}_corrected.tum")
-        stamps = np.round(truth[:, 0] * 1e6).astype(np.int64) * 1000
-        rows = rows_by_stamp(np.array(store.stamps_ns), stamps, 5_000_000)
-        poses = np.column_stack([truth[:, 1:3], 2.0 * np.arctan2(truth[:, 6], truth[:, 7])])
+        mapper = _mapped(name, config, store)
+        truth = read_tum(truth_file(f"{name}_corrected.tum"))
+        known_at, found = associate(truth.stamps_ns, np.array(store.stamps_ns), 5_000_000)
+        rows = np.full(len(store), -1)
+        rows[known_at] = found
+        poses = truth.poses
         tracks = {}
         for region, keyframes in mapper.regions.items():
             known = [k for k in keyframes if rows[k] >= 0]
@@ -151,30 +145,24 @@ def _constraint_errors(mapper: Mapper, rows: Any, poses: Any) -> list[tuple[floa
     return errors
 
 
-def _mapped(log_path: Path, config: Config, store: KeyframeStore) -> Mapper:
+def _mapped(name: str, config: Config, store: KeyframeStore) -> Mapper:
     mapper = Mapper(config, store)
-    with open_log([log_path]) as log:
-        for sweep in SweepStream(log, config.log):
-            mapper.add(sweep)
-    mapper.finish()
+    map_log([log_file(name)], mapper, Silent())
     return mapper
 
 
-def tours(folder: Path, quick: bool) -> None:
+def tours(quick: bool) -> None:
     print("tours, new way             | raw recall precision | filtered | unknown: known foreign")
     cases = [("", 360.0), ("_furnitures", 180.0), ("_furnitures", 360.0)]
     for clutter, view in cases[:1] if quick else cases:
-        print(
-            f"Freiburg79{clutter:<12}{view:4.0f} | {_tour_row(folder, clutter, view)}", flush=True
-        )
+        print(f"Freiburg79{clutter:<12}{view:4.0f} | {_tour_row(clutter, view)}", flush=True)
 
 
-def _tour_row(folder: Path, clutter: str, view: float) -> str:
+def _tour_row(clutter: str, view: float) -> str:
     config = load_config()
-    rooms = read_rooms(folder / "rooms" / "Freiburg79_scan_gt_segmentation.png", RESOLUTION_M)
-    plan = read_grid(folder / "rooms" / f"Freiburg79_scan{clutter}.png", RESOLUTION_M)
-    other = read_grid(folder / "rooms" / f"lab_c_scan{clutter}.png", RESOLUTION_M)
-    first, again = _tour(plan, view, 0), _tour(plan, view, 11, spacing_m=2.6)
+    rooms = rooms_of("Freiburg79_scan")
+    here, other = plan(f"Freiburg79_scan{clutter}"), plan(f"lab_c_scan{clutter}")
+    first, again = _tour(here, view, 0), _tour(here, view, 11, spacing_m=2.6)
     localizers = _localizers(first, rooms, config)
     labels = [localizers[0].update(scan) for scan in again]
     truth = rooms.at(np.array([scan.map_from_base for scan in again]))
@@ -191,13 +179,13 @@ def _tour_row(folder: Path, clutter: str, view: float) -> str:
     )
 
 
-def _tour(plan: GridMap, view: float, seed: int, **more: Any) -> list[PosedScan]:
+def _tour(world: GridMap, view: float, seed: int, **more: Any) -> list[PosedScan]:
     options = SimulationOptions(
         field_of_view_deg=view, beams=int(view), rate_hz=5.0, seed=seed, **more
     )
     return [
         PosedScan(s.index, s.stamp_ns, pose, s.planar, s.base_from_laser)
-        for s, pose in simulate_sweeps(plan, options)
+        for s, pose in simulate_sweeps(world, options)
     ]
 
 
@@ -224,11 +212,11 @@ def _localizers(tour: list[PosedScan], rooms: Any, config: Config) -> list[Local
     return [Localizer(trained, adjacency, grids, config.localization) for _ in range(2)]
 
 
-def cost(folder: Path, quick: bool) -> None:
+def cost(quick: bool) -> None:
     name = LOGS[1] if quick else LOGS[0]
     config = load_config()
     with KeyframeStore() as store:
-        mapper = _mapped(folder / "logs" / f"{name}.mcap", config, store)
+        mapper = _mapped(name, config, store)
         finish_map(mapper, Silent())
     seconds = mapper.clock.seconds
     ours = seconds["recognition"] + seconds["training"]

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.data import data_folder
+from benchmarks.data import log_file, truth_file
 from specmap_cli.config import Config, LogConfig
 from specmap_cli.evaluation.trajectories import (
     RelativeErrors,
@@ -83,7 +83,7 @@ def main() -> None:
     rows = []
     for name in LOGS:
         for odometry in (True, False):
-            run = register(data_folder() / "logs" / f"{name}.mcap", name, odometry)
+            run = register(name, odometry)
             rows += [row(run, "front end", run.tracked), row(run, "final", run.relaxed)]
     print(table(rows))
     print("\nPublished means on fr079, m: " + "; ".join(f"{k} {v}" for k, v in PUBLISHED.items()))
@@ -95,12 +95,12 @@ def main() -> None:
         arguments.json.write_text(text + "\n", encoding="utf-8")
 
 
-def register(path: Path, name: str, odometry: bool) -> Run:
+def register(name: str, odometry: bool) -> Run:
     """Log -> front end -> keyframe store -> layout, as `build` does it."""
     config = Config(log=LogConfig(use_odometry=odometry))
     front_end, recorder = FrontEnd(config.registration), TrajectoryRecorder()
     selector, breaks, busy, scans = KeyframeSelector(config.keyframes), [], 0.0, 0
-    with KeyframeStore() as store, open_log([path]) as log:
+    with KeyframeStore() as store, open_log([log_file(name)]) as log:
         for sweep in SweepStream(log, config.log):
             start = time.process_time()
             scan = front_end.register(sweep)
@@ -135,12 +135,11 @@ def row(run: Run, stage: str, trajectory: Trajectory) -> Row:
 
 def errors(name: str, trajectory: Trajectory) -> str:
     """Relation errors where the log has relations, else errors against its reference poses."""
-    truth = data_folder() / "truth"
-    relations = truth / f"{name}.relations"
+    relations = truth_file(f"{name}.relations")
     if relations.exists():
         found = relation_errors(trajectory, read_relations(relations))
         return f"{relative(found)}, {found.matched} of {found.total} relations"
-    reference = read_tum(next(truth.glob(f"{name}_*.tum")))
+    reference = read_tum(next(relations.parent.glob(f"{name}_*.tum")))
     score = reference_errors(trajectory, reference)
     parts = [
         f"RPE {length:g} m {value.translation_m.mean:.3f} m {value.rotation_deg.mean:.2f} deg"
@@ -177,9 +176,9 @@ def cut_test(name: str) -> str:
     Odometry stands still across the cut. A cut whose scans are placed rightly all the same (within
     0.5 m and 0.2 rad of the truth) needs no notice and is counted apart.
     """
-    with open_log([data_folder() / "logs" / f"{name}.mcap"]) as log:
+    with open_log([log_file(name)]) as log:
         sweeps = list(SweepStream(log, LogConfig()))
-    truth = read_tum(data_folder() / "truth" / f"{name}_corrected.tum")
+    truth = read_tum(truth_file(f"{name}_corrected.tum"))
     rng = np.random.default_rng(0)
     places = np.arange(LEAD_IN + 50, len(sweeps) - CUT_SCANS - 90)
     noticed = right = 0

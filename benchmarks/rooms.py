@@ -20,17 +20,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.data import data_folder
+from benchmarks.data import TRUTH, data_folder, plan, rooms_of
 from specmap_cli.config import SegmentationConfig, load_config
 from specmap_cli.evaluation.scores import room_scores
-from specmap_cli.evaluation.worlds import read_rooms
 from specmap_cli.gridmap import GridMap
-from specmap_cli.mapfiles import read_grid
 from specmap_cli.segmentation.spectral import segment
 
-RESOLUTION_M = 0.05
 REPEATS = 3
-TRUTH = "_gt_segmentation.png"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +49,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     config = load_config(preset=arguments.preset).segmentation
     rows = [
-        measure(truth, kind, config)
+        measure(truth.name.removesuffix(TRUTH), kind, config)
         for kind in ("plain", "furnished")
         for truth in sorted((data_folder() / "rooms").glob("*" + TRUTH))
     ]
@@ -63,13 +59,10 @@ def main() -> None:
         arguments.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
 
 
-def measure(truth: Path, kind: str, config: SegmentationConfig) -> Row:
+def measure(name: str, kind: str, config: SegmentationConfig) -> Row:
     """Divide one map and compare it with its hand-drawn rooms."""
-    name = truth.name.removesuffix(TRUTH)
-    suffix = "_furnitures.png" if kind == "furnished" else ".png"
-    grid = read_grid(truth.with_name(name + suffix), RESOLUTION_M)
-    rooms = read_rooms(truth, RESOLUTION_M).labels - 1
-    scores = room_scores(rooms, segment(grid, config).labels)
+    grid = plan(name + "_furnitures" if kind == "furnished" else name)
+    scores = room_scores(rooms_of(name).labels - 1, segment(grid, config).labels)
     seconds = fastest(lambda: segment(grid, config))
     return Row(
         kind=kind,

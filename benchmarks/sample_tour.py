@@ -13,19 +13,16 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from benchmarks.data import data_folder
+from benchmarks.data import RESOLUTION_M, plan, rooms_of
 from specmap_cli.cli.options import overrides
 from specmap_cli.config import Config, load_config
-from specmap_cli.evaluation.protocols import rows_by_stamp
-from specmap_cli.evaluation.rooms import room_scores
+from specmap_cli.evaluation.rooms import map_scores
 from specmap_cli.evaluation.simulate import SimulationOptions, simulate
-from specmap_cli.evaluation.trajectories import read_tum, reference_errors
+from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
 from specmap_cli.evaluation.worlds import RoomTruth, read_rooms
-from specmap_cli.mapfiles import read_grid
 from specmap_cli.outputs.store import read_map
 from specmap_cli.pipeline import build_map
 
-RESOLUTION_M = 0.05
 PLANS = ("Freiburg79_scan", "Freiburg79_scan_furnitures", "lab_c_scan", "office_h_furnitures")
 
 
@@ -33,8 +30,8 @@ def score(name: str, log: Path, truth: Path, rooms: RoomTruth, config: Config, o
     """Build the map of one tour and return its line of the table."""
     build_map([log], out, config)
     stored, true = read_map(out), read_tum(truth)
-    row = rows_by_stamp(stored.labels.stamps_ns, true.stamps_ns)
-    found = room_scores(rooms, true.poses[row], stored.labels.submaps)
+    labelled, row = associate(true.stamps_ns, stored.labels.stamps_ns)
+    found = map_scores(rooms, true.poses[row], stored.labels.submaps[labelled])
     error = reference_errors(read_tum(out / "trajectory.tum"), true)
     merges = sum(closure.accepted for closure in stored.record.graph.closures)
     return (
@@ -59,14 +56,12 @@ def main() -> None:
         rooms = read_rooms(samples / "office_rooms.png", RESOLUTION_M)
         sample = samples / "office.mcap", samples / "office.tum"
         print(score("sample_logs/office", *sample, rooms, config, folder / "office"), flush=True)
-        for plan in PLANS if arguments.plans else ():
-            picture = data_folder() / "rooms" / f"{plan}.png"
-            painted = plan.removesuffix("_furnitures") + "_gt_segmentation.png"
-            log = folder / f"{plan}.mcap"
+        for tour in PLANS if arguments.plans else ():
+            log = folder / f"{tour}.mcap"
             options = SimulationOptions(beams=541, speed_mps=0.8, spacing_m=3.0, laps=2, seed=3)
-            made = simulate(read_grid(picture, RESOLUTION_M), options, log)
-            truth = read_rooms(picture.with_name(painted), RESOLUTION_M)
-            print(score(plan, log, made.truth, truth, config, folder / plan), flush=True)
+            made = simulate(plan(tour), options, log)
+            row = score(tour, log, made.truth, rooms_of(tour), config, folder / tour)
+            print(row, flush=True)
 
 
 if __name__ == "__main__":

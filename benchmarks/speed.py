@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.data import data_folder
+from benchmarks.data import log_file
 from specmap_cli.config import Config
 from specmap_cli.geometry import Pose2
 from specmap_cli.logs import open_log
@@ -101,7 +101,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=2)
     repeats = parser.parse_args().repeats
-    log = data_folder() / "logs" / "fr079.mcap"
+    log = log_file("fr079")
     registration = Config().registration
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

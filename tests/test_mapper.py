@@ -14,7 +14,7 @@ import pytest
 from specmap_cli import finishing
 from specmap_cli.config import Config, load_config
 from specmap_cli.errors import NoResultError
-from specmap_cli.evaluation.rooms import room_scores
+from specmap_cli.evaluation.rooms import map_scores
 from specmap_cli.evaluation.worlds import RoomTruth
 from specmap_cli.finishing import FinishedMap, finish_map
 from specmap_cli.geometry import Pose2
@@ -67,7 +67,7 @@ def test_the_map_is_connected_and_its_rooms_are_the_flat_s(
     assert nx.is_connected(graph)
     true = {sweep.stamp_ns: pose for sweep, pose in tour}
     places = np.array([true[stamp] for stamp in store.stamps_ns])
-    scores = room_scores(flat_rooms, places, finished.labels.submaps)
+    scores = map_scores(flat_rooms, places, finished.labels.submaps)
     assert scores.whole == 1.0
     assert scores.found == scores.doors
     assert scores.invented == 0

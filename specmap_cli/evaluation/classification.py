@@ -6,15 +6,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 UNKNOWN = -1
-
-_CELL_PIXELS = 28
-_MARGIN_PIXELS = 60
-_INK = (40, 40, 40)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,50 +104,6 @@ def score_lines(scores: ClassificationScores) -> list[str]:
         lines.append(f"{submap:>8} {counts[submap]:7,} {recall:7.3f} {precision[submap]:10.3f}")
     lines.append(f"{'mean':>8} {scores.scans:7,} {scores.recall:7.3f} {scores.precision:10.3f}")
     return lines
-
-
-def confusion_picture(scores: ClassificationScores) -> NDArray[np.uint8]:
-    """(H, W, 3) picture of the confusion matrix: rows the truth, columns the label, last unknown.
-
-    Dark is a large share of the row; the number in a cell is the percentage.
-    """
-    rows, columns = scores.confusion.shape
-    height = _MARGIN_PIXELS + rows * _CELL_PIXELS + 10
-    width = _MARGIN_PIXELS + columns * _CELL_PIXELS + 10
-    picture = np.full((height, width, 3), 255, dtype=np.uint8)
-    shares = scores.confusion / np.maximum(scores.confusion.sum(axis=1, keepdims=True), 1)
-    for r in range(rows):
-        for c in range(columns):
-            _draw_cell(picture, r, c, float(shares[r, c]), on_diagonal=r == c)
-    for k, name in enumerate([*map(str, scores.ids), "?"]):
-        at = _MARGIN_PIXELS + k * _CELL_PIXELS
-        _write(picture, name, at + 4, _MARGIN_PIXELS - 8)
-        if k < rows:
-            _write(picture, name, _MARGIN_PIXELS - 28, at + 18)
-    _write(picture, "label", _MARGIN_PIXELS, 18)
-    _write(picture, "true", 4, _MARGIN_PIXELS - 8)
-    return picture
-
-
-def _draw_cell(picture: NDArray[Any], r: int, c: int, share: float, on_diagonal: bool) -> None:
-    x, y = _MARGIN_PIXELS + c * _CELL_PIXELS, _MARGIN_PIXELS + r * _CELL_PIXELS
-    tint = np.array((150, 90, 20) if on_diagonal else (40, 60, 200))
-    colour = (255 + share * (tint - 255)).tolist()
-    cv2.rectangle(picture, (x, y), (x + _CELL_PIXELS - 2, y + _CELL_PIXELS - 2), colour, -1)
-    if share >= 0.005:
-        ink = (255, 255, 255) if share > 0.6 else _INK
-        _write(picture, f"{100 * share:.0f}", x + 3, y + 18, ink, 0.32)
-
-
-def _write(
-    picture: NDArray[Any],
-    text: str,
-    x: int,
-    y: int,
-    colour: tuple[int, int, int] = _INK,
-    size: float = 0.4,
-) -> None:
-    cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
 
 
 def _mean(values: Iterable[float]) -> float:

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.config import Config
 from specmap_cli.errors import LogError, NoResultError
 from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
+from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.finishing import FinishedMap, finish_map
 from specmap_cli.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.keyframes import KeyframeStore
@@ -24,9 +25,10 @@ from specmap_cli.progress import Progress, Silent
 from specmap_cli.recognition.classifiers import ClassifierSet
 from specmap_cli.recognition.features import scans_features
 from specmap_cli.recognition.localizer import Label, Localizer
-from specmap_cli.records import IntArray, PosedScan
+from specmap_cli.records import IntArray, PosedScan, Trajectory
 
 Split = Literal["random", "blocks"]
+STAMP_REACH_NS = 50_000_000  # given poses need not be at the stamps of the scans
 _TRUTH_REACH_M = 1.0
 
 
@@ -96,18 +98,24 @@ def hold_out(
     Raises LogError and NoResultError as `build` does, NoResultError when nothing was held out.
     """
     progress = progress or Silent()
-    with KeyframeStore() as store, KeyframeStore() as held_out, open_log(logs) as log:
+    with KeyframeStore() as store, KeyframeStore() as held_out:
         mapper = Mapper(config, store, progress, hold_out=options.chooser(), held_out=held_out)
-        stream = SweepStream(log, config.log)
-        progress.start("mapping", stream.expected)
-        for sweep in stream:
-            mapper.add(sweep)
-            progress.advance()
-        mapper.finish()
+        map_log(logs, mapper, progress)
         finished = finish_map(mapper, progress)
         if not len(held_out):
             raise NoResultError("no keyframe was held out: the log is too short for this share")
         return score_hold_out(finished, store, held_out, config)
+
+
+def map_log(logs: Sequence[Path], mapper: Mapper, progress: Progress) -> None:
+    """Take a recording through Algorithm 1, to its end."""
+    with open_log(logs) as log:
+        stream = SweepStream(log, mapper.config.log)
+        progress.start("mapping", stream.expected)
+        for sweep in stream:
+            mapper.add(sweep)
+            progress.advance()
+    mapper.finish()
 
 
 def score_hold_out(
@@ -159,23 +167,21 @@ class RevisitResult:
 
 def revisit(
     labels: Sequence[Label],
-    reference: tuple[IntArray, FloatArray],
+    reference: Trajectory,
     keyframes: tuple[FloatArray, IntArray],
     map_from_reference: Pose2 = IDENTITY,
 ) -> RevisitResult:
     """Score the labels of another log by given poses (Figure 6 of the paper).
 
-    `reference` holds stamps (r,) and poses (r, 3) of the robot on the second log, which
-    `map_from_reference` takes to the map (see `fit_frames`); `keyframes` poses (k, 3) and submaps
-    (k,) of the map. Scans more than a metre from every keyframe are left out. Raises LogError when
-    no scan has a pose.
+    `reference` holds poses of the robot on the second log, which `map_from_reference` takes to the
+    map; `keyframes` poses (k, 3) and submaps (k,) of the map. Scans more than a metre from every
+    keyframe are left out. Raises LogError when no scan has a pose.
     """
-    stamps, poses = reference
-    row = rows_by_stamp(np.array([label.stamp_ns for label in labels], dtype=np.int64), stamps)
-    joined = row >= 0
-    if not joined.any():
+    stamps = np.array([label.stamp_ns for label in labels], dtype=np.int64)
+    joined, rows = associate(reference.stamps_ns, stamps, STAMP_REACH_NS)
+    if not len(joined):
         raise LogError("no scan of the log has a given pose: the stamps do not meet within 50 ms")
-    places = map_from_reference.apply(poses[row[joined], :2])
+    places = map_from_reference.apply(reference.poses[rows, :2])
     truth = np.full(len(labels), -1, dtype=np.int64)
     truth[joined] = nearest_labels(places, *keyframes)
     ids = np.unique(keyframes[1][keyframes[1] >= 0]).tolist()
@@ -186,40 +192,10 @@ def revisit(
     )
 
 
-def rows_by_stamp(stamps: IntArray, reference: IntArray, within_ns: int = 50_000_000) -> IntArray:
-    """(n,) row of the reference stamp (r,) nearest each stamp (n,), -1 when none is near."""
-    if not len(reference):
-        return np.full(len(stamps), -1, dtype=np.int64)
-    order = np.argsort(reference, kind="stable")
-    ordered = reference[order]
-    right = (
-        np.clip(np.searchsorted(ordered, stamps), 1, len(ordered) - 1) if len(ordered) > 1 else 0
-    )
-    left = np.maximum(right - 1, 0)
-    take_left = np.abs(stamps - ordered[left]) <= np.abs(stamps - ordered[right])
-    nearest = np.where(take_left, left, right)
-    near = np.abs(stamps - ordered[nearest]) <= within_ns
-    return np.where(near, order[nearest], -1).astype(np.int64)
-
-
-def fit_frames(target: FloatArray, source: FloatArray) -> Pose2:
-    """`target_from_source` of least squares between paired places (n, 2 or 3)."""
-    a, b = target[:, :2], source[:, :2]
-    centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
-    covariance = (b - centre_b).T @ (a - centre_a)
-    theta = float(
-        np.arctan2(covariance[0, 1] - covariance[1, 0], covariance[0, 0] + covariance[1, 1])
-    )
-    turn = Pose2(0.0, 0.0, theta)
-    shift = centre_a - turn.apply(centre_b[None])[0]
-    return Pose2(float(shift[0]), float(shift[1]), theta)
-
-
 def _poses_at(finished: FinishedMap, stamps_ns: Sequence[int]) -> FloatArray:
     """(n, 3) poses in the finished map at stamps of registered scans."""
-    trajectory = finished.trajectory
-    rows = rows_by_stamp(np.array(stamps_ns, dtype=np.int64), trajectory.stamps_ns)
-    return trajectory.poses[rows]
+    _, rows = associate(finished.trajectory.stamps_ns, np.array(stamps_ns, dtype=np.int64), 0)
+    return finished.trajectory.poses[rows]
 
 
 def _filtered_labels(

@@ -5,18 +5,24 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-import numpy as np
-
 from specmap_cli.config import Config
 from specmap_cli.errors import LogError
+from specmap_cli.evaluation.classification import score_lines
 from specmap_cli.evaluation.protocols import (
+    STAMP_REACH_NS,
     HoldOutResult,
     RevisitResult,
-    fit_frames,
     revisit,
-    rows_by_stamp,
 )
-from specmap_cli.evaluation.trajectories import ReferenceErrors, RelativeErrors, Spread, read_tum
+from specmap_cli.evaluation.semantic import HALLWAY, ROOM, SemanticResult
+from specmap_cli.evaluation.trajectories import (
+    ReferenceErrors,
+    RelativeErrors,
+    Spread,
+    associate,
+    best_motion,
+    read_tum,
+)
 from specmap_cli.geometry import Pose2
 from specmap_cli.localization import localize_log
 from specmap_cli.outputs.store import StoredMap, read_map
@@ -56,7 +62,7 @@ def _revisit_map(
     report = localize_log([second], stored, config, progress=progress)
     return revisit(
         [scan.label for scan in report.scans],
-        (reference.stamps_ns, reference.poses),
+        reference,
         (stored.labels.poses, stored.labels.submaps),
         map_from_reference,
     )
@@ -65,15 +71,14 @@ def _revisit_map(
 def _alignment(stored: StoredMap, reference: Path) -> Pose2:
     """The motion that takes the reference poses of the map's own log to the map."""
     given = read_tum(reference)
-    row = rows_by_stamp(stored.labels.stamps_ns, given.stamps_ns)
-    joined = row >= 0
-    if np.count_nonzero(joined) < 2:
+    joined, rows = associate(given.stamps_ns, stored.labels.stamps_ns, STAMP_REACH_NS)
+    if len(joined) < 2:
         raise LogError(f"{reference}: no pose at the stamps of the map's keyframes: another log?")
-    return fit_frames(stored.labels.poses[joined], given.poses[row[joined]])
+    return best_motion(given.poses[rows, :2], stored.labels.poses[joined, :2])
 
 
 def hold_out_lines(result: HoldOutResult) -> list[str]:
-    """Table II: recall and precision, macro averages, and the filtered labels beside them."""
+    """Table II: macro averages, the filtered labels beside them, and every submap."""
     lines = [f"{'':22} {'scans':>7} {'recall':>7} {'precision':>10}"]
     for name, scores in (
         ("training scans", result.train),
@@ -81,7 +86,7 @@ def hold_out_lines(result: HoldOutResult) -> list[str]:
         ("held-out, filtered", result.filtered),
     ):
         lines.append(f"{name:22} {scores.scans:7,} {scores.recall:7.4f} {scores.precision:10.4f}")
-    return lines
+    return [*lines, "", "held-out scans by submap", *score_lines(result.test)]
 
 
 def revisit_lines(result: RevisitResult) -> list[str]:
@@ -93,6 +98,17 @@ def revisit_lines(result: RevisitResult) -> list[str]:
             f"{scores.accuracy:9.4f}"
         )
     return lines
+
+
+def semantic_lines(result: SemanticResult) -> list[str]:
+    """Rooms and hallways by the baseline, and which borders of the map it can see."""
+    recall = result.scores.recall_of
+    return [
+        f"{result.scores.scans:,} scans: rooms recognised {recall.get(ROOM, 0.0):.3f}, "
+        f"hallways {recall.get(HALLWAY, 0.0):.3f}, all {result.scores.accuracy:.3f}",
+        f"{result.borders} borders between submaps, {100 * result.borders_seen:.0f} % between "
+        "a room and a hallway: no other can be seen",
+    ]
 
 
 def relation_lines(errors: RelativeErrors) -> list[str]:

@@ -15,7 +15,7 @@ _LEAST_SHARE = 0.1  # a submap with less of a room's keyframes is no part of it
 
 
 @dataclass(frozen=True, slots=True)
-class RoomScores:
+class MapScores:
     """How submaps and rooms correspond.
 
     `pieces` is the number of submaps that each visited room is part of; `reopened` the rooms in
@@ -42,7 +42,7 @@ class RoomScores:
         return 1.0 - len(self.reopened) / max(len(self.pieces), 1)
 
 
-def room_scores(truth: RoomTruth, places: FloatArray, labels: IntArray) -> RoomScores:
+def map_scores(truth: RoomTruth, places: FloatArray, labels: IntArray) -> MapScores:
     """Scores of submap `labels` (n,) of keyframes taken at true `places` (n, 2 or 3) of the plan.
 
     Keyframes outside the painted rooms are left out; the second half of the keyframes is taken for
@@ -71,7 +71,7 @@ def room_scores(truth: RoomTruth, places: FloatArray, labels: IntArray) -> RoomS
     doors = _pairs(rooms.tolist())
     edges = _pairs(room_of[labels].tolist())
     purity = float(table.max(axis=0).sum() / table.sum())
-    return RoomScores(pieces, reopened, len(doors), len(doors & edges), len(edges - doors), purity)
+    return MapScores(pieces, reopened, len(doors), len(doors & edges), len(edges - doors), purity)
 
 
 def _pairs(sequence: list[int]) -> set[tuple[int, int]]:

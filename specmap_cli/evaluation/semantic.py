@@ -2,21 +2,33 @@
 
 Boosted stumps on Table I, trained on labelled rooms and hallways of one building, asked in
 another. It names kinds of places, not places; how many of the map's borders it can see at all says
-how far such a classifier is from a segmentation.
+how far such a classifier is from a segmentation. `room_hallway` runs it from file to figures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.config import Config
+from specmap_cli.errors import InputError
 from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
+from specmap_cli.evaluation.protocols import STAMP_REACH_NS, map_log
+from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.evaluation.worlds import RoomTruth
+from specmap_cli.finishing import finish_map
+from specmap_cli.geometry import FloatArray
+from specmap_cli.keyframes import KeyframeStore
+from specmap_cli.logs import open_log
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.mapper import Mapper
+from specmap_cli.progress import Progress
 from specmap_cli.recognition.boosting import StumpBoost
 from specmap_cli.recognition.features import FEATURE_SETS, scans_features
 from specmap_cli.records import IntArray, PlanarScan
@@ -51,7 +63,10 @@ class RoomHallway:
 
     def fit(self, scans: Iterable[PlanarScan], kinds: IntArray) -> RoomHallway:
         """Learn from scans of known kind (n,), ROOM or HALLWAY; returns self."""
-        X = scans_features(scans, _FEATURES)
+        return self.fit_features(scans_features(scans, _FEATURES), kinds)
+
+    def fit_features(self, X: FloatArray, kinds: IntArray) -> RoomHallway:
+        """Learn from features (n, F) of scans of known kind (n,); returns self."""
         self.booster_.fit(X, np.where(kinds == HALLWAY, 1.0, -1.0))
         return self
 
@@ -97,3 +112,64 @@ def semantic_scores(
         seen / len(pairs) if pairs else 0.0,
         len(pairs),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Labelled:
+    """A recording, the true poses of its robot (TUM) and the rooms of the building around them."""
+
+    log: Path
+    reference: Path
+    rooms: RoomTruth
+
+    def kinds(self, stamps_ns: IntArray) -> IntArray:
+        """(n,) ROOM or HALLWAY at stamps (n,); -1 without a true pose, or in no room."""
+        reference = read_tum(self.reference)
+        known, found = associate(reference.stamps_ns, stamps_ns, STAMP_REACH_NS)
+        kinds = np.full(len(stamps_ns), -1, dtype=np.int64)
+        places = reference.poses[found]
+        kinds[known] = kinds_of(self.rooms.at(places), hallways(self.rooms))
+        return kinds
+
+
+def room_hallway(
+    learned: Labelled, asked: Labelled, config: Config, progress: Progress
+) -> SemanticResult:
+    """Learn rooms and hallways from one recording and name those of another (Figure 5c).
+
+    The borders are those between the submaps of a map built of the second. Raises InputError when
+    the first shows not both kinds, and what `build` raises.
+    """
+    model = _trained(learned, config, progress)
+    with KeyframeStore() as store:
+        mapper = Mapper(config, store, progress)
+        map_log([asked.log], mapper, progress)
+        finished = finish_map(mapper, progress)
+        predicted = model.predict(store.scan(k) for k in range(len(store)))
+        truth = asked.kinds(np.array(store.stamps_ns, dtype=np.int64))
+    return semantic_scores(predicted, truth, finished.labels.submaps, finished.topology.edges)
+
+
+def _trained(learned: Labelled, config: Config, progress: Progress) -> RoomHallway:
+    stamps: list[int] = []
+    features = scans_features(_scans_of(learned.log, config, progress, stamps), _FEATURES)
+    kinds = learned.kinds(np.array(stamps, dtype=np.int64))
+    if set(np.unique(kinds[kinds >= 0]).tolist()) != {ROOM, HALLWAY}:
+        raise InputError(
+            f"{learned.log}: its scans with a pose in {learned.reference} are not of both rooms "
+            "and hallways: is the picture that of its building, in the frame of the poses?"
+        )
+    return RoomHallway().fit_features(features[kinds >= 0], kinds[kinds >= 0])
+
+
+def _scans_of(
+    path: Path, config: Config, progress: Progress, stamps: list[int]
+) -> Iterator[PlanarScan]:
+    """The scans of a recording in turn; `stamps` gets theirs."""
+    with open_log([path]) as log:
+        stream = SweepStream(log, config.log)
+        progress.start("learning", stream.expected)
+        for sweep in stream:
+            progress.advance()
+            stamps.append(sweep.stamp_ns)
+            yield sweep.planar

@@ -97,15 +97,3 @@ def cast_circles(
     bearings = circle(beams)
     ranges = cast_ranges(grid.obstacle_distance(), grid, origins, bearings, max_range)
     return [PlanarScan(0, bearings, row, max_range, True) for row in ranges]
-
-
-def cast_views(
-    grid: GridMap, poses: NDArray[Any], bearings: FloatArray, max_range: float
-) -> list[PlanarScan]:
-    """Scans with given bearings (B,) cast in a grid from poses (N, 3) of its frame."""
-    distance = grid.obstacle_distance()
-    scans = []
-    for pose in np.asarray(poses, dtype=np.float64):
-        row = cast_ranges(distance, grid, pose[None, :2], bearings + pose[2], max_range)[0]
-        scans.append(PlanarScan(0, bearings, row, max_range, False))
-    return scans

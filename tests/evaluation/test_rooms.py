@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from specmap_cli.evaluation.rooms import RoomScores, room_scores
+from specmap_cli.evaluation.rooms import MapScores, map_scores
 from specmap_cli.evaluation.worlds import RoomTruth
 
 
-def scores(rooms: list[int], labels: list[int]) -> RoomScores:
+def scores(rooms: list[int], labels: list[int]) -> MapScores:
     """Keyframes in the given rooms, one cell of 1 m a room, with the given submaps."""
     truth = RoomTruth(np.arange(1, 7, dtype=np.int32)[None, :], 1.0)
     places = np.array([[room - 0.5, 0.5] for room in rooms])
-    return room_scores(truth, places, np.array(labels))
+    return map_scores(truth, places, np.array(labels))
 
 
 def test_a_submap_a_room_is_perfect() -> None:
