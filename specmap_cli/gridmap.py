@@ -84,15 +84,23 @@ class GridMap:
         """(H, W) metres from each cell's centre to the nearest occupied one's; 1 km without any."""
         if not self.occupied.any():
             return np.full(self.cells.shape, 1e3)
-        picture = (self.cells != OCCUPIED).astype(np.uint8)
-        pixels = cv2.distanceTransform(picture, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        return np.asarray(pixels, dtype=np.float64) * self.resolution
+        return cell_distances((self.cells != OCCUPIED).astype(np.uint8)) * self.resolution
 
     def clearance(self) -> FloatArray:
         """(H, W) metres from each free cell's centre to the nearest cell that is not free."""
         padded = np.pad(self.free.astype(np.uint8), 1)
-        pixels = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-        return np.asarray(pixels, dtype=np.float64) * self.resolution
+        return cell_distances(padded)[1:-1, 1:-1] * self.resolution
+
+
+def cell_distances(picture: CellArray) -> FloatArray:
+    """(H, W) distance, in cells, from each cell's centre to the nearest zero cell's.
+
+    OpenCV's last digits depend on its threads and on where in memory the picture lies. Squares of
+    distances between cells are whole numbers: rounded to these, they are the same in every run.
+    """
+    pixels = cv2.distanceTransform(picture, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    squares = np.rint(np.square(pixels, dtype=np.float64))
+    return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 
 class OccupancyGrid:

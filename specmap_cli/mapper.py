@@ -14,7 +14,7 @@ from specmap_cli.keyframes import KeyframeSelector, KeyframeStore, integrate_key
 from specmap_cli.progress import Progress, Silent
 from specmap_cli.recognition.closure import LoopCloser, SubmapView
 from specmap_cli.recognition.features import KeyframeFeatures
-from specmap_cli.records import Closure, IntArray, Sweep
+from specmap_cli.records import Closure, IntArray, PosedScan, Sweep
 from specmap_cli.registration import FrontEnd
 from specmap_cli.segmentation.online import Observer, OnlineSegmenter, Region
 from specmap_cli.stopwatch import Stopwatch
@@ -29,8 +29,9 @@ _CLOSURE_INFORMATION = np.diag(1.0 / np.array([0.04, 0.04, 0.0087]) ** 2)
 class Mapper:
     """The state of a map while the robot drives.
 
-    `add` takes one sweep of the log through Algorithm 1; `finish` closes the last submap and looks
-    for duplicates. Every scan is registered; keyframes go on to `store`, except those that
+    `add` takes one sweep of the log through Algorithm 1, as `register` and `take`: registration
+    needs nothing of what comes after it and may be done ahead. `finish` closes the last submap and
+    looks for duplicates. Every scan is registered; keyframes go on to `store`, except those that
     `hold_out` (told the number of keyframes so far) sends to `held_out` for evaluation.
     """
 
@@ -61,8 +62,15 @@ class Mapper:
 
     def add(self, sweep: Sweep) -> None:
         """Move forward and gather a new laser scan: one turn of Algorithm 1's loop."""
+        self.take(self.register(sweep))
+
+    def register(self, sweep: Sweep) -> PosedScan:
+        """Scan match the new observation; it is not part of the map yet."""
         with self.clock.stage("registration"):
-            scan = self.front_end.register(sweep)  # scan match the new observation ...
+            return self.front_end.register(sweep)
+
+    def take(self, scan: PosedScan) -> None:
+        """Add a registered scan to the current submap: the rest of the turn."""
         self.trajectory.append(scan)
         if scan.restarted:
             self._restart(scan.stamp_ns)
@@ -73,7 +81,7 @@ class Mapper:
             if self._hold_out(taken):
                 self._held_out.append(scan)
                 return
-        keyframe = self.store.append(scan)  # ... and add it to the submap
+        keyframe = self.store.append(scan)
         with self.clock.stage("segmentation"):
             finished = self.segmenter.add(keyframe)  # every N steps: a new submap?
         self._recognise(finished)

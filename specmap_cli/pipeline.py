@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from specmap_cli import __version__
+from specmap_cli.ahead import ahead
 from specmap_cli.album import TestAlbum
 from specmap_cli.config import Config
 from specmap_cli.errors import NoResultError
@@ -25,6 +26,7 @@ from specmap_cli.outputs.store import MapResult, write_map
 from specmap_cli.outputs.text import counted, legible
 from specmap_cli.outputs.topology import LogInfo
 from specmap_cli.progress import Progress, Silent
+from specmap_cli.records import PosedScan
 from specmap_cli.topology.g2o import write_g2o
 
 _LIBRARIES = ("kiss-icp", "mcap", "networkx", "numpy", "opencv-python-headless", "rosbags", "scipy")
@@ -82,22 +84,45 @@ def build_map(
         progress.note(stream.selection.note)
         mapper = Mapper(config, store, progress, observer)
         progress.start("mapping", stream.expected)
-        for sweep in stream:
-            mapper.add(sweep)
-            progress.advance()
+        tracking = _Tracking()
+        with ahead(lambda: _registered(stream, mapper)) as scans:
+            for scan in scans:
+                if isinstance(scan, _Tracking):
+                    tracking = scan
+                    continue
+                mapper.take(scan)
+                progress.advance()
+        mapper.clock.seconds["registration"] = tracking.seconds
         mapper.finish()
         if not len(store):
-            found = "; ".join(stream.warnings) or "too few returns in them"
+            found = "; ".join(tracking.warnings) or "too few returns in them"
             raise NoResultError(
                 f"{log.name}: none of {counted(stream.expected, 'scan')} could be registered "
                 f"({found}): look at them with `specmap info`"
             )
         finished = finish_map(mapper, progress)
-        run = _run_record(logs, stream, mapper, finished)
+        run = _run_record(logs, stream.selection, tracking, mapper, finished)
         for warning in run["warnings"]:
             progress.warn(warning)
         write_map(partial, _result(log, finished, run))
     return BuildReport(out, run)
+
+
+@dataclass(frozen=True, slots=True)
+class _Tracking:
+    """What reading and registration have to tell when the log is at its end."""
+
+    counts: dict[str, int] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+def _registered(stream: SweepStream, mapper: Mapper) -> Iterator[PosedScan | _Tracking]:
+    """Every scan of the log registered, then how it went."""
+    for sweep in stream:
+        yield mapper.register(sweep)
+    counts = {**stream.counts, **mapper.front_end.counts}
+    yield _Tracking(counts, stream.warnings, mapper.clock.seconds.get("registration", 0.0))
 
 
 def _result(log: Log, finished: FinishedMap, run: dict[str, Any]) -> MapResult:
@@ -116,7 +141,11 @@ def _result(log: Log, finished: FinishedMap, run: dict[str, Any]) -> MapResult:
 
 
 def _run_record(
-    logs: Sequence[Path], stream: SweepStream, mapper: Mapper, finished: FinishedMap
+    logs: Sequence[Path],
+    selection: Selection,
+    tracking: _Tracking,
+    mapper: Mapper,
+    finished: FinishedMap,
 ) -> dict[str, Any]:
     """The contents of run.json."""
     counts = {
@@ -126,12 +155,11 @@ def _run_record(
         "edges": len(finished.topology.edges),
         "merges": sum(closure.merged for closure in finished.topology.closures),
         "path_m": round(finished.path_m, 3),
-        **stream.counts,
-        **mapper.front_end.counts,
+        **tracking.counts,
     }
     return {
         "inputs": [path.name for path in logs],
-        "selection": _selected(stream.selection),
+        "selection": _selected(selection),
         "config": mapper.config.model_dump(),
         "versions": {
             "specmap": __version__,
@@ -140,7 +168,7 @@ def _run_record(
         },
         "counts": counts,
         "seconds": {name: round(value, 3) for name, value in mapper.clock.seconds.items()},
-        "warnings": [*stream.warnings, *finished.layout.warnings],
+        "warnings": [*tracking.warnings, *finished.layout.warnings],
     }
 
 

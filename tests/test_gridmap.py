@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,6 +22,7 @@ from specmap_cli.gridmap import (
     OccupancyGrid,
     cast_ranges,
     cast_rays,
+    cell_distances,
 )
 from specmap_cli.records import PlanarScan
 from tests.strategies import grid_maps, planar_scans, poses, seeds
@@ -227,3 +229,17 @@ def test_rays_end_at_their_range_and_at_the_edge_of_the_grid() -> None:
     assert (far == np.inf).all()
     in_wall = cast_ranges(distance, room, np.array([[0.5, 2.0]]), np.array([0.0]), 5.0)
     assert in_wall[0, 0] == 0.0
+
+
+def test_distances_are_the_same_bit_for_bit_wherever_the_picture_lies() -> None:
+    picture = (np.random.default_rng(0).random((233, 181)) > 0.002).astype(np.uint8)
+    exact = distance_transform_edt(picture)
+    threads = cv2.getNumThreads()
+    for count in (1, 2):
+        cv2.setNumThreads(count)
+        for offset in range(4):
+            memory = np.empty(picture.size + 4, dtype=np.uint8)
+            moved = memory[offset : offset + picture.size].reshape(picture.shape)
+            moved[:] = picture
+            np.testing.assert_array_equal(cell_distances(moved), exact)
+    cv2.setNumThreads(threads)

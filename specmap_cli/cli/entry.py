@@ -6,6 +6,7 @@ It imports nothing that takes time, so that a signal is heeded from the first mo
 from __future__ import annotations
 
 import errno
+import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,6 +15,8 @@ from specmap_cli.cli.interruption import Interruption, interruptible
 from specmap_cli.cli.stdout import discard_stdout
 from specmap_cli.errors import InputError, SpecmapError, UsageError
 
+# The matrices here are small: threads of BLAS would wait for each other, and burn time doing so.
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # What a machine runs out of; no fault of the program, and no trace of it would help.
 _EXHAUSTED = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.EMFILE}
 
@@ -31,6 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
+    for variable in _THREADS:  # read when numpy is loaded
+        os.environ.setdefault(variable, "1")
     from specmap_cli.cli.app import run
 
     try:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.geometry import FloatArray
-from specmap_cli.gridmap import BoolArray
+from specmap_cli.gridmap import BoolArray, cell_distances
 
 
 def small_obstacles(free: BoolArray, largest_cells: float) -> BoolArray:
@@ -58,5 +58,5 @@ def working_grid(free: BoolArray, resolution: float, cell_m: float) -> WorkingGr
     padded[: free.shape[0], : free.shape[1]] = free
     coarse = padded.reshape(height, step, width, step).all(axis=(1, 3))
     framed = np.pad(coarse.astype(np.uint8), 1)
-    pixels = cv2.distanceTransform(framed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    return WorkingGrid(pixels.astype(np.float64), step * resolution, step)
+    pixels = cell_distances(framed)[1:-1, 1:-1]
+    return WorkingGrid(pixels, step * resolution, step)
