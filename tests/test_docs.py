@@ -1,0 +1,102 @@
+"""What the documents say exists: functions, settings, tests, options, and the files linked to."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer
+
+from specmap_cli.cli.app import app
+from specmap_cli.config import Config
+
+ROOT = Path(__file__).parent.parent
+DOCUMENTS = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")),
+    *(ROOT / "sample_logs").glob("*.md"),
+    *sorted((ROOT / "docs").glob("*.md")),
+]
+OPTIONS = {
+    name: {option for parameter in command.params for option in parameter.opts} | {"--help"}
+    for name, command in typer.main.get_command(app).commands.items()  # type: ignore[attr-defined]
+}
+
+
+def named(path: Path) -> str:
+    """How a document is called in the report of a test."""
+    return str(path.relative_to(ROOT))
+
+
+def quoted(text: str) -> Iterator[str]:
+    """Everything between single backticks."""
+    yield from re.findall(r"(?<!`)`([^`\n]+)`(?!`)", text)
+
+
+def exists(name: str) -> bool:
+    """Whether a dotted name is a setting, or a module of the package with the attributes named."""
+    section, _, key = name.partition(".")
+    if key in getattr(type(getattr(Config(), section, None)), "model_fields", {}):
+        return True
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(["specmap_cli", *parts[:count]]))
+        except ModuleNotFoundError:
+            continue
+        for attribute in parts[count:]:
+            if not hasattr(found, attribute):
+                return False
+            found = getattr(found, attribute)
+        return True
+    return False
+
+
+def test_the_paper_s_map_names_what_exists() -> None:
+    text = (ROOT / "docs" / "paper_map.md").read_text(encoding="utf-8")
+    dotted = {name for name in quoted(text) if re.fullmatch(r"[a-z_0-9]+(\.[A-Za-z_0-9]+)+", name)}
+    names = {name for name in dotted if not name.endswith((".py", ".md"))}
+    assert len(names) > 40
+    assert [name for name in sorted(names) if not exists(name)] == []
+
+
+def test_the_paper_s_map_names_tests_that_exist() -> None:
+    text = (ROOT / "docs" / "paper_map.md").read_text(encoding="utf-8")
+    proofs = [name.split("::") for name in quoted(text) if "::" in name]
+    assert len(proofs) > 20
+    for path, test in proofs:
+        tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+        assert test in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, test
+
+
+def test_the_architecture_names_every_module_at_the_top() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    package = ROOT / "specmap_cli"
+    tops = [path.name for path in package.glob("*.py") if not path.name.startswith("__")]
+    tops += [f"{path.parent.name}/" for path in package.glob("*/__init__.py")]
+    assert [name for name in sorted(tops) if name not in text] == []
+    modules = {path.name for path in package.rglob("*.py")}
+    modules |= {path.name for path in (ROOT / "tests").glob("*.py")}
+    assert [name for name in re.findall(r"\w+\.py\b", text) if name not in modules] == []
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=named)
+def test_links_lead_somewhere(path: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", path.read_text(encoding="utf-8")):
+        if "://" not in target:
+            assert (path.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=named)
+def test_options_shown_exist(path: Path) -> None:
+    text = path.read_text(encoding="utf-8").replace("\\\n", " ")
+    for command, rest in re.findall(r"specmap ([a-z]+)([^`\n#]*)", text):
+        for option in re.findall(r"(?<!\S)--?[a-z][a-z-]*", rest if command in OPTIONS else ""):
+            assert option in OPTIONS[command], f"specmap {command} {option}"
+    anywhere = set().union(*OPTIONS.values())
+    for words in quoted(text):
+        if words.startswith("--") and path.parent.name != "benchmarks":
+            assert words.split()[0].split("=")[0] in anywhere, words
