@@ -7,8 +7,6 @@ defaults here. Unknown keys are refused. `specmap config` prints what is in forc
 from __future__ import annotations
 
 import difflib
-import json
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +14,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from specmap_cli.errors import UsageError
+from specmap_cli.tomltext import read_toml
 
 
 class _Section(BaseModel):
@@ -261,7 +260,7 @@ def load_config(
     `overrides` and the presets are nested dictionaries of the sections above. Raises UsageError
     naming the key at fault for an unreadable file, an unknown key or a value out of range.
     """
-    from_file = _read_toml(path) if path is not None else {}
+    from_file = read_toml(path) if path is not None else {}
     name = preset or from_file.get("preset", "default")
     where = f"{path}: " if path is not None else ""
     if not isinstance(name, str) or name not in PRESETS:
@@ -306,40 +305,6 @@ def _keys(config: Config) -> list[str]:
     for name, value in config.model_dump().items():
         keys += [f"{name}.{key}" for key in value] if isinstance(value, dict) else [name]
     return keys
-
-
-def to_toml(config: Config) -> str:
-    """The configuration as TOML with a comment a documented key; `load_config` reads it back."""
-    lines = [f"preset = {_toml_value(config.preset)}", f"seed = {config.seed}"]
-    for name in type(config).model_fields:
-        section = getattr(config, name)
-        if not isinstance(section, BaseModel):
-            continue
-        lines += ["", f"[{name}]"]
-        for key, field in type(section).model_fields.items():
-            value = getattr(section, key)
-            comment = f"  # {field.description}" if field.description else ""
-            if value is None:  # TOML has no null: an absent key is the default
-                lines.append(f"# {key} ={comment or ' unset'}")
-            else:
-                lines.append(f"{key} = {_toml_value(value)}{comment}")
-    return "\n".join(lines) + "\n"
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_toml_value(each) for each in value) + "]"
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise UsageError(f"{path}: cannot read the configuration: {reason}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise UsageError(f"{path}: not valid TOML: {error}") from None
 
 
 def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

@@ -124,14 +124,6 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArr
     )
 
 
-def quaternion_from_rotation(rotation: NDArray[Any]) -> tuple[float, float, float, float]:
-    """Unit quaternion (x, y, z, w), w >= 0, of a rotation matrix (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(np.asarray(rotation)[:3, :3]).as_quat(canonical=True)
-    return float(x), float(y), float(z), float(w)
-
-
 def quaternions_from_rpy(roll: NDArray[Any], pitch: NDArray[Any], yaw: NDArray[Any]) -> FloatArray:
     """(n, 4) unit quaternions (x, y, z, w), w >= 0, of Rz(yaw) Ry(pitch) Rx(roll), each (n,)."""
     (sr, sp, sy), (cr, cp, cy) = (

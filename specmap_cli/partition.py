@@ -12,10 +12,12 @@ from specmap_cli.config import Config
 from specmap_cli.geometry import IDENTITY
 from specmap_cli.mapfiles import read_grid
 from specmap_cli.outputs.directory import OutputDirectory
+from specmap_cli.outputs.grids import write_png
 from specmap_cli.outputs.regions import Regions
 from specmap_cli.outputs.store import write_segmentation
 from specmap_cli.outputs.text import counted, legible
 from specmap_cli.outputs.topology import LogInfo
+from specmap_cli.segmentation.explain import draw_segmentation
 from specmap_cli.segmentation.floorplan import (
     FloorplanResult,
     segment_floorplan,
@@ -58,10 +60,12 @@ def partition_map(
     *,
     resolution: float | None = None,
     overwrite: bool = False,
+    explain: Path | None = None,
 ) -> PartitionReport:
     """Divide the grid in a map file into submaps and write them to the directory `out`.
 
-    `resolution` (metres a pixel) is needed for a bare picture. Raises MapError for a file that is
+    `resolution` (metres a pixel) is needed for a bare picture. `explain` is a PNG to write of what
+    was looked at: nodes, sight lines, eigenvalues. Raises MapError for a file that is
     no map, NoResultError when it has no room for a node, UsageError for an output in the way.
     """
     grid = read_grid(path, resolution)
@@ -69,6 +73,9 @@ def partition_map(
     regions = Regions.of(grid, np.asarray(result.segmentation.labels, dtype=np.int64))
     with OutputDirectory(out, overwrite) as partial:
         write_segmentation(partial, _topology(result), regions, LogInfo(legible(path.name)))
+        if explain is not None:
+            least = config.segmentation.eigenvalue_min
+            write_png(explain, draw_segmentation(grid, result.segmentation, least))
     return PartitionReport(out, result)
 
 

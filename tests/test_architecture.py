@@ -24,6 +24,7 @@ FLOOR = {
     "progress",
     "records",
     "scorefield",
+    "tomltext",
     "topomap",
 }
 PACKAGES = {"logs", "registration", "segmentation", "recognition", "topology", "outputs"}

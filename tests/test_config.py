@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
-from specmap_cli.config import PRESETS, Config, load_config, to_toml, with_overrides
+from specmap_cli.config import PRESETS, Config, load_config, with_overrides
 from specmap_cli.errors import UsageError
+from specmap_cli.tomltext import to_toml
 
 
 def write(folder: Path, text: str) -> Path:

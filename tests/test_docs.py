@@ -100,3 +100,15 @@ def test_options_shown_exist(path: Path) -> None:
     for words in quoted(text):
         if words.startswith("--") and path.parent.name != "benchmarks":
             assert words.split()[0].split("=")[0] in anywhere, words
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=named)
+def test_settings_shown_exist(path: Path) -> None:
+    dumped = Config().model_dump()
+    sections = {name: set(keys) for name, keys in dumped.items() if isinstance(keys, dict)}
+    text = path.read_text(encoding="utf-8")
+    for section, key in re.findall(r"(?<![\w./])([a-z]+)\.([a-z_0-9]+)\b(?!\.|\()", text):
+        module = ROOT / "specmap_cli" / section / f"{key}.py"
+        is_file = module.exists() or key in {"bag", "mcap", "md", "py", "tum"}
+        if section in sections and not is_file:
+            assert key in sections[section] or exists(f"{section}.{key}"), f"{section}.{key}"

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from specmap_cli.cli import options
-from specmap_cli.cli.targets import keep_inputs
+from specmap_cli.cli.targets import check_files, keep_inputs
 
 Grid = Annotated[
     Path, typer.Argument(metavar="MAP", help="map_server .yaml, or .png/.pgm with --resolution.")
@@ -17,12 +17,16 @@ Out = Annotated[Path, typer.Option("--out", "-o", help="Directory to write.")]
 Resolution = Annotated[
     float | None, typer.Option(help="Metres per pixel of a map without a .yaml.")
 ]
+Explain = Annotated[
+    Path | None, typer.Option(help="PNG of the nodes, the sight lines and the eigenvalues.")
+]
 
 
 def segment(
     grid: Grid,
     out: Out = Path("out"),
     resolution: Resolution = None,
+    explain: Explain = None,
     overwrite: options.Overwrite = False,
     preset: options.Preset = None,
     config: options.ConfigFile = None,
@@ -43,6 +47,9 @@ def segment(
     from specmap_cli.partition import partition_map
 
     effective = load_config(config, preset, options.overrides(settings))
+    check_files([explain], [grid], overwrite=overwrite)
     keep_inputs([out], [grid])
-    report = partition_map(grid, out, effective, resolution=resolution, overwrite=overwrite)
+    report = partition_map(
+        grid, out, effective, resolution=resolution, overwrite=overwrite, explain=explain
+    )
     print_result(report.as_dict(), report.lines(), as_json)

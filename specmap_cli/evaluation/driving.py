@@ -28,11 +28,6 @@ class Drive:
         """When the robot arrives."""
         return float(self.times_s[-1])
 
-    @property
-    def length_m(self) -> float:
-        """Distance driven."""
-        return float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
-
     def at(self, times_s: NDArray[Any]) -> FloatArray:
         """Poses (..., 3) at any times, the robot standing before the first and after the last."""
         times = np.asarray(times_s, dtype=np.float64)

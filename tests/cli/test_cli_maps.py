@@ -55,6 +55,16 @@ def test_a_divided_floor_plan_is_no_map(
     assert "run.json: cannot be read" in said.error
 
 
+def test_what_a_division_looked_at_is_drawn(plan: Path, tmp_path: Path, run: Run) -> None:
+    picture = tmp_path / "nodes.png"
+    line = ("segment", plan, "-o", tmp_path / "rooms", "--explain", picture)
+    assert run(*line).code == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    said = run(*line)
+    assert (said.code, "nodes.png: exists already" in said.error) == (2, True)
+    assert run(*line, "--overwrite").code == 0
+
+
 def replace_by_directory(file: Path) -> None:
     """A directory in the place of a file."""
     file.unlink()

@@ -65,6 +65,28 @@ def read_rest() -> Callable[[Path], tuple[list[Message], list[str]]]:
 
 
 @pytest.fixture
+def cut_in_tenths(
+    read_rest: Callable[[Path], tuple[list[Message], list[str]]],
+) -> Callable[[Path, list[Message]], None]:
+    """Cut a file at ten places: what precedes the cut is read, and one line says what was lost."""
+
+    def check(path: Path, messages: list[Message]) -> None:
+        whole = path.read_bytes()
+        counts = []
+        for tenth in range(10):
+            path.write_bytes(whole[: len(whole) * tenth // 10 + 3])
+            found, said = read_rest(path)
+            assert len(said) == 1
+            assert str(path) in said[0]
+            assert found == messages[: len(found)]
+            counts.append(len(found))
+        assert counts == sorted(counts)
+        assert counts[-1] > 0.5 * len(messages)
+
+    return check
+
+
+@pytest.fixture
 def spoil() -> Callable[[Path, int, int], None]:
     """Overwrite some bytes of a file, behind its first `kept`, with random ones."""
 
