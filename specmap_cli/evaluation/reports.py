@@ -5,6 +5,8 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 from specmap_cli.config import Config
 from specmap_cli.errors import LogError
 from specmap_cli.evaluation.classification import score_lines
@@ -28,6 +30,8 @@ from specmap_cli.localization import localize_log
 from specmap_cli.outputs.store import StoredMap, read_map
 from specmap_cli.pipeline import build_map
 from specmap_cli.progress import Progress
+
+_FITTING_M = 0.5  # mean distance between true poses and those of the map; a tenth of it is usual
 
 
 def revisit_logs(
@@ -57,7 +61,7 @@ def _revisit_map(
     config: Config,
     progress: Progress,
 ) -> RevisitResult:
-    map_from_reference = _alignment(stored, references[0])
+    map_from_reference = _alignment(stored, references[0], progress)
     reference = read_tum(references[1])
     report = localize_log([second], stored, config, progress=progress)
     return revisit(
@@ -68,13 +72,21 @@ def _revisit_map(
     )
 
 
-def _alignment(stored: StoredMap, reference: Path) -> Pose2:
+def _alignment(stored: StoredMap, reference: Path, progress: Progress) -> Pose2:
     """The motion that takes the reference poses of the map's own log to the map."""
     given = read_tum(reference)
     joined, rows = associate(given.stamps_ns, stored.labels.stamps_ns, STAMP_REACH_NS)
     if len(joined) < 2:
         raise LogError(f"{reference}: no pose at the stamps of the map's keyframes: another log?")
-    return best_motion(given.poses[rows, :2], stored.labels.poses[joined, :2])
+    places, known = given.poses[rows, :2], stored.labels.poses[joined, :2]
+    map_from_reference = best_motion(places, known)
+    away = np.hypot(*(map_from_reference.apply(places) - known).T).mean()
+    if away > _FITTING_M:
+        progress.warn(
+            f"{reference}: its poses are {away:.1f} m off the map on average: of another log, or "
+            "is the map bent? the scores mean little"
+        )
+    return map_from_reference
 
 
 def hold_out_lines(result: HoldOutResult) -> list[str]:
