@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from specmap_cli.ahead import ahead
 from specmap_cli.config import Config
 from specmap_cli.errors import NoResultError
 from specmap_cli.geometry import FloatArray, compose, invert
@@ -14,7 +16,8 @@ from specmap_cli.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.mapper import Mapper
 from specmap_cli.outputs.tables import Labels
 from specmap_cli.progress import Progress
-from specmap_cli.recognition.training import train_localizer
+from specmap_cli.recognition.classifiers import ClassifierSet
+from specmap_cli.recognition.training import train_raw, train_virtual
 from specmap_cli.records import IntArray, Trajectory
 from specmap_cli.segmentation.refinement import regions_of
 from specmap_cli.topology.graph import build_topology, first_visit_order, settle_labels
@@ -55,7 +58,6 @@ def finish_map(mapper: Mapper, progress: Progress) -> FinishedMap:
         layout = relax(store, mapper.constraints(), mapper.breaks, config.relaxation)
         trajectory = corrected(mapper.trajectory.trajectory(), store, layout)
     mapper.refute({(link.source, link.target) for link in layout.dropped if link.kind == "closure"})
-    progress.start("grids", len(store))
     with clock.stage("grids"):
         whole = integrate_keyframes(store, range(len(store)), layout.poses, config.grid).snapshot()
     if not whole.cells.size:
@@ -65,26 +67,44 @@ def finish_map(mapper: Mapper, progress: Progress) -> FinishedMap:
         )
     with clock.stage("segmentation"):
         labels = _final_labels(mapper, layout, whole)
-    with clock.stage("grids"):
-        grids = _submap_grids(store, labels, layout.poses, config, progress)
-    topology = build_topology(
-        labels,
-        layout.poses,
-        store.stamps_ns,
-        mapper.breaks,
-        mapper.closures,
-        {region: _commonest(labels[keyframes]) for region, keyframes in mapper.regions.items()},
-        grids,
-    )
-    progress.start("training", None)
-    with clock.stage("training"):
-        keyframes = {id_: submap.keyframes for id_, submap in topology.submaps.items()}
-        rng = np.random.default_rng(config.seed)
-        classifiers = train_localizer(
-            store, keyframes, layout.poses, grids, config, rng, mapper.features
-        )
+    topology, classifiers = _learned(mapper, layout, labels, progress)
     table = Labels(np.array(store.stamps_ns, dtype=np.int64), layout.poses, labels)
     return FinishedMap(topology, table, trajectory, whole, classifiers.to_json(), layout)
+
+
+def _learned(
+    mapper: Mapper, layout: Layout, labels: IntArray, progress: Progress
+) -> tuple[TopologicalMap, ClassifierSet]:
+    """The submaps with their grids, and the classifiers: those of raw scans need no grids and are
+    trained ahead.
+    """
+    config, store, clock = mapper.config, mapper.store, mapper.clock
+    submaps = {int(i): np.flatnonzero(labels == i).tolist() for i in np.unique(labels)}
+    raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
+
+    def train() -> Iterator[ClassifierSet]:
+        yield train_raw(store, submaps, config, raw_rng, mapper.features)
+
+    with ahead(train) as trained:
+        progress.start("grids", len(store))
+        with clock.stage("grids"):
+            grids = _submap_grids(store, submaps, layout.poses, config, progress)
+        regions = {i: _commonest(labels[keyframes]) for i, keyframes in mapper.regions.items()}
+        topology = build_topology(
+            labels,
+            layout.poses,
+            store.stamps_ns,
+            mapper.breaks,
+            mapper.closures,
+            regions,
+            grids,
+        )
+        progress.start("training", None)
+        with clock.stage("training"):
+            virtual = train_virtual(store, submaps, layout.poses, grids, config, virtual_rng)
+            classifiers = next(trained)
+            classifiers.virtual, classifiers.virtual_known = virtual
+    return topology, classifiers
 
 
 def _final_labels(mapper: Mapper, layout: Layout, whole: GridMap) -> IntArray:
@@ -107,13 +127,16 @@ def _commonest(labels: IntArray) -> int:
 
 
 def _submap_grids(
-    store: KeyframeStore, labels: IntArray, poses: FloatArray, config: Config, progress: Progress
+    store: KeyframeStore,
+    submaps: Mapping[int, Sequence[int]],
+    poses: FloatArray,
+    config: Config,
+    progress: Progress,
 ) -> dict[int, GridMap]:
     """The grid of each submap from all its keyframes, in the frame of its first."""
     grids = {}
-    for id_ in np.unique(labels).tolist():
-        keyframes = np.flatnonzero(labels == id_)
+    for id_, keyframes in submaps.items():
         track = compose(invert(poses[keyframes[0]]), poses[keyframes])
-        grids[id_] = integrate_keyframes(store, keyframes.tolist(), track, config.grid).snapshot()
+        grids[id_] = integrate_keyframes(store, keyframes, track, config.grid).snapshot()
         progress.advance(len(keyframes))
     return grids

@@ -7,6 +7,7 @@ spooled to a temporary file, so that memory does not grow with the scans of a lo
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Iterable, Sequence
 from types import TracebackType
@@ -69,8 +70,8 @@ class KeyframeStore:
         if sensor not in self._sensors:
             self._sensors.append(sensor)
         record = np.stack([planar.bearings, planar.ranges]).astype(np.float32)
-        self._file.seek(self._end)
         self._file.write(record.tobytes())
+        self._file.flush()  # a process forked from this one must not write it again
         self._spans.append((self._end, record.shape[1], self._sensors.index(sensor)))
         self._end += record.nbytes
         self._poses.append(scan.map_from_base)
@@ -102,8 +103,9 @@ class KeyframeStore:
         """The planar scan of one keyframe, read from disk."""
         offset, beams, sensor = self._spans[number]
         range_max, full_circle, _ = self._sensors[sensor]
-        self._file.seek(offset)
-        record = np.frombuffer(self._file.read(8 * beams), dtype=np.float32).astype(np.float64)
+        # without moving the place in the file, which forked processes share
+        read = os.pread(self._file.fileno(), 8 * beams, offset)
+        record = np.frombuffer(read, dtype=np.float32).astype(np.float64)
         bearings, ranges = record.reshape(2, beams)
         return PlanarScan(self._stamps[number], bearings, ranges, range_max, full_circle)
 

@@ -34,23 +34,52 @@ def train_localizer(
 ) -> ClassifierSet:
     """Classifiers of raw scans and, where wanted, of virtual ones.
 
-    `submaps` lists the keyframes of each submap, ascending; `poses` (n, 3) are those of all
-    keyframes, map from base; `grids` are in the frame of each submap's first keyframe. `features`
-    are those of the store's keyframes known so far.
+    The two are independent: `train_raw` and `train_virtual` may be called apart, each with one of
+    `rng.spawn(2)`. `submaps` lists the keyframes of each submap, ascending; `poses` (n, 3) are
+    those of all keyframes, map from base; `grids` are in the frame of each submap's first keyframe.
+    `features` are those of the store's keyframes known so far.
     """
-    recognition, localization = config.recognition, config.localization
+    raw_rng, virtual_rng = rng.spawn(2)
+    trained = train_raw(store, submaps, config, raw_rng, features)
+    virtual = train_virtual(store, submaps, poses, grids, config, virtual_rng)
+    trained.virtual, trained.virtual_known = virtual
+    return trained
+
+
+def train_raw(
+    store: KeyframeStore,
+    submaps: Mapping[int, Sequence[int]],
+    config: Config,
+    rng: np.random.Generator,
+    features: KeyframeFeatures | None = None,
+) -> ClassifierSet:
+    """Classifiers of raw scans alone."""
+    recognition = config.recognition
     features = features or KeyframeFeatures(store, recognition.feature_set)
     raw = {i: features.of(numbers) for i, numbers in submaps.items()}
     sensor = Sensor.of(store.scan(min(numbers[0] for numbers in submaps.values())))
     trained = ClassifierSet.train(raw, sensor, recognition, rng)
-    trained.raw_known = Familiarity.of(recognition.feature_set, raw, localization.false_unknown)
-    if localization.virtual:
-        samples = virtual_samples(store, submaps, poses, grids, localization, rng)
-        trained.virtual = OneVsAll(localization.feature_set, recognition).fit(samples, rng)
-        trained.virtual_known = Familiarity.of(
-            localization.feature_set, samples, localization.false_unknown
-        )
+    false_unknown = config.localization.false_unknown
+    trained.raw_known = Familiarity.of(recognition.feature_set, raw, false_unknown)
     return trained
+
+
+def train_virtual(
+    store: KeyframeStore,
+    submaps: Mapping[int, Sequence[int]],
+    poses: FloatArray,
+    grids: Mapping[int, GridMap],
+    config: Config,
+    rng: np.random.Generator,
+) -> tuple[OneVsAll | None, Familiarity | None]:
+    """Classifiers of virtual scans, and which scans look like any place; None where not wanted."""
+    localization = config.localization
+    if not localization.virtual:
+        return None, None
+    samples = virtual_samples(store, submaps, poses, grids, localization, rng)
+    model = OneVsAll(localization.feature_set, config.recognition).fit(samples, rng)
+    known = Familiarity.of(localization.feature_set, samples, localization.false_unknown)
+    return model, known
 
 
 def virtual_samples(
