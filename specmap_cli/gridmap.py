@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -139,11 +138,10 @@ class OccupancyGrid:
         hit = returned & (scan.ranges <= self.config.max_range_m)
         columns, rows = np.floor(cells[hit] - low).astype(np.intp).T
         passed[rows, columns] = 0
-        ended = np.zeros_like(passed)
-        ended[rows, columns] = 1
         window = self._window(low, high)
         self._misses[window] += passed
-        self._hits[window] += ended
+        hits = self._hits[window]
+        hits[rows, columns] += 1  # once for a cell that several beams hit
 
     def mark_free_disc(self, x: float, y: float, radius: float) -> None:
         """Count the robot's own footprint as passed through."""
@@ -218,11 +216,11 @@ def _carved(
     centre = np.round((start[None] - 0.5) * scale).astype(np.int32)
     same = returned[1:] & returned[:-1]
     same &= np.hypot(*(ends[1:] - ends[:-1]).T) * config.resolution_m <= config.surface_gap_m
-    bounds = [0, *(np.flatnonzero(~same) + 1).tolist(), len(fixed)]
-    for first, end in pairwise(bounds):
-        if returned[first]:  # then all of them did; of a single beam the fan is a line
-            fan = np.concatenate([centre, fixed[first:end]])
-            cv2.fillPoly(picture, [fan], 1, cv2.LINE_8, _SUBPIXEL_BITS)
+    # a star: from the laser along each surface and back; the beams come in ascending order
+    returns = fixed[returned]
+    starts = np.flatnonzero(np.concatenate([[True], ~same])[returned])
+    star = np.insert(returns, starts, centre, axis=0)
+    cv2.fillPoly(picture, [star], 1, cv2.LINE_8, _SUBPIXEL_BITS)
     return picture
 
 
