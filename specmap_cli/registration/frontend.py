@@ -17,7 +17,7 @@ import numpy as np
 from kiss_icp.registration import Registration
 
 from specmap_cli.config import RegistrationConfig
-from specmap_cli.geometry import FloatArray, Pose2
+from specmap_cli.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.matching import Window, search, thinned
 from specmap_cli.records import PlanarScan, PosedScan, Sweep
 from specmap_cli.registration.deskew import deskewed, moved_returns
@@ -26,6 +26,8 @@ from specmap_cli.registration.judgement import (
     GOOD,
     HOPELESS,
     POOR,
+    SAME,
+    SLIP_M,
     agrees,
     bounded,
     levelled,
@@ -85,6 +87,7 @@ class FrontEnd:
         self._map: LocalMap | None = None
         self._pose = np.eye(4)
         self._keyframe: Pose2 | None = None
+        self._by_odometry = IDENTITY  # place by the motion expected since the last keyframe
         self._lost_in_a_row = 0
         self._broken = False
 
@@ -94,6 +97,7 @@ class FrontEnd:
         self.counts["odometry_jumps"] += step.jumped
         view = self._view(sweep, step)
         guess = self._pose @ step.motion.matrix()
+        self._by_odometry = self._by_odometry @ step.motion
         local = self._local_map(sweep)
         restarted = False
         if len(view.probe) < self.config.min_points:
@@ -102,10 +106,12 @@ class FrontEnd:
             fit, lost, agreed = _Fit(guess, 1.0), False, True
             restarted, self._broken = self._broken, False
             local.insert(view.cloud, view.walls, guess)
-            self._keyframe = fit.planar
+            self._keyframe = self._by_odometry = fit.planar
         else:
             guess = self._better_guess(view, guess, local, step)
             fit, doubted = self._locate(view, guess, local, step)
+            if not doubted and step.measured:
+                fit = self._slid(view, fit, local)
             agreed = agrees(Pose2.from_matrix(guess), fit.planar, step)
             lost = not agreed and fit.score < needed_score(doubted, step.measured)
             lost |= fit.score < HOPELESS
@@ -191,6 +197,25 @@ class FrontEnd:
             fit = self._search(view, guess, local, window, (4.0, *_KERNELS), fit)
         return fit, doubted
 
+    def _slid(self, view: _View, fit: _Fit, local: LocalMap) -> _Fit:
+        """The place nearest the one by odometry that the walls speak for as well as for `fit`.
+
+        Along a bare corridor all places score alike and registration stays behind, a little at
+        every sweep: how far the robot came since the last keyframe is believed from odometry, as
+        long as the score does not object. Heading and offset from the walls stay those of `fit`.
+        """
+        here, there = fit.planar, self._by_odometry
+        forward = np.array([np.cos(here.theta), np.sin(here.theta)])
+        behind = float(np.dot((there.x - here.x, there.y - here.y), forward))
+        if abs(behind) < SLIP_M:
+            return fit
+        for share in (1.0, 0.75, 0.5, 0.25):
+            place = here @ Pose2(share * behind, 0.0, 0.0)
+            score = local.field.score(view.probe, place)
+            if score >= fit.score - SAME:
+                return _Fit((place @ here.inverse()).matrix() @ fit.pose, score)
+        return fit
+
     def _search(
         self,
         view: _View,
@@ -241,7 +266,7 @@ class FrontEnd:
             if near:
                 return
         local.insert(view.cloud, view.walls, fit.pose)
-        self._keyframe = fit.planar
+        self._keyframe = self._by_odometry = fit.planar
 
 
 def _in_space(points: FloatArray) -> FloatArray:

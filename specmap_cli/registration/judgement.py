@@ -17,6 +17,8 @@ GOOD = 0.75  # above it, and near the guess, nothing is searched
 POOR = 0.5  # below it a wide search is worth its time
 HOPELESS = 0.15  # below it no agreement helps
 BETTER = 0.02  # what a search must gain in score to be believed
+SLIP_M = 0.08  # a result this far behind odometry may have slipped along a corridor
+SAME = 0.01  # scores this near speak for two places alike
 _SURE, _FAIR = 0.7, 0.6  # needed against the expected motion, by odometry and without
 _MAX_STEP_M, _MAX_STEP_RAD, _MAX_TILT = 1.5, 0.8, 0.3
 
