@@ -10,7 +10,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 demo: $(VENV)/installed
 	$(BIN)/specmap build sample_logs/office.mcap --out demo/map --overwrite
-	$(BIN)/specmap localize sample_logs/office_again.mcap --map demo/map --output demo/office_again.csv --plot demo/office_again.png
+	$(BIN)/specmap localize sample_logs/office_again.mcap --map demo/map --output demo/office_again.csv --plot demo/office_again.png --metric --overwrite
 	@echo "The map is in demo/map (look at demo/map/overview.png); where the second log was taken: demo/office_again.csv, demo/office_again.png"
 
 test: lint

@@ -91,6 +91,8 @@ class SegmentationConfig(_Section):
         0.1, ge=0.01, le=1.0, description="cells of the working grid; finer is only slower"
     )
     obstacle_m: float = Field(1.5, ge=0, description="isolated obstacles up to this size are free")
+    furniture_m: float = Field(2.5, ge=0, description="and up to this size when they are thick")
+    furniture_thick_m: float = Field(0.4, gt=0, description="tables are thicker than walls")
     fill: bool = Field(True, description="cells of removed obstacles take their room's label")
     nodes: Literal["clearest", "centre"] = Field("clearest", description="cell taken in a block")
     node_step_m: float = Field(0.7, gt=0, le=10, description="side of a block; one node a block")
@@ -212,6 +214,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper": {
         "segmentation": {
             "obstacle_m": 0.0,
+            "furniture_m": 0.0,
             "fill": False,
             "nodes": "centre",
             "node_step_m": 0.5,

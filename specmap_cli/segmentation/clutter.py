@@ -8,21 +8,30 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from specmap_cli.geometry import FloatArray
 from specmap_cli.gridmap import BoolArray, cell_distances
 
 
-def small_obstacles(free: BoolArray, largest_cells: float) -> BoolArray:
+def small_obstacles(
+    free: BoolArray, largest_cells: float, bulky_cells: float = 0.0, thick_cells: float = 0.0
+) -> BoolArray:
     """(H, W) the pieces of what is not free whose bounding box has no side above `largest_cells`.
 
     Pieces hang together over edges and corners, and the outside of the grid is not free. Chairs,
-    table legs and cells that no beam happened to cross are such pieces; walls are not.
+    table legs and cells that no beam happened to cross are such pieces; walls are not. Pieces up to
+    `bulky_cells` are taken as well when a disc of `thick_cells` across fits into them: tables and
+    cupboards are thicker than pieces of a wall.
     """
     blocked = np.pad(~free, 1, constant_values=True).astype(np.uint8)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(blocked, connectivity=8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(blocked, connectivity=8)
     sides = np.maximum(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
     small = sides <= largest_cells + 1e-9
+    if bulky_cells > largest_cells:
+        depth = cv2.distanceTransform(blocked, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        thickness = 2.0 * ndimage.maximum(depth, labels, np.arange(count))
+        small |= (sides <= bulky_cells + 1e-9) & (np.asarray(thickness) >= thick_cells)
     small[0] = False
     return np.asarray(small[labels[1:-1, 1:-1]])
 

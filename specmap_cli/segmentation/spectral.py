@@ -75,7 +75,8 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     """
     window, turn = _canonical(grid.free)
     free = np.rot90(grid.free[window], turn)
-    opened = free | small_obstacles(free, config.obstacle_m / grid.resolution)
+    sizes = np.array([config.obstacle_m, config.furniture_m, config.furniture_thick_m])
+    opened = free | small_obstacles(free, *(sizes / grid.resolution).tolist())
     work = working_grid(opened, grid.resolution, config.cell_m)
     graph = build_graph(work, config)
     spectrum = spectral_clusters(graph, config)

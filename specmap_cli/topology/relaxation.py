@@ -25,7 +25,8 @@ from specmap_cli.topology.parts import agreed, corrections, moved
 from specmap_cli.topology.posegraph import Edges, Link, Solution, solve
 
 _KERNEL = 2.0  # width of Cauchy's kernel, in sigmas
-_FIRM_M, _DRIFT_SHARE = 0.5, 0.15  # a closure may mend this, and this share of the way between
+_FIRM_M = 0.5  # what any closure may mend, and shares of the way between its ends:
+_TIED_SHARE, _DRIFT_SHARE = 0.04, 0.15  # where nearby passes shorten that way, and elsewhere
 _OUTLIER_CHI2 = 25.0
 _STRAY_VOTES = 3  # matches that must agree on where a lost piece of the path belongs
 
@@ -174,7 +175,8 @@ class _Relaxation:
                 *self.poses[target].tolist()
             )
             away = (closure.source_from_target.inverse() @ expected).distance
-            if away > _FIRM_M + _DRIFT_SHARE * chain:
+            tied = chain < 0.9 * abs(self.path[target] - self.path[source])
+            if away > _FIRM_M + (_TIED_SHARE if tied else _DRIFT_SHARE) * chain:
                 refuted.append(closure)
             else:
                 (near if away <= _FIRM_M else far).append(closure)
