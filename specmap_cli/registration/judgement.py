@@ -7,6 +7,8 @@ whether it agrees with the expected motion. Neither alone will do: a robot that 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -50,10 +52,10 @@ def bounded(guess: FloatArray, found: FloatArray) -> bool:
     """Whether a registration result is finite and no farther from the guess than can be."""
     if not np.isfinite(found).all():
         return False
-    change = np.linalg.inv(guess) @ found
-    turn = float(np.arccos(np.clip((np.trace(change[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
+    trace = float((guess[:3, :3] * found[:3, :3]).sum())  # of the turn from one to the other
+    turn = math.acos(min(1.0, max(-1.0, (trace - 1.0) / 2.0)))
     upright = float(found[2, 2]) > np.cos(_MAX_TILT)
-    near = float(np.linalg.norm(change[:3, 3])) <= _MAX_STEP_M
+    near = math.dist(guess[:3, 3].tolist(), found[:3, 3].tolist()) <= _MAX_STEP_M
     return near and turn <= _MAX_STEP_RAD and upright
 
 
