@@ -270,6 +270,12 @@ def load_config(
         choices = ", ".join(sorted(PRESETS))
         source = where if preset is None else ""
         raise UsageError(f"{source}unknown preset {name!r}: choose from {choices}")
+    if from_file.get("preset", name) != name and len(from_file) > 1:
+        raise UsageError(
+            f"{where}preset is {from_file['preset']!r}, but --preset {name} was given: the file's "
+            "values would undo it; take the line `preset` and the values you do not want to keep "
+            "out of the file"
+        )
     merged = _merge(_merge(_merge({}, PRESETS[name]), from_file), overrides or {})
     return _validated({**merged, "preset": name}, where)
 

@@ -29,6 +29,7 @@ from specmap_cli.registration import FrontEnd
 
 HEADER = "stamp,submap,margin,runner_up,filtered_submap,filtered_probability"
 METRIC_HEADER = ",x,y,theta,score"
+_LEAP_M, _STEADY_SCANS = 0.5, 10  # a place that leaps and leaves within so many scans is wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,10 +193,27 @@ def write_plot(path: Path, report: LocalizationReport, stored: StoredMap, metric
         track = np.array([scan.track_from_base[:2] for scan in report.scans])
         write_png(path, render_labels(track, submaps, title))
         return
-    places = np.array([_place(scan, stored) for scan in report.scans])
+    places = _steady(np.array([_place(scan, stored) for scan in report.scans]), report.scans)
     ground = (stored.topology, stored.regions)
     picture = render_labels(places, submaps, title, map_with_regions=ground)
     write_png(path, picture)
+
+
+def _steady(places: FloatArray, scans: Sequence[LocalizedScan]) -> FloatArray:
+    """Places (n, 2) without those that leap farther than the robot drove, both there and away.
+
+    The first scan of a submap may match the wrong end of it; NaN marks what is left out.
+    """
+    track = np.array([scan.track_from_base[:2] for scan in scans])
+    kept = np.flatnonzero(np.isfinite(places).all(axis=1))
+    driven = np.hypot(*np.diff(track[kept], axis=0).T)
+    leaps = np.hypot(*np.diff(places[kept], axis=0).T) > driven + _LEAP_M
+    runs = np.split(kept, np.flatnonzero(leaps) + 1)
+    steady = places.copy()
+    for run in runs:
+        if len(run) < _STEADY_SCANS:
+            steady[run] = math.nan
+    return steady
 
 
 def _place(scan: LocalizedScan, stored: StoredMap) -> FloatArray:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from specmap_cli.config import Config
+from specmap_cli.errors import UsageError
 from specmap_cli.geometry import IDENTITY
 from specmap_cli.mapfiles import read_grid
 from specmap_cli.outputs.directory import OutputDirectory
@@ -24,6 +25,8 @@ from specmap_cli.segmentation.floorplan import (
     submap_grid,
 )
 from specmap_cli.topomap import Edge, Submap, TopologicalMap
+
+_COARSEST_M = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +72,12 @@ def partition_map(
     no map, NoResultError when it has no room for a node, UsageError for an output in the way.
     """
     grid = read_grid(path, resolution)
+    if grid.resolution > _COARSEST_M:
+        height, width = (side * grid.resolution for side in grid.cells.shape)
+        raise UsageError(
+            f"{path}: {grid.resolution:g} m a pixel make it {width:.0f} m x {height:.0f} m, too "
+            "coarse to see a door: check the resolution; 0.05 m is usual"
+        )
     result = segment_floorplan(grid, config.segmentation)
     regions = Regions.of(grid, np.asarray(result.segmentation.labels, dtype=np.int64))
     with OutputDirectory(out, overwrite) as partial:

@@ -73,8 +73,8 @@ def build_map(
     """
     progress = progress or Silent()
     with (
-        OutputDirectory(out, overwrite) as partial,
         open_log(logs) as log,
+        OutputDirectory(out, overwrite) as partial,
         KeyframeStore() as store,
     ):
         observer = None

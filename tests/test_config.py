@@ -44,6 +44,12 @@ def test_the_preset_may_stand_in_the_file_and_a_flag_goes_over_it(tmp_path: Path
     assert load_config(path, "default") == Config()
 
 
+def test_a_saved_configuration_cannot_silently_undo_a_preset(tmp_path: Path) -> None:
+    path = write(tmp_path, to_toml(Config()))
+    with pytest.raises(UsageError, match="--preset paper was given"):
+        load_config(path, "paper")
+
+
 @pytest.mark.parametrize("preset", sorted(PRESETS))
 def test_every_preset_is_valid_and_survives_toml(preset: str, tmp_path: Path) -> None:
     config = load_config(None, preset, {"log": {"scan_topic": "/front/scan"}})

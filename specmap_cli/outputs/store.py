@@ -165,6 +165,11 @@ class StoredMap:
     @cached_property
     def classifiers(self) -> str:
         """The text of classifiers.json."""
+        if not (self.path / CLASSIFIERS).exists():
+            raise MapError(
+                f"{self.path}: has no {CLASSIFIERS}: `specmap segment` makes maps without; "
+                "localising needs one that `specmap build` made of a recording"
+            )
         return _read_text(self.path / CLASSIFIERS)
 
     @cached_property

@@ -16,7 +16,7 @@ import numpy as np
 from specmap_cli.config import RecognitionConfig
 from specmap_cli.geometry import FloatArray, Pose2
 from specmap_cli.gridmap import GridMap
-from specmap_cli.recognition.place import Place, prepare
+from specmap_cli.recognition.place import Places, cropped
 from specmap_cli.recognition.ranking import ClaimRanker, Claims
 from specmap_cli.recognition.sampling import evenly
 from specmap_cli.recognition.verification import Check, tracks_overlap, verify
@@ -24,6 +24,9 @@ from specmap_cli.records import Closure
 
 _TWIN_MARGIN_M = 1.5
 _NO_CLAIMS = Claims(0.0, 0.0, 0.0, np.zeros(0))
+
+
+_PREPARED = 16  # grids prepared for matching at a time: each takes megabytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +51,7 @@ class _Visit:
     """One visit of a submap: what is kept of its view."""
 
     id: int
-    place: Place | None
+    grid: GridMap
     track: FloatArray
     map_from_submap: Pose2 | None
     travelled_m: float
@@ -67,6 +70,7 @@ class LoopCloser:
         self._owner: dict[int, int] = {}
         self._ranker = ClaimRanker(config, rng)
         self._checked: set[tuple[int, int]] = set()
+        self._places = Places(_PREPARED)
         self._claims: dict[tuple[int, int], Claims] = {}
 
     def consider(self, new: SubmapView) -> list[Closure]:
@@ -77,7 +81,7 @@ class LoopCloser:
         """
         visit = _Visit(
             new.id,
-            prepare(new.grid) if self.config.verify else None,
+            cropped(new.grid),
             new.track,
             new.map_from_submap,
             new.travelled_m,
@@ -181,9 +185,13 @@ class LoopCloser:
         for k in order[: self.config.members]:
             member = members[k]
             key = (member.id, visit.id)
-            if key in self._checked or member.place is None or visit.place is None:
+            if key in self._checked:
                 continue
-            check = verify(member.place, visit.place)
+            old_place = self._places.of(member.id, member.grid)
+            new_place = self._places.of(visit.id, visit.grid)
+            if old_place is None or new_place is None:
+                continue
+            check = verify(old_place, new_place)
             self._checked.add(key)
             verdict = self._judge(member, visit, check)
             closure = _closure(visit.id, member.id, claims, check, *verdict)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import cv2
@@ -52,7 +53,7 @@ class Place:
 
 def prepare(grid: GridMap) -> Place | None:
     """The grid prepared for matching; None when it shows too little of a wall."""
-    grid = _cropped(grid)
+    grid = cropped(grid)
     occupied = np.argwhere(grid.occupied)
     if len(occupied) < 10:
         return None
@@ -79,6 +80,23 @@ def prepare(grid: GridMap) -> Place | None:
     )
 
 
+class Places:
+    """Grids prepared for matching by id, the `most` last used of them at a time."""
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self._prepared: OrderedDict[int, Place | None] = OrderedDict()
+
+    def of(self, id_: int, grid: GridMap) -> Place | None:
+        """The prepared grid of one id, which is always the same."""
+        if id_ not in self._prepared:
+            self._prepared[id_] = prepare(grid)
+            if len(self._prepared) > self.most:
+                self._prepared.popitem(last=False)
+        self._prepared.move_to_end(id_)
+        return self._prepared[id_]
+
+
 def wall_direction(grid: GridMap) -> float:
     """The direction of the walls, modulo a right angle, in [0, pi / 2) rad.
 
@@ -94,7 +112,7 @@ def wall_direction(grid: GridMap) -> float:
     return (math.atan2(total.imag, total.real) / 4.0) % (math.pi / 2.0)
 
 
-def _cropped(grid: GridMap) -> GridMap:
+def cropped(grid: GridMap) -> GridMap:
     """The grid cut down to its known cells."""
     seen = grid.cells != UNKNOWN
     rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
@@ -102,9 +120,8 @@ def _cropped(grid: GridMap) -> GridMap:
         return grid
     r, c = int(rows[0]), int(columns[0])
     origin = (grid.origin[0] + c * grid.resolution, grid.origin[1] + r * grid.resolution)
-    return GridMap(
-        grid.cells[r : int(rows[-1]) + 1, c : int(columns[-1]) + 1], grid.resolution, origin
-    )
+    cells = grid.cells[r : int(rows[-1]) + 1, c : int(columns[-1]) + 1].copy()
+    return GridMap(cells, grid.resolution, origin)
 
 
 def _distance(inside: NDArray[np.bool_], resolution: float) -> ImageArray:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from specmap_cli.config import SegmentationConfig
 from specmap_cli.errors import NoResultError
@@ -69,7 +70,7 @@ class FloorplanResult:
 
 def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> FloorplanResult:
     """Divide `grid` and describe the regions; NoResultError when no free space holds a node."""
-    found = segment(grid, config)
+    found = _in_one_piece(segment(grid, config))
     if not found.count:
         raise NoResultError(
             f"no free space wider than {2 * config.clearance_m:g} m in the map "
@@ -77,6 +78,18 @@ def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> FloorplanRes
         )
     submaps = [_submap(grid, found.labels == label, label) for label in range(found.count)]
     return FloorplanResult(grid, found, submaps, _edges(grid, found.labels, config.door_min_m))
+
+
+def _in_one_piece(found: Segmentation) -> Segmentation:
+    """Regions without scraps: of each only its largest connected piece stays labelled."""
+    labels = np.full_like(found.labels, -1)
+    for label, window in enumerate(ndimage.find_objects(found.labels + 1)):
+        if window is not None:
+            mine = (found.labels[window] == label).astype(np.uint8)
+            _, piece, stats, _ = cv2.connectedComponentsWithStats(mine, connectivity=8)
+            largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+            labels[window][piece == largest] = label
+    return replace(found, labels=labels)
 
 
 def label_image(result: FloorplanResult) -> NDArray[np.uint16]:
