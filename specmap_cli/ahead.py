@@ -13,6 +13,7 @@ import os
 import signal
 import threading
 import traceback
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
@@ -46,7 +47,9 @@ def ahead(produce: Callable[[], Iterator[Item]]) -> Iterator[Iterator[Item]]:
         fcntl.fcntl(sender.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
     child = context.Process(target=_child, args=(produce, receiver, sender), daemon=True)
     try:
-        with _held_signals():
+        with _held_signals(), warnings.catch_warnings():
+            # Python 3.12 warns of other threads' locks: a progress bar's, which the child never takes
+            warnings.simplefilter("ignore", DeprecationWarning)
             child.start()
         sender.close()
         yield _received(receiver, child)
