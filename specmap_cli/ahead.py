@@ -48,7 +48,7 @@ def ahead(produce: Callable[[], Iterator[Item]]) -> Iterator[Iterator[Item]]:
     child = context.Process(target=_child, args=(produce, receiver, sender), daemon=True)
     try:
         with _held_signals(), warnings.catch_warnings():
-            # Python 3.12 warns of other threads' locks: a progress bar's, which the child never takes
+            # Python 3.12 warns of other threads: of a progress bar's, whose locks the child avoids
             warnings.simplefilter("ignore", DeprecationWarning)
             child.start()
         sender.close()
