@@ -48,7 +48,8 @@ class BuildReport:
         counts = self.run["counts"]
         return [
             f"{self.out}: {counted(counts['submaps'], 'submap')}, "
-            f"{counted(counts['edges'], 'edge')}, {counted(counts['merges'], 'loop')} closed; "
+            f"{counted(counts['edges'], 'edge')}, "
+            f"{counted(counts['merges'], 'revisit')} recognised; "
             f"{counted(counts['scans'], 'scan')} over "
             f"{counts['path_m']:.0f} m, {counts['lost']} lost",
             f"look at {self.out / 'overview.png'}",

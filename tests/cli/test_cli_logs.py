@@ -155,7 +155,7 @@ def test_a_single_scan_is_a_map(tmp_path: Path, run: Run) -> None:
     path = standing_log(tmp_path / "one.mcap", 3.0, scans=1)
     said = run("build", path, "-o", tmp_path / "map", *QUICK)
     assert said.code == 0
-    assert ": 1 submap, 0 edges, 0 loops closed; 1 scan over 0 m, 0 lost" in said.out
+    assert ": 1 submap, 0 edges, 0 revisits recognised; 1 scan over 0 m, 0 lost" in said.out
 
 
 def test_a_name_of_any_bytes(tmp_path: Path, run: Run) -> None:
