@@ -110,16 +110,16 @@ def _learned(
 def _final_labels(mapper: Mapper, layout: Layout, whole: GridMap) -> IntArray:
     """The submap id (n,) of each keyframe, in order of first visit."""
     labels = mapper.labels()
-    if _is_consistent(mapper) and mapper.config.segmentation.final_regions:
+    if _is_consistent(mapper, layout) and mapper.config.segmentation.final_regions:
         labels = regions_of(whole, layout.poses, mapper.config.segmentation)
     settled = settle_labels(labels, layout.poses, mapper.config.segmentation.region_min_m)
     order = first_visit_order(settled.tolist())
     return np.array([order[int(label)] for label in settled], dtype=np.int64)
 
 
-def _is_consistent(mapper: Mapper) -> bool:
+def _is_consistent(mapper: Mapper, layout: Layout) -> bool:
     """Whether one place of the building is one place of the layout."""
-    return mapper.config.relaxation.enabled and not mapper.breaks
+    return mapper.config.relaxation.enabled and not layout.loose
 
 
 def _commonest(labels: IntArray) -> int:

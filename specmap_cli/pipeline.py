@@ -29,7 +29,7 @@ from specmap_cli.progress import Progress, Silent
 from specmap_cli.records import PosedScan
 from specmap_cli.topology.g2o import write_g2o
 
-_LIBRARIES = ("kiss-icp", "mcap", "networkx", "numpy", "opencv-python-headless", "rosbags", "scipy")
+_LIBRARIES = ("kiss-icp", "mcap", "numpy", "opencv-python-headless", "rosbags", "scipy")
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,11 @@ dropped and reported.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from specmap_cli.config import RelaxationConfig
 from specmap_cli.geometry import FloatArray, Pose2, compose, invert
@@ -49,7 +49,8 @@ class Layout:
     """Relaxed poses (n, 3) of all keyframes, and the pose graph they come from.
 
     `nodes` are the keyframe numbers in the graph; `odometry`, `kept` and `dropped` its edges, the
-    last two being closures and nearby passes; `chi2` the cost that remains.
+    last two being closures and nearby passes; `chi2` the cost that remains. `loose` are the
+    keyframes at which tracking restarted and whose place, and that of what follows, is a guess.
     """
 
     poses: FloatArray
@@ -59,6 +60,7 @@ class Layout:
     dropped: list[Link]
     chi2: float
     warnings: list[str]
+    loose: list[int] = field(default_factory=list)
 
 
 def relax(
@@ -127,6 +129,7 @@ class _Relaxation:
             dropped,
             chi2,
             self._warnings(dropped),
+            self._loose(),
         )
 
     def _odometry(self) -> list[Link]:
@@ -257,13 +260,20 @@ class _Relaxation:
         closures = sum(link.kind == "closure" for link in dropped)
         if closures:
             warnings.append(f"layout: {closures} loop closures contradict the rest: left out")
-        ends = [self.row[k] for link in self.loops for k in (link.source, link.target)]
-        tied = set(self.part[ends].tolist())
-        for part in range(1, int(self.part[-1]) + 1):
-            if part not in tied:
-                stamp = self.store.stamps_ns[int(self.nodes[np.argmax(self.part == part)])]
-                warnings.append(f"layout: a guess only places what follows {stamp * 1e-9:.3f} s")
+        for keyframe in self._loose():
+            stamp = self.store.stamps_ns[keyframe]
+            warnings.append(f"layout: a guess only places what follows {stamp * 1e-9:.3f} s")
         return warnings
+
+    def _loose(self) -> list[int]:
+        """First keyframes of the parts that no edge ties to the first part, nor over others."""
+        count = int(self.part[-1]) + 1
+        ends = [(self.row[link.source], self.row[link.target]) for link in self.loops]
+        parts = self.part[np.array(ends, dtype=np.intp).reshape(-1, 2)]
+        ties = csr_array((np.ones(len(parts)), (parts[:, 0], parts[:, 1])), shape=(count, count))
+        _, piece = connected_components(ties, directed=False)
+        apart = np.flatnonzero(piece != piece[0])
+        return [int(self.nodes[np.argmax(self.part == part)]) for part in apart]
 
 
 def _drift(path_m: float) -> float:

@@ -157,6 +157,7 @@ def test_a_part_placed_anywhere_is_found_by_its_walls(
         layout = relax(store, [], [at], CONFIG)
     assert worst(layout.poses, truth) < 0.3
     assert layout.warnings == []
+    assert layout.loose == []
 
 
 def test_a_part_that_fits_nowhere_is_said(drive: tuple[FloatArray, list[PlanarScan]]) -> None:
@@ -165,6 +166,19 @@ def test_a_part_that_fits_nowhere_is_said(drive: tuple[FloatArray, list[PlanarSc
     with stored(elsewhere, [*scans[:60], *scans[300:360]]) as store:
         layout = relax(store, [], [60], CONFIG)
     assert any("a guess only" in line for line in layout.warnings)
+    assert layout.loose == [60]
+
+
+def test_a_part_tied_only_to_itself_is_still_loose(
+    drive: tuple[FloatArray, list[PlanarScan]],
+) -> None:
+    truth, scans = drive
+    elsewhere = np.vstack([truth[:60], truth[300:360]])
+    inside = Pose2(*compose(invert(elsewhere[65]), elsewhere[110]).tolist())
+    with stored(elsewhere, [*scans[:60], *scans[300:360]]) as store:
+        layout = relax(store, [Constraint(65, 110, inside, STIFF)], [60], CONFIG)
+    assert [(link.source, link.target) for link in layout.kept] == [(65, 110)]
+    assert layout.loose == [60]
 
 
 def test_without_relaxation_the_poses_are_those_tracked(store: KeyframeStore) -> None:
