@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from specmap_cli.evaluation.worlds import RoomTruth, read_rooms
-from specmap_cli.gridmap import GridMap
-from specmap_cli.mapfiles import read_grid
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.map_server import read_grid
+from specmap_cli.simulation.worlds import RoomTruth, read_rooms
 
 RESOLUTION_M = 0.05  # of every plan
 TRUTH = "_gt_segmentation.png"

@@ -23,15 +23,15 @@ import cv2
 import numpy as np
 
 from benchmarks.data import plan, rooms_of
-from specmap_cli.config import Config, load_config
+from specmap_cli.core.config import Config, load_config
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.evaluation.scores import stay_scores, visits_of
-from specmap_cli.evaluation.simulate import SimulationOptions, simulate_sweeps
-from specmap_cli.evaluation.worlds import RoomTruth
-from specmap_cli.geometry import FloatArray, Pose2
-from specmap_cli.gridmap import GridMap
-from specmap_cli.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.pipelines.simulate import SimulationOptions, simulate_sweeps
 from specmap_cli.registration import FrontEnd
 from specmap_cli.segmentation.online import OnlineSegmenter, Region
+from specmap_cli.simulation.worlds import RoomTruth
 
 PLANS = ("Freiburg79_scan", "Freiburg79_scan_furnitures", "office_a", "lab_c_scan")
 LASERS = ((180.0, 361, 8.0), (360.0, 720, 20.0))

@@ -18,23 +18,23 @@ from typing import Any
 import numpy as np
 
 from benchmarks.data import RESOLUTION_M, log_file, plan, rooms_of, truth_file
-from specmap_cli.config import Config, load_config
+from specmap_cli.core.config import Config, load_config
+from specmap_cli.core.geometry import Pose2, compose, invert, wrap_angle
+from specmap_cli.core.progress import Silent
+from specmap_cli.core.records import PosedScan
 from specmap_cli.evaluation.classification import classification_scores
 from specmap_cli.evaluation.protocols import HoldOut, hold_out, map_log
-from specmap_cli.evaluation.simulate import SimulationOptions, simulate_sweeps
 from specmap_cli.evaluation.trajectories import associate, read_tum
-from specmap_cli.finishing import finish_map
-from specmap_cli.geometry import Pose2, compose, invert, wrap_angle
-from specmap_cli.gridmap import GridMap
-from specmap_cli.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
-from specmap_cli.mapper import Mapper
-from specmap_cli.progress import Silent
-from specmap_cli.recognition.closure import LoopCloser, SubmapView
-from specmap_cli.recognition.features import FEATURE_SETS, scans_features
-from specmap_cli.recognition.localizer import Localizer
-from specmap_cli.recognition.training import train_localizer
-from specmap_cli.recognition.verification import tracks_overlap
-from specmap_cli.records import PosedScan
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
+from specmap_cli.pipelines.finishing import finish_map
+from specmap_cli.pipelines.mapper import Mapper
+from specmap_cli.pipelines.simulate import SimulationOptions, simulate_sweeps
+from specmap_cli.recognition.closure.loop_closer import LoopCloser, SubmapView
+from specmap_cli.recognition.closure.verification import tracks_overlap
+from specmap_cli.recognition.features.sets import FEATURE_SETS, scans_features
+from specmap_cli.recognition.learning.training import train_localizer
+from specmap_cli.recognition.localization.localizer import Localizer
 
 LOGS = ("fr079", "mit_csail")
 PAPER = {"fr079": (0.9728, 0.9818, 0.9089, 0.9212), "mit_csail": (0.9689, 0.9739, 0.83, 0.8458)}

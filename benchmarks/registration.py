@@ -20,7 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.data import log_file, truth_file
-from specmap_cli.config import Config, LogConfig
+from specmap_cli.core.config import Config, LogConfig
+from specmap_cli.core.geometry import Pose2, compose, invert
+from specmap_cli.core.records import PosedScan, Sweep, Trajectory
 from specmap_cli.evaluation.trajectories import (
     RelativeErrors,
     read_relations,
@@ -28,14 +30,12 @@ from specmap_cli.evaluation.trajectories import (
     reference_errors,
     relation_errors,
 )
-from specmap_cli.geometry import Pose2, compose, invert
-from specmap_cli.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.layout.relaxation import Layout, corrected, relax
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.records import PosedScan, Sweep, Trajectory
+from specmap_cli.pipelines.trajectory import TrajectoryRecorder
 from specmap_cli.registration import FrontEnd
-from specmap_cli.topology.relaxation import Layout, corrected, relax
-from specmap_cli.trajectory import TrajectoryRecorder
 
 LOGS = ("fr079", "mit_csail", "fr079_3d")
 CUT_LOGS = ("fr079", "mit_csail")

@@ -15,13 +15,13 @@ from pathlib import Path
 
 from benchmarks.data import RESOLUTION_M, plan, rooms_of
 from specmap_cli.cli.options import overrides
-from specmap_cli.config import Config, load_config
+from specmap_cli.core.config import Config, load_config
 from specmap_cli.evaluation.rooms import map_scores
-from specmap_cli.evaluation.simulate import SimulationOptions, simulate
 from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
-from specmap_cli.evaluation.worlds import RoomTruth, read_rooms
-from specmap_cli.outputs.store import read_map
-from specmap_cli.pipeline import build_map
+from specmap_cli.maps.store import read_map
+from specmap_cli.pipelines.build import build_map
+from specmap_cli.pipelines.simulate import SimulationOptions, simulate
+from specmap_cli.simulation.worlds import RoomTruth, read_rooms
 
 PLANS = ("Freiburg79_scan", "Freiburg79_scan_furnitures", "lab_c_scan", "office_h_furnitures")
 

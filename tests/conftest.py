@@ -8,17 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from specmap_cli.evaluation.simulate import (
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import Sweep
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.map_server import read_grid
+from specmap_cli.pipelines.simulate import (
     SimulationOptions,
     SimulationResult,
     simulate,
     simulate_sweeps,
 )
-from specmap_cli.evaluation.worlds import RoomTruth, read_rooms
-from specmap_cli.geometry import Pose2
-from specmap_cli.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.mapfiles import read_grid
-from specmap_cli.records import Sweep
+from specmap_cli.simulation.worlds import RoomTruth, read_rooms
+from tests.house import result
+
+__all__ = ["result"]  # a fixture for all
 
 settings.register_profile("specmap", derandomize=True, deadline=None, max_examples=40)
 settings.load_profile("specmap")

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from hypothesis import strategies as st
 
-from specmap_cli.geometry import FloatArray, Pose2
-from specmap_cli.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.records import PlanarScan
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 
 lengths = st.floats(-50.0, 50.0, allow_nan=False).map(lambda v: round(v, 6))
 angles = st.floats(-math.pi, math.pi, exclude_max=True, allow_nan=False)

@@ -13,21 +13,47 @@ import pytest
 import specmap_cli
 
 ROOT = Path(specmap_cli.__file__).parent
-FLOOR = {
-    "config",
-    "errors",
-    "geometry",
-    "gridmap",
-    "keyframes",
-    "mapfiles",
-    "matching",
-    "progress",
-    "records",
-    "scorefield",
-    "tomltext",
-    "topomap",
+
+# What each room may import beside itself: the rooms of a lower floor that it needs, no others.
+_STAGE = {"core", "grids"}
+_FEATURES, _LEARNING = "recognition/features", "recognition/learning"
+_STAGES = {
+    "logs",
+    "logs/readers",
+    "registration",
+    "segmentation",
+    _FEATURES,
+    _LEARNING,
+    "recognition/closure",
+    "recognition/localization",
+    "layout",
+    "topology",
+    "maps",
+    "drawing",
+    "simulation",
 }
-PACKAGES = {"logs", "registration", "segmentation", "recognition", "topology", "outputs"}
+_ORDER = {"core", "grids", *_STAGES}
+MAY_IMPORT: dict[str, set[str]] = {
+    "core": set(),
+    "grids": {"core"},
+    "logs/readers": {"core"},
+    "logs": {"core", "logs/readers"},
+    "registration": _STAGE,
+    "segmentation": _STAGE,
+    _FEATURES: _STAGE,
+    _LEARNING: _STAGE | {_FEATURES},
+    "recognition/closure": _STAGE | {_FEATURES, _LEARNING},
+    "recognition/localization": _STAGE | {_FEATURES, _LEARNING},
+    "layout": _STAGE,
+    "topology": _STAGE,
+    "simulation": _STAGE,
+    "maps": _STAGE | {"topology"},
+    "drawing": _STAGE | {"topology", "segmentation"},
+    "pipelines": _ORDER,
+    "evaluation": {*_ORDER, "pipelines"},
+    "cli": {*_ORDER, "pipelines", "evaluation"},
+}
+MOST_ROOMS, MOST_FLOORS = 20, 10
 # what `specmap --help` must not load
 HEAVY = {
     "cv2",
@@ -48,26 +74,25 @@ def relative(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-def part_of(path: Path) -> str:
-    """The package or the top module of a file: `logs`, `gridmap`, `cli`, `__init__`."""
-    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+def room_of(path: Path) -> str:
+    """The package that a file stands in: `logs`, `logs/readers`; empty for the root."""
+    return str(path.relative_to(ROOT).parent).replace(".", "")
 
 
-LIBRARY = [path for path in MODULES if part_of(path) not in {"cli", "__main__"}]
+def room_of_module(name: str) -> str:
+    """The room of an imported module by its full name."""
+    parts = name.split(".")[1:]
+    while parts and not (ROOT.joinpath(*parts)).is_dir():
+        parts.pop()
+    return "/".join(parts)
 
 
-def allowed(part: str) -> set[str]:
-    """The parts that `part` may import."""
-    everything = {part_of(path) for path in MODULES}
-    if part in FLOOR:
-        return FLOOR | {"__init__"}
-    if part in PACKAGES:
-        return FLOOR | {part, "__init__"}
-    if part in {"cli", "__main__"}:
-        return everything
-    if part == "evaluation":
-        return everything - {"cli", "__main__"}
-    return everything - {"cli", "__main__", "evaluation"}  # the pipeline and its like
+LIBRARY = [path for path in MODULES if room_of(path) not in {"cli", ""}]
+
+
+def floor_of(room: str) -> int:
+    """How many floors a room stands above the ground."""
+    return 1 + max((floor_of(below) for below in MAY_IMPORT[room]), default=0)
 
 
 def imports(path: Path, *, late: bool = True) -> Iterator[tuple[int, str]]:
@@ -94,28 +119,38 @@ def imports(path: Path, *, late: bool = True) -> Iterator[tuple[int, str]]:
             waiting.extend(ast.iter_child_nodes(node))
 
 
-def test_the_parts_are_all_there() -> None:
-    assert {part_of(path) for path in MODULES} >= FLOOR | PACKAGES | {"cli", "evaluation"}
+def test_every_room_is_in_the_table() -> None:
+    rooms = {room_of(path) for path in MODULES if path.name != "__init__.py"} - {""}
+    assert rooms == set(MAY_IMPORT)
+
+
+def test_the_house_is_small_and_no_arrow_runs_up() -> None:
+    assert len(MAY_IMPORT) <= MOST_ROOMS
+    assert max(floor_of(room) for room in MAY_IMPORT) <= MOST_FLOORS  # ends: there is no circle
+
+
+def test_nothing_stands_at_the_root() -> None:
+    assert {path.name for path in ROOT.glob("*.py")} == {"__init__.py", "__main__.py"}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=relative)
 def test_imports_go_one_way(path: Path) -> None:
-    permitted = allowed(part_of(path)) | {"__version__"}
+    room = room_of(path)
     for line, name in imports(path):
-        top, _, rest = name.partition(".")
-        if top == "specmap_cli" and rest:
-            imported = rest.split(".")[0]
-            assert imported in permitted, f"{path}:{line} imports {name}"
+        if name.startswith("specmap_cli.") and room:
+            below = room_of_module(name)
+            allowed = {"", room, *MAY_IMPORT.get(room, set())}
+            assert below in allowed, f"{path}:{line} imports {name}"
 
 
 @pytest.mark.parametrize("path", sorted(ROOT.glob("cli/*.py")), ids=relative)
 def test_commands_import_what_is_heavy_only_when_they_run(path: Path) -> None:
-    light = {"cli", "errors", "progress", "__version__"}
+    light = ("cli", "core.errors", "core.progress", "__version__")
     for line, name in imports(path, late=False):
         top, _, rest = name.partition(".")
         assert top not in HEAVY, f"{path}:{line} imports {name}"
         if top == "specmap_cli" and rest:
-            assert rest.split(".")[0] in light, f"{path}:{line} imports {name}"
+            assert name.removeprefix("specmap_cli.").startswith(light), f"{path}:{line} {name}"
 
 
 def test_the_command_line_starts_without_anything_heavy() -> None:

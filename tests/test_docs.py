@@ -12,7 +12,7 @@ import pytest
 import typer
 
 from specmap_cli.cli.app import app
-from specmap_cli.config import Config
+from specmap_cli.core.config import Config
 
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = [

@@ -18,7 +18,7 @@ from specmap_cli.cli import (
     segment,
     simulate,
 )
-from specmap_cli.errors import UsageError
+from specmap_cli.core.errors import UsageError
 
 EXIT_CODES = (
     "Exit codes: 0 done; 1 a bug, with its traceback; 2 wrong usage or an output in the way; "

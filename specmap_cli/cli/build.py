@@ -47,8 +47,8 @@ def build(
     specmap build log.bag -o map --scan-topic /scan --set grid.resolution_m=0.1
     """
     from specmap_cli.cli.console import ConsoleProgress, print_result
-    from specmap_cli.config import load_config
-    from specmap_cli.pipeline import build_map
+    from specmap_cli.core.config import load_config
+    from specmap_cli.pipelines.build import build_map
 
     flags = options.overrides(
         settings, scan_topic, odom_topic, base_frame, no_odometry, no_relax=no_relax, seed=seed

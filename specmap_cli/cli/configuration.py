@@ -20,8 +20,8 @@ def show_config(
     specmap config > specmap.toml
     specmap config --preset paper --set seed=3
     """
-    from specmap_cli.config import load_config
-    from specmap_cli.tomltext import to_toml
+    from specmap_cli.core.config import load_config
+    from specmap_cli.core.tomltext import to_toml
 
     effective = load_config(config, preset, options.overrides(settings))
     print_text(effective.model_dump_json(indent=2) + "\n" if as_json else to_toml(effective))

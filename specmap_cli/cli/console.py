@@ -74,6 +74,6 @@ class ConsoleProgress:
 
 def print_result(result: dict[str, Any], lines: list[str], as_json: bool) -> None:
     """The result of a command on stdout: one JSON object, or lines for a person."""
-    from specmap_cli.outputs.text import to_json
+    from specmap_cli.core.text import to_json
 
     print_text(to_json(result) if as_json else "\n".join(lines) + "\n")

@@ -13,7 +13,7 @@ from contextlib import suppress
 
 from specmap_cli.cli.interruption import Interruption, interruptible
 from specmap_cli.cli.stdout import discard_stdout
-from specmap_cli.errors import InputError, SpecmapError, UsageError
+from specmap_cli.core.errors import InputError, SpecmapError, UsageError
 
 # The matrices here are small: threads of BLAS would wait for each other, and burn time doing so.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")

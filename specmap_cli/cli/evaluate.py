@@ -13,7 +13,7 @@ from specmap_cli.cli import options
 from specmap_cli.cli.targets import check_files
 
 if TYPE_CHECKING:
-    from specmap_cli.config import Config
+    from specmap_cli.core.config import Config
     from specmap_cli.evaluation.classification import ClassificationScores
     from specmap_cli.evaluation.protocols import HoldOut
 
@@ -96,8 +96,8 @@ class _Printing:
     ) -> None:
         """Write the confusion matrix where it was asked for, print the rest."""
         from specmap_cli.cli.console import print_result
-        from specmap_cli.outputs.confusion import render_confusion
-        from specmap_cli.outputs.grids import write_png
+        from specmap_cli.drawing.confusion import render_confusion
+        from specmap_cli.grids.map_server import write_png
 
         if self.confusion is not None and scores is not None:
             names = [str(id_) for id_ in scores.ids]
@@ -137,7 +137,7 @@ def evaluate(
     specmap evaluate map log2.mcap --protocol revisit --reference log.tum --reference log2.tum
     specmap evaluate --trajectory map/trajectory.tum --reference log.tum
     """
-    from specmap_cli.config import load_config
+    from specmap_cli.core.config import load_config
     from specmap_cli.evaluation.protocols import HoldOut
 
     paths, truths = logs or [], reference or []
@@ -160,7 +160,7 @@ def evaluate(
 
 
 def _only_one(asked: list[str]) -> str:
-    from specmap_cli.errors import UsageError
+    from specmap_cli.core.errors import UsageError
 
     if len(asked) == 1:
         return asked[0]
@@ -171,7 +171,7 @@ def _only_one(asked: list[str]) -> str:
 
 
 def _need(condition: bool, usage: str) -> None:
-    from specmap_cli.errors import UsageError
+    from specmap_cli.core.errors import UsageError
 
     if not condition:
         raise UsageError(usage)
@@ -231,7 +231,7 @@ def _name_places(
     from specmap_cli.cli.console import ConsoleProgress
     from specmap_cli.evaluation.reports import semantic_lines
     from specmap_cli.evaluation.semantic import Labelled, room_hallway
-    from specmap_cli.evaluation.worlds import read_rooms
+    from specmap_cli.simulation.worlds import read_rooms
 
     _need(
         len(logs) == len(references) == 2 and len(pictures) in (1, 2),

@@ -51,8 +51,8 @@ def localize(
     specmap localize other.mcap --map map --offline --metric --json
     """
     from specmap_cli.cli.console import ConsoleProgress, print_result
-    from specmap_cli.localization import localize_log, settings_for, write_csv, write_plot
-    from specmap_cli.outputs.store import read_map
+    from specmap_cli.maps.store import read_map
+    from specmap_cli.pipelines.localize import localize_log, settings_for, write_csv, write_plot
 
     check_files([output, plot], logs, overwrite=overwrite)
     stored = read_map(map_directory)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from specmap_cli.errors import UsageError
+from specmap_cli.core.errors import UsageError
 
 Logs = Annotated[
     list[Path],

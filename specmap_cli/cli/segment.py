@@ -43,8 +43,8 @@ def segment(
     specmap segment plan.png --resolution 0.05 -o rooms
     """
     from specmap_cli.cli.console import print_result
-    from specmap_cli.config import load_config
-    from specmap_cli.partition import partition_map
+    from specmap_cli.core.config import load_config
+    from specmap_cli.pipelines.segment import partition_map
 
     effective = load_config(config, preset, options.overrides(settings))
     check_files([explain], [grid], overwrite=overwrite)

@@ -66,9 +66,9 @@ def simulate(
     specmap simulate plan.png --resolution 0.05 -o tour.mcap --fov 360 --beams 720
     """
     from specmap_cli.cli.console import ConsoleProgress, print_result
-    from specmap_cli.evaluation.simulate import simulate as record
-    from specmap_cli.evaluation.simulate import simulation_options
-    from specmap_cli.mapfiles import read_grid
+    from specmap_cli.grids.map_server import read_grid
+    from specmap_cli.pipelines.simulate import simulate as record
+    from specmap_cli.pipelines.simulate import simulation_options
 
     robot = simulation_options(
         field_of_view_deg=fov,

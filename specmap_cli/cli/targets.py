@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from specmap_cli.errors import UsageError
+from specmap_cli.core.errors import UsageError
 
 
 def check_files(

@@ -11,21 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.config import Config
-from specmap_cli.errors import LogError, NoResultError
+from specmap_cli.core.config import Config
+from specmap_cli.core.errors import LogError, NoResultError
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.progress import Progress, Silent
+from specmap_cli.core.records import IntArray, PosedScan, Trajectory
 from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
 from specmap_cli.evaluation.trajectories import associate
-from specmap_cli.finishing import FinishedMap, finish_map
-from specmap_cli.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.keyframes import KeyframeStore
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.mapper import Mapper
-from specmap_cli.progress import Progress, Silent
-from specmap_cli.recognition.classifiers import ClassifierSet
-from specmap_cli.recognition.features import scans_features
-from specmap_cli.recognition.localizer import Label, Localizer
-from specmap_cli.records import IntArray, PosedScan, Trajectory
+from specmap_cli.pipelines.finishing import FinishedMap, finish_map
+from specmap_cli.pipelines.mapper import Mapper
+from specmap_cli.recognition.features.sets import scans_features
+from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.localization.localizer import Label, Localizer
 
 Split = Literal["random", "blocks"]
 STAMP_REACH_NS = 50_000_000  # given poses need not be at the stamps of the scans

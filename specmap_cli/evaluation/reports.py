@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.config import Config
-from specmap_cli.errors import LogError
+from specmap_cli.core.config import Config
+from specmap_cli.core.errors import LogError
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.progress import Progress
 from specmap_cli.evaluation.classification import score_lines
 from specmap_cli.evaluation.protocols import (
     STAMP_REACH_NS,
@@ -25,11 +27,9 @@ from specmap_cli.evaluation.trajectories import (
     best_motion,
     read_tum,
 )
-from specmap_cli.geometry import Pose2
-from specmap_cli.localization import localize_log
-from specmap_cli.outputs.store import StoredMap, read_map
-from specmap_cli.pipeline import build_map
-from specmap_cli.progress import Progress
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.build import build_map
+from specmap_cli.pipelines.localize import localize_log
 
 _FITTING_M = 0.5  # mean distance between true poses and those of the map; a tenth of it is usual
 

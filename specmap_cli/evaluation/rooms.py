@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from specmap_cli.evaluation.worlds import RoomTruth
-from specmap_cli.geometry import FloatArray
-from specmap_cli.records import IntArray
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import IntArray
+from specmap_cli.simulation.worlds import RoomTruth
 
 _LEAST_SHARE = 0.1  # a submap with less of a room's keyframes is no part of it
 

@@ -16,22 +16,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.config import Config
-from specmap_cli.errors import InputError
+from specmap_cli.core.config import Config
+from specmap_cli.core.errors import InputError
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.progress import Progress
+from specmap_cli.core.records import IntArray, PlanarScan
 from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
 from specmap_cli.evaluation.protocols import STAMP_REACH_NS, map_log
 from specmap_cli.evaluation.trajectories import associate, read_tum
-from specmap_cli.evaluation.worlds import RoomTruth
-from specmap_cli.finishing import finish_map
-from specmap_cli.geometry import FloatArray
-from specmap_cli.keyframes import KeyframeStore
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.mapper import Mapper
-from specmap_cli.progress import Progress
-from specmap_cli.recognition.boosting import StumpBoost
-from specmap_cli.recognition.features import FEATURE_SETS, scans_features
-from specmap_cli.records import IntArray, PlanarScan
+from specmap_cli.pipelines.finishing import finish_map
+from specmap_cli.pipelines.mapper import Mapper
+from specmap_cli.recognition.features.sets import FEATURE_SETS, scans_features
+from specmap_cli.recognition.learning.boosting import StumpBoost
+from specmap_cli.simulation.worlds import RoomTruth
 
 ROOM, HALLWAY = 0, 1
 _FEATURES = "table1"

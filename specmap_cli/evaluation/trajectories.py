@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.errors import InputError
-from specmap_cli.geometry import (
+from specmap_cli.core.errors import InputError
+from specmap_cli.core.geometry import (
     FloatArray,
     Pose2,
     compose,
@@ -25,7 +25,7 @@ from specmap_cli.geometry import (
     rotation_from_quaternion,
     yaw_of,
 )
-from specmap_cli.records import IntArray, Trajectory
+from specmap_cli.core.records import IntArray, Trajectory
 
 PATH_LENGTHS_M = (1.0, 5.0, 20.0)
 _TOLERANCE_NS = 2_000_000  # stamps in text files are rounded to microseconds at the worst

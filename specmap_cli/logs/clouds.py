@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.logs.messages import CloudRecord
-from specmap_cli.logs.typestore import NS_PER_S
+from specmap_cli.logs.readers.typestore import NS_PER_S
 
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
 _LONGEST_SWEEP_S = 2.0  # times that span more are nanoseconds

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from specmap_cli.errors import LogError, UsageError
+from specmap_cli.core.errors import LogError, UsageError
+from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.recording import TopicInfo
-from specmap_cli.logs.typestore import SUPPORTED_TYPES
+from specmap_cli.logs.readers.recording import TopicInfo
+from specmap_cli.logs.readers.typestore import SUPPORTED_TYPES
 from specmap_cli.logs.writer import LogWriter
-from specmap_cli.progress import Progress, Silent
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,12 @@ from itertools import islice
 
 import numpy as np
 
-from specmap_cli.errors import UsageError
-from specmap_cli.geometry import FloatArray
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.logs.messages import BadMessageError, decode_transforms
-from specmap_cli.logs.recording import Log, Message, TopicInfo
+from specmap_cli.logs.readers.recording import Log, Message, TopicInfo
+from specmap_cli.logs.readers.typestore import TF_MESSAGE
 from specmap_cli.logs.transforms import TransformTree, tilt_of
-from specmap_cli.logs.typestore import TF_MESSAGE
 
 USUAL_BASES = ("base_link", "base_footprint", "base")
 _FLOOR_FRAME = "base_footprint"

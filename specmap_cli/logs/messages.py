@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 
-from specmap_cli.geometry import FloatArray, rotation_from_quaternion
-from specmap_cli.logs.recording import Message
-from specmap_cli.logs.typestore import (
+from specmap_cli.core.geometry import FloatArray, rotation_from_quaternion
+from specmap_cli.logs.readers.recording import Message
+from specmap_cli.logs.readers.typestore import (
     LASER_SCAN,
     MULTI_ECHO,
     NS_PER_S,

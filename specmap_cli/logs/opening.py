@@ -6,10 +6,10 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
-from specmap_cli.errors import LogError
-from specmap_cli.logs import carmen, mcap, rosbag1, rosbag2
-from specmap_cli.logs.compression import compression_of, stream
-from specmap_cli.logs.recording import Log, Recording, unreadable
+from specmap_cli.core.errors import LogError
+from specmap_cli.logs.readers import carmen, mcap, rosbag1, rosbag2
+from specmap_cli.logs.readers.compression import compression_of, stream
+from specmap_cli.logs.readers.recording import Log, Recording, unreadable
 
 _HEAD_BYTES = 4096
 _CARMEN_SEARCH_BYTES = 1 << 22  # comments and PARAM lines may come first

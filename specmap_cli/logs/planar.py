@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from specmap_cli.config import LogConfig
-from specmap_cli.geometry import FloatArray, Pose2, yaw_of
+from specmap_cli.core.config import LogConfig
+from specmap_cli.core.geometry import FloatArray, Pose2, yaw_of
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.logs.messages import BadMessageError, ScanRecord
-from specmap_cli.records import PlanarScan
 
 _LONGEST_SWEEP_S = 1.0  # a time_increment that gives more is in another unit, and ignored
 _FULL_CIRCLE = 2.0 * math.pi

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Literal
 
-from specmap_cli.config import LogConfig
-from specmap_cli.errors import LogError, UsageError
-from specmap_cli.geometry import FloatArray
+from specmap_cli.core.config import LogConfig
+from specmap_cli.core.errors import LogError, UsageError
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.logs.frames import Placement, dynamic_topics, place_laser, read_tree
 from specmap_cli.logs.messages import (
     BadMessageError,
@@ -18,9 +18,9 @@ from specmap_cli.logs.messages import (
     decode_odometry,
     decode_scan,
 )
-from specmap_cli.logs.recording import Log, TopicInfo
+from specmap_cli.logs.readers.recording import Log, TopicInfo
+from specmap_cli.logs.readers.typestore import ODOMETRY, SCAN_TYPES
 from specmap_cli.logs.transforms import TransformTree
-from specmap_cli.logs.typestore import ODOMETRY, SCAN_TYPES
 
 _PEEKED = 50  # messages tried for one that can be decoded
 _CLOCK_PEEKED = 3  # stamps that are all zero are no stamps

@@ -9,8 +9,9 @@ from collections import deque
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from specmap_cli.config import LogConfig
-from specmap_cli.geometry import FloatArray, Pose2
+from specmap_cli.core.config import LogConfig
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import Sweep
 from specmap_cli.logs.clouds import cloud_points
 from specmap_cli.logs.messages import (
     BadMessageError,
@@ -21,10 +22,9 @@ from specmap_cli.logs.messages import (
     decode_transforms,
 )
 from specmap_cli.logs.planar import CloudFlattener, Mount, ScanLeveller
-from specmap_cli.logs.recording import Log, Message
+from specmap_cli.logs.readers.recording import Log, Message
 from specmap_cli.logs.selection import Selection, select
 from specmap_cli.logs.transforms import OdometryBuffer
-from specmap_cli.records import Sweep
 
 MAX_WAITING = 4  # scans held back for odometry
 MAX_WAIT_NS = 500_000_000  # of log time

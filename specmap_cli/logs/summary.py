@@ -9,15 +9,15 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-from specmap_cli.config import LogConfig
-from specmap_cli.errors import InputError, UsageError
-from specmap_cli.geometry import FloatArray, yaw_of
+from specmap_cli.core.config import LogConfig
+from specmap_cli.core.errors import InputError, UsageError
+from specmap_cli.core.geometry import FloatArray, yaw_of
+from specmap_cli.core.records import Sweep
 from specmap_cli.logs.frames import read_tree
-from specmap_cli.logs.recording import Contents, Log, TopicInfo
+from specmap_cli.logs.readers.recording import Contents, Log, TopicInfo
+from specmap_cli.logs.readers.typestore import LASER_SCAN, NS_PER_S, ODOMETRY, SCAN_TYPES
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.transforms import TransformTree
-from specmap_cli.logs.typestore import LASER_SCAN, NS_PER_S, ODOMETRY, SCAN_TYPES
-from specmap_cli.records import Sweep
 
 _EARLIEST_DATE_S = 315_532_800  # 1980: smaller stamps count from somewhere else
 

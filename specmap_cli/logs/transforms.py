@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from specmap_cli.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.logs.messages import TransformRecord
 
 _MAX_DEPTH = 100  # a longer chain of frames is a loop

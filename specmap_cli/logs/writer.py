@@ -17,9 +17,9 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
-from specmap_cli.errors import UsageError
-from specmap_cli.geometry import Pose2
-from specmap_cli.logs.encoding import (
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.logs.readers.encoding import (
     cloud_cdr,
     definition,
     odometry_cdr,
@@ -27,7 +27,7 @@ from specmap_cli.logs.encoding import (
     scan_cdr,
     transform_cdr,
 )
-from specmap_cli.logs.typestore import LASER_SCAN, ODOMETRY, POINT_CLOUD, TF_MESSAGE
+from specmap_cli.logs.readers.typestore import LASER_SCAN, ODOMETRY, POINT_CLOUD, TF_MESSAGE
 
 CHUNK_BYTES = 512 * 1024
 TF_STATIC = "/tf_static"

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from specmap_cli.geometry import FloatArray, Pose2
-from specmap_cli.records import PlanarScan
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan
 
 _STILL_M, _STILL_RAD = 1e-3, 1e-4  # motion per sweep that no range reading can show
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from kiss_icp.registration import Registration
 
-from specmap_cli.config import RegistrationConfig
-from specmap_cli.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.matching import Window, search, thinned
-from specmap_cli.records import PlanarScan, PosedScan, Sweep
+from specmap_cli.core.config import RegistrationConfig
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan, Sweep
+from specmap_cli.grids.matching import Window, search, thinned
 from specmap_cli.registration.deskew import deskewed, moved_returns
 from specmap_cli.registration.judgement import (
     BETTER,

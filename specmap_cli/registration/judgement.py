@@ -12,7 +12,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from specmap_cli.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.registration.motion import Step
 
 GOOD = 0.75  # above it, and near the guess, nothing is searched

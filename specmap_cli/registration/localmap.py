@@ -12,8 +12,8 @@ from collections import deque
 import numpy as np
 from kiss_icp.mapping import VoxelHashMap
 
-from specmap_cli.geometry import FloatArray, Pose2
-from specmap_cli.matching import ScoreField
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.grids.matching import ScoreField
 
 _POINTS_PER_VOXEL = 20
 _CELL, _SIGMA = 1.5, 2.0  # of the score field, in spacings of the walls' points

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from specmap_cli.geometry import IDENTITY, Pose2
-from specmap_cli.records import Sweep
+from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.records import Sweep
 
 _FORWARD_M, _SIDEWAYS_M, _TURN_RAD = 0.5, 0.2, 0.8  # of a motion carried on without odometry
 _JUMP_M, _JUMP_SPEED = 2.0, 3.0  # an odometry increment beyond metres + metres/s is a reset

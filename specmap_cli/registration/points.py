@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from specmap_cli.geometry import FloatArray
-from specmap_cli.matching import thinned
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.grids.matching import thinned
 
 
 def thinned_to(points: FloatArray, cell_m: float, count: int) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from specmap_cli.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.segmentation.visibility import IndexArray
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from specmap_cli.geometry import FloatArray
-from specmap_cli.gridmap import BoolArray, cell_distances
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.grids.gridmap import BoolArray, cell_distances
 
 
 def small_obstacles(

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from specmap_cli.config import SegmentationConfig
-from specmap_cli.errors import NoResultError
-from specmap_cli.geometry import FloatArray
-from specmap_cli.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
+from specmap_cli.core.config import SegmentationConfig
+from specmap_cli.core.errors import NoResultError
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
 from specmap_cli.segmentation.kmeans import LabelArray
 from specmap_cli.segmentation.spectral import Segmentation, segment
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from specmap_cli.gridmap import BoolArray
+from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.segmentation.affinity import edge_weights, local_scales
 from specmap_cli.segmentation.kmeans import LabelArray, bisect
 from specmap_cli.segmentation.spectrum import two_largest

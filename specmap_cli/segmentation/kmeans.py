@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray
 
 LabelArray = NDArray[np.int32]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from specmap_cli.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.segmentation.kmeans import LabelArray
 from specmap_cli.segmentation.visibility import IndexArray
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from specmap_cli.config import GridConfig, SegmentationConfig
-from specmap_cli.keyframes import KeyframeStore
+from specmap_cli.core.config import GridConfig, SegmentationConfig
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.segmentation.sketch import Sketch, path_length
 from specmap_cli.segmentation.splitting import SplitTest, examine
 

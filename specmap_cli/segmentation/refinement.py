@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from specmap_cli.config import SegmentationConfig
-from specmap_cli.geometry import FloatArray
-from specmap_cli.gridmap import GridMap
-from specmap_cli.records import IntArray
+from specmap_cli.core.config import SegmentationConfig
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import IntArray
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.segmentation.spectral import segment
 
 

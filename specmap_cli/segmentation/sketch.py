@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from specmap_cli.config import GridConfig
-from specmap_cli.geometry import FloatArray, Pose2, wrap_angle
-from specmap_cli.gridmap import GridMap, OccupancyGrid
-from specmap_cli.keyframes import KeyframeStore
+from specmap_cli.core.config import GridConfig
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.occupancy import OccupancyGrid
 
 _STEP_M, _STEP_RAD = 0.15, 0.2  # keyframes nearer to the last mapped one add nothing that matters
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from specmap_cli.config import SegmentationConfig
-from specmap_cli.geometry import FloatArray
-from specmap_cli.gridmap import BoolArray, GridMap
+from specmap_cli.core.config import SegmentationConfig
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.grids.gridmap import BoolArray, GridMap
 from specmap_cli.segmentation.affinity import local_scales, normalised, similarity
 from specmap_cli.segmentation.clutter import WorkingGrid, small_obstacles, working_grid
 from specmap_cli.segmentation.flood import flood_labels, nearest_labels, spread_labels

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
-from specmap_cli.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray
 
 _DENSE = 160  # matrices up to this size are solved whole: quicker than iterating
 _TOLERANCE = 1e-6

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.geometry import FloatArray
-from specmap_cli.gridmap import BoolArray
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.grids.gridmap import BoolArray
 
 IndexArray = NDArray[np.intp]
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.geometry import FloatArray, Pose2
-from specmap_cli.gridmap import GridMap
-from specmap_cli.records import Closure
-from specmap_cli.topomap import Edge, Submap, TopologicalMap, Traversal, Visit
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import Closure
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.topology.topological_map import Edge, Submap, TopologicalMap, Traversal, Visit
 
 IntArray = NDArray[np.int64]
 

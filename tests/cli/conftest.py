@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from specmap_cli.cli import main
-from specmap_cli.evaluation.simulate import SimulationOptions, simulate
-from specmap_cli.geometry import Pose2
-from specmap_cli.gridmap import GridMap
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.map_server import write_grid
 from specmap_cli.logs.writer import LogWriter
-from specmap_cli.outputs.grids import write_grid
+from specmap_cli.pipelines.simulate import SimulationOptions, simulate
 
 ROOT = Path(__file__).parents[2]
 # training would take most of the time of a tiny build

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from specmap_cli.gridmap import GridMap
+from specmap_cli.grids.gridmap import GridMap
 from tests.cli.conftest import Run, record_tour
 
 Edit = Callable[[Path], Any]

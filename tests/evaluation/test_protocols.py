@@ -12,8 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import accuracy_score, precision_recall_fscore_support
 
-from specmap_cli.config import load_config
-from specmap_cli.errors import LogError
+from specmap_cli.core.config import load_config
+from specmap_cli.core.errors import LogError
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import Trajectory
 from specmap_cli.evaluation.classification import (
     classification_scores,
     score_lines,
@@ -24,11 +26,9 @@ from specmap_cli.evaluation.protocols import (
     nearest_labels,
     revisit,
 )
-from specmap_cli.evaluation.simulate import SimulationOptions, simulate
-from specmap_cli.geometry import Pose2
-from specmap_cli.gridmap import GridMap
-from specmap_cli.recognition.localizer import Label
-from specmap_cli.records import Trajectory
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.pipelines.simulate import SimulationOptions, simulate
+from specmap_cli.recognition.localization.localizer import Label
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), min_size=1, max_size=60))

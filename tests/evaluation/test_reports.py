@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from specmap_cli.config import Config, load_config
-from specmap_cli.errors import LogError
+from specmap_cli.core.config import Config, load_config
+from specmap_cli.core.errors import LogError
+from specmap_cli.core.progress import Silent
 from specmap_cli.evaluation.reports import revisit_lines, revisit_logs
-from specmap_cli.evaluation.simulate import SimulationOptions, SimulationResult, simulate
-from specmap_cli.gridmap import GridMap
-from specmap_cli.pipeline import build_map
-from specmap_cli.progress import Silent
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.pipelines.build import build_map
+from specmap_cli.pipelines.simulate import SimulationOptions, SimulationResult, simulate
 
 
 @pytest.fixture(scope="module")

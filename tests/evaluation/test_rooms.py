@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from specmap_cli.evaluation.rooms import MapScores, map_scores
-from specmap_cli.evaluation.worlds import RoomTruth
+from specmap_cli.simulation.worlds import RoomTruth
 
 
 def scores(rooms: list[int], labels: list[int]) -> MapScores:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.config import load_config
-from specmap_cli.errors import InputError
+from specmap_cli.core.config import load_config
+from specmap_cli.core.errors import InputError
+from specmap_cli.core.progress import Silent
 from specmap_cli.evaluation.reports import semantic_lines
 from specmap_cli.evaluation.semantic import (
     HALLWAY,
@@ -20,9 +21,8 @@ from specmap_cli.evaluation.semantic import (
     room_hallway,
     semantic_scores,
 )
-from specmap_cli.evaluation.simulate import SimulationResult
-from specmap_cli.evaluation.worlds import RoomTruth
-from specmap_cli.progress import Silent
+from specmap_cli.pipelines.simulate import SimulationResult
+from specmap_cli.simulation.worlds import RoomTruth
 
 
 def test_the_corridor_of_the_flat_is_its_hallway(flat_rooms: Any) -> None:

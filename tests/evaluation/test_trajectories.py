@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.errors import InputError
+from specmap_cli.core.errors import InputError
+from specmap_cli.core.geometry import Pose2, compose, invert
+from specmap_cli.core.records import Trajectory
 from specmap_cli.evaluation.trajectories import (
     Relations,
     associate,
@@ -19,8 +21,6 @@ from specmap_cli.evaluation.trajectories import (
     reference_errors,
     relation_errors,
 )
-from specmap_cli.geometry import Pose2, compose, invert
-from specmap_cli.records import Trajectory
 from tests.strategies import poses
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from specmap_cli.config import GridConfig
-from specmap_cli.geometry import FloatArray, Pose2, compose, invert
-from specmap_cli.gridmap import FREE, OCCUPIED, GridMap, OccupancyGrid, cast_ranges
-from specmap_cli.recognition.closure import SubmapView
-from specmap_cli.recognition.features import scans_features
-from specmap_cli.records import PlanarScan
+from specmap_cli.core.config import GridConfig
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.occupancy import OccupancyGrid
+from specmap_cli.grids.ray_casting import cast_ranges
+from specmap_cli.recognition.closure.loop_closer import SubmapView
+from specmap_cli.recognition.features.sets import scans_features
 
 BEARINGS = np.linspace(-np.pi, np.pi, 180, endpoint=False)
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.geometry import IDENTITY, FloatArray, Pose2, compose
-from specmap_cli.records import PlanarScan
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.registration.deskew import deskewed, moved_returns, usable_times
 
 PERIOD_S = 0.1

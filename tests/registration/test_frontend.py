@@ -8,10 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from specmap_cli.config import RegistrationConfig
-from specmap_cli.geometry import IDENTITY, FloatArray, Pose2, compose, invert, wrap_angles
-from specmap_cli.gridmap import FREE, OCCUPIED, GridMap, cast_ranges
-from specmap_cli.records import PlanarScan, PosedScan, Sweep
+from specmap_cli.core.config import RegistrationConfig
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert, wrap_angles
+from specmap_cli.core.records import PlanarScan, PosedScan, Sweep
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.ray_casting import cast_ranges
 from specmap_cli.registration import FrontEnd
 from specmap_cli.registration.motion import MotionModel
 

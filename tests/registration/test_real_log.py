@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from specmap_cli.config import LogConfig, RegistrationConfig
+from specmap_cli.core.config import LogConfig, RegistrationConfig
+from specmap_cli.core.records import Trajectory
 from specmap_cli.evaluation.trajectories import read_relations, relation_errors
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.records import Trajectory
 from specmap_cli.registration import FrontEnd
 
 DATA = Path(os.environ.get("SPECMAP_DATA", "../shared/data"))

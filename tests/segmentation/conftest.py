@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from specmap_cli.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 
 PlanBuilder = Callable[..., GridMap]
 

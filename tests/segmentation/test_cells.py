@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.geometry import FloatArray
-from specmap_cli.gridmap import BoolArray
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.segmentation.clutter import small_obstacles, working_grid
 from specmap_cli.segmentation.flood import flood_labels, nearest_labels, spread_labels
 from specmap_cli.segmentation.merging import border_widths, join_wide, local_widths

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from specmap_cli.config import SegmentationConfig
-from specmap_cli.errors import NoResultError
-from specmap_cli.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.segmentation.explain import draw_segmentation
+from specmap_cli.core.config import SegmentationConfig
+from specmap_cli.core.errors import NoResultError
+from specmap_cli.drawing.split_tests import draw_segmentation
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.floorplan import label_image, segment_floorplan, submap_grid
 
 CONFIG = SegmentationConfig()

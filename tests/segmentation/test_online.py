@@ -8,12 +8,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from specmap_cli.config import GridConfig, SegmentationConfig, load_config
-from specmap_cli.geometry import IDENTITY, Pose2
-from specmap_cli.gridmap import GridMap, cast_ranges
-from specmap_cli.keyframes import KeyframeStore
-from specmap_cli.records import PlanarScan, PosedScan
-from specmap_cli.segmentation.explain import Picture, draw_test
+from specmap_cli.core.config import GridConfig, SegmentationConfig, load_config
+from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.drawing.split_tests import Picture, draw_test
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.ray_casting import cast_ranges
 from specmap_cli.segmentation.online import OnlineSegmenter, Region
 from specmap_cli.segmentation.sketch import Sketch, path_length
 from specmap_cli.segmentation.splitting import SplitTest, examine

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from specmap_cli.config import SegmentationConfig
-from specmap_cli.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.core.config import SegmentationConfig
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.refinement import regions_of
 
 CONFIG = SegmentationConfig()

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from sklearn.metrics import adjusted_rand_score
 
-from specmap_cli.config import SegmentationConfig, load_config
-from specmap_cli.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.core.config import SegmentationConfig, load_config
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.segmentation.spectral import segment
 
 DEFAULT = SegmentationConfig()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 from sklearn.metrics import adjusted_rand_score
 
-from specmap_cli.config import SegmentationConfig
+from specmap_cli.core.config import SegmentationConfig
 from specmap_cli.segmentation.affinity import local_scales, normalised, similarity
 from specmap_cli.segmentation.halving import split_again, subgraph
 from specmap_cli.segmentation.kmeans import bisect, kmeans_unit

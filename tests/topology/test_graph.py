@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.geometry import Pose2
-from specmap_cli.gridmap import FREE, GridMap
-from specmap_cli.records import Closure
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import Closure
+from specmap_cli.grids.gridmap import FREE, GridMap
 from specmap_cli.topology.graph import (
     RegionMerger,
     build_topology,
     first_visit_order,
     settle_labels,
 )
-from specmap_cli.topomap import TopologicalMap
+from specmap_cli.topology.topological_map import TopologicalMap
 
 
 def line_of_poses(count: int, step_m: float = 1.0) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""What all parts stand on: records, geometry, settings, errors, progress, text."""

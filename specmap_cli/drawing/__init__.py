@@ -1,0 +1,1 @@
+"""Pictures of finished maps, of predicted labels, of confusions and of split tests."""

@@ -1,0 +1,145 @@
+"""Pictures of maps: the overview of a build, predicted submaps, the regions of a finished map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import Labels, Trajectory
+from specmap_cli.core.text import counted
+from specmap_cli.drawing import symbols
+from specmap_cli.drawing.canvas import Image
+from specmap_cli.drawing.palette import Colour, colours_of
+from specmap_cli.drawing.sheet import Sheet, extent_of
+from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
+
+_JUMP_M = 1.5
+_STRAY_M = 2.0
+
+
+def render_overview(
+    topology: TopologicalMap, regions: Regions, trajectory: Trajectory, labels: Labels, log: LogInfo
+) -> Image:
+    """The map of a build: regions, walls, trajectory, and the graph over them; BGR (H, W, 3)."""
+    fills = colours_of(topology, regions)
+    places = trajectory.poses[:, :2]
+    kinds = {edge.kind for edge in topology.edges.values()}
+    low, high = extent_of(regions)
+    sheet = Sheet(low, high, symbols.overview_legend(kinds, _much_unreached(regions)))
+    sheet.ground(regions, fills)
+    _draw_path(sheet, places)
+    nodes = {
+        id_: _onto_the_way(node, labels.poses[labels.submaps == id_, :2])
+        for id_, node in _nodes(topology, regions).items()
+    }
+    _draw_graph(sheet, topology, nodes, fills)
+    if len(places):
+        first, last = sheet.pixels(places[[0, -1]])
+        symbols.start(sheet.canvas, first)
+        symbols.end(sheet.canvas, last)
+    figures = [counted(log.scans, "scan"), f"{labels.path_m:,.0f} m driven", _size(low, high)]
+    sheet.title(_headline(log, topology), ",  ".join(figures))
+    return sheet.canvas.image
+
+
+def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo) -> Image:
+    """A finished map cut into regions, with their ids and the doorways between them."""
+    fills = colours_of(topology, regions)
+    kinds = {edge.kind for edge in topology.edges.values()}
+    low, high = extent_of(regions)
+    sheet = Sheet(low, high, symbols.regions_legend(kinds))
+    sheet.ground(regions, fills)
+    _draw_graph(sheet, topology, _nodes(topology, regions), fills)
+    area = np.count_nonzero(regions.grid.free) * regions.grid.resolution**2
+    sheet.title(_headline(log, topology), f"{area:,.0f} m2 free,  {_size(low, high)}")
+    return sheet.canvas.image
+
+
+def _much_unreached(regions: Regions) -> bool:
+    """Whether the free cells that are nobody's are worth a word."""
+    free = regions.grid.free
+    return bool(np.count_nonzero(free & (regions.owner == NOBODY)) > 0.005 * free.sum())
+
+
+def _draw_path(sheet: Sheet, places: FloatArray) -> None:
+    """The trajectory, broken where the robot was lost and turned up elsewhere."""
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    for piece in np.split(places, np.flatnonzero(steps > _JUMP_M) + 1):
+        sheet.canvas.line(sheet.pixels(piece), symbols.PATH, 1)
+
+
+def _nodes(topology: TopologicalMap, regions: Regions) -> dict[int, FloatArray]:
+    """The places of the submaps' badges: their centroids, or the origins of their frames."""
+    nodes = {}
+    for id_, submap in topology.submaps.items():
+        centroid = regions.outline(id_).centroid
+        nodes[id_] = np.array(submap.map_from_submap[:2]) if centroid is None else centroid
+    return nodes
+
+
+def _onto_the_way(node: FloatArray, places: FloatArray) -> FloatArray:
+    """`node`, or the nearest of the places (N, 2) where the robot was if it is far from them all.
+
+    What a laser sees through a glass wall draws the centroid of a submap out of the building.
+    """
+    if not len(places):
+        return node
+    away = np.linalg.norm(places - node, axis=1)
+    return node if away.min() <= _STRAY_M else np.asarray(places[np.argmin(away)])
+
+
+def _draw_graph(
+    sheet: Sheet,
+    topology: TopologicalMap,
+    nodes: Mapping[int, FloatArray],
+    fills: Mapping[int, Colour],
+) -> None:
+    """Links through their crossings, then a badge on each submap."""
+    if not nodes:
+        return
+    ids = sorted(nodes)
+    centres = spread(sheet.pixels(np.array([nodes[id_] for id_ in ids])), symbols.BADGE_GAP)
+    at = dict(zip(ids, centres, strict=True))
+    for pair in sorted(topology.edges):
+        edge = topology.edges[pair]
+        crossing = [] if edge.crossing is None else list(sheet.pixels(np.array([edge.crossing])))
+        points = np.array([at[edge.source], *crossing, at[edge.target]])
+        symbols.edge(sheet.canvas, points, edge.kind)
+    for id_ in ids:
+        symbols.badge(sheet.canvas, at[id_], str(id_), fills[id_])
+
+
+def spread(centres: FloatArray, gap: float) -> FloatArray:
+    """`centres` (N, 2) moved apart, as little as it takes, until none are nearer than `gap`."""
+    moved = centres.copy()
+    for _ in range(100):
+        apart = moved[:, None] - moved[None]
+        distance = np.linalg.norm(apart, axis=-1)
+        np.fill_diagonal(distance, np.inf)
+        close = np.argwhere(np.triu(distance < gap - 1e-6))
+        if not len(close):
+            break
+        for i, j in close:
+            way = moved[i] - moved[j]
+            length = float(np.linalg.norm(way))
+            step = way / length if length > 1e-9 else np.array([0.0, 1.0])
+            push = 0.5 * max(0.0, gap - length) * step
+            moved[i] += push
+            moved[j] -= push
+    return moved
+
+
+def _headline(log: LogInfo, topology: TopologicalMap) -> str:
+    counts = [counted(len(topology.submaps), "submap"), counted(len(topology.edges), "link")]
+    merged = sum(closure.merged for closure in topology.closures)
+    if merged:
+        counts.append(counted(merged, "revisit") + " recognised")
+    return f"{log.name}:  {', '.join(counts)}"
+
+
+def _size(low: FloatArray, high: FloatArray) -> str:
+    width, height = high - low
+    return f"{width:.1f} x {height:.1f} m"

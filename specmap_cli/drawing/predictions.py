@@ -1,0 +1,151 @@
+"""The picture of predicted submaps along a trajectory (the paper's figure 6)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import NO_SUBMAP, IntArray
+from specmap_cli.drawing import symbols
+from specmap_cli.drawing.canvas import Image
+from specmap_cli.drawing.palette import (
+    WRONG,
+    Colour,
+    colour_graph,
+    colours_of,
+    darker,
+    paler,
+    vivid,
+)
+from specmap_cli.drawing.sheet import Sheet, extent_of
+from specmap_cli.grids.gridmap import BoolArray
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.topological_map import TopologicalMap
+
+_JUMP_M = 1.5
+_BORDER_M = 1.0
+_WIDTH = 6
+
+
+def render_labels(
+    places: FloatArray,
+    submaps: IntArray,
+    title: str,
+    figures: str = "",
+    *,
+    map_with_regions: tuple[TopologicalMap, Regions] | None = None,
+    truth: IntArray | None = None,
+) -> Image:
+    """The trajectory `places` (n, 2) in the colours of the predicted `submaps` (n,).
+
+    NO_SUBMAP is unknown. With a map, `places` are in its frame and lie over its regions; without
+    one they may be in any frame. `truth` (n,) marks the scans that were told another submap. Scans
+    without a place (NaN) are left out.
+    """
+    known = np.isfinite(places[:, :2]).all(axis=1)
+    places, submaps = np.asarray(places)[known, :2], np.asarray(submaps)[known]
+    fills = _fills(submaps, map_with_regions)
+    legend = symbols.labels_legend(
+        with_map=map_with_regions is not None,
+        with_unknown=bool((submaps == NO_SUBMAP).any()),
+        with_truth=truth is not None,
+    )
+    sheet = Sheet(*_extent(places, map_with_regions), legend)
+    if map_with_regions is not None:
+        _draw_ground(sheet, map_with_regions[1], fills)
+    if truth is not None:
+        wrong = (submaps != np.asarray(truth)[known]) & (submaps != NO_SUBMAP)
+        _draw_wrong(sheet, places, wrong)
+    _draw_predicted(sheet, places, submaps, fills)
+    sheet.title(title, figures)
+    return sheet.canvas.image
+
+
+def _fills(
+    submaps: IntArray, map_with_regions: tuple[TopologicalMap, Regions] | None
+) -> dict[int, Colour]:
+    """The colours of the map's own overview, or colours that differ along the trajectory."""
+    if map_with_regions is not None:
+        return colours_of(*map_with_regions)
+    ids = [int(id_) for id_ in np.unique(submaps) if id_ != NO_SUBMAP]
+    return colour_graph(ids, set(itertools.pairwise(submaps.tolist())))
+
+
+def _extent(
+    places: FloatArray, map_with_regions: tuple[TopologicalMap, Regions] | None
+) -> tuple[FloatArray, FloatArray]:
+    corners = (
+        [] if not len(places) else [places.min(axis=0) - _BORDER_M, places.max(axis=0) + _BORDER_M]
+    )
+    if map_with_regions is not None:
+        corners += list(extent_of(map_with_regions[1]))
+    if not corners:
+        return np.zeros(2), np.ones(2)
+    return np.min(corners, axis=0), np.max(corners, axis=0)
+
+
+def _draw_ground(sheet: Sheet, regions: Regions, fills: Mapping[int, Colour]) -> None:
+    """The regions, pale, with their ids."""
+    sheet.ground(regions, {id_: paler(fill) for id_, fill in fills.items()})
+    for id_, outline in sorted(regions.outlines.items()):
+        if outline.centroid is not None:
+            x, y = sheet.pixels(outline.centroid[None])[0]
+            sheet.canvas.text(x, y, str(id_), 22.0, darker(fills[id_], 0.8), "centre", bold=True)
+
+
+def _draw_wrong(sheet: Sheet, places: FloatArray, wrong: BoolArray) -> None:
+    for run in _runs(wrong.astype(np.int64), places):
+        if wrong[run.first]:
+            sheet.canvas.line(sheet.pixels(places[run.first : run.drawn_to]), WRONG, 2 * _WIDTH)
+
+
+def _draw_predicted(
+    sheet: Sheet, places: FloatArray, submaps: IntArray, fills: Mapping[int, Colour]
+) -> None:
+    """Runs of one prediction in its colour, each with a badge where there is room for one."""
+    pixels = sheet.pixels(places)
+    runs = list(_runs(submaps, places))
+    for run in runs:
+        id_ = int(submaps[run.first])
+        if id_ != NO_SUBMAP:
+            sheet.canvas.line(pixels[run.first : run.drawn_to], vivid(fills[id_]), _WIDTH)
+    for pixel in pixels[submaps == NO_SUBMAP]:
+        symbols.unknown(sheet.canvas, pixel)
+    taken: list[tuple[int, FloatArray]] = []
+    for run in sorted(runs, key=lambda run: run.first - run.end):
+        id_, middle = int(submaps[run.first]), pixels[(run.first + run.end) // 2]
+        if id_ != NO_SUBMAP and _has_room(id_, middle, taken):
+            symbols.badge(sheet.canvas, middle, str(id_), fills[id_])
+            taken.append((id_, middle))
+    if len(pixels):
+        symbols.start(sheet.canvas, pixels[0])
+
+
+def _has_room(id_: int, middle: FloatArray, taken: list[tuple[int, FloatArray]]) -> bool:
+    """Whether a badge fits: clear of all others, and well away from one of the same id."""
+    return all(
+        np.linalg.norm(middle - other) > symbols.BADGE_GAP * (5.0 if id_ == other_id else 1.0)
+        for other_id, other in taken
+    )
+
+
+class _Run(NamedTuple):
+    """Scans first..end - 1 share one value; their line is drawn up to scan drawn_to - 1."""
+
+    first: int
+    end: int
+    drawn_to: int
+
+
+def _runs(values: IntArray, places: FloatArray) -> Iterator[_Run]:
+    """Stretches of one value, broken where the robot jumps; lines of neighbours meet."""
+    jumps = np.linalg.norm(np.diff(places, axis=0), axis=1) > _JUMP_M
+    cuts = np.flatnonzero((np.diff(values) != 0) | jumps) + 1
+    ends = [*cuts.tolist(), len(values)] if len(values) else []
+    for first, end in itertools.pairwise([0, *ends]):
+        goes_on = end < len(values) and not jumps[end - 1]
+        yield _Run(first, end, end + 1 if goes_on else end)

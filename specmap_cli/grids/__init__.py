@@ -1,0 +1,1 @@
+"""Occupancy grids: integrated, cast in, matched, read and written; the store of keyframes."""

@@ -1,0 +1,161 @@
+"""A pose graph in the plane and its solution by robust Gauss-Newton.
+
+Minimises, over poses x_i, the sum of rho(e^T W e) with the error e of an edge (i, j), measured as
+`i_from_j` = z, written as the motion inv(z) inv(x_i) x_j and its information matrix W (Grisetti et
+al., "A Tutorial on Graph-Based SLAM", 2010). rho is Cauchy's kernel for edges that may be wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.linalg import splu
+
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
+from specmap_cli.core.records import IntArray
+
+EdgeKind = Literal["odometry", "loose", "closure", "nearby"]
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """An edge of the pose graph: `source_from_target` with its information matrix (3, 3).
+
+    `source` and `target` are keyframe numbers; the error it weighs is in the target's frame.
+    """
+
+    source: int
+    target: int
+    source_from_target: Pose2
+    information: FloatArray
+    kind: EdgeKind
+
+
+@dataclass(frozen=True, slots=True)
+class Edges:
+    """The same as arrays: `i`, `j` (E,) rows of the poses, `z` (E, 3), `w` (E, 3, 3).
+
+    `width` (E,) is the scale of Cauchy's kernel, inf for a plain square.
+    """
+
+    i: IntArray
+    j: IntArray
+    z: FloatArray
+    w: FloatArray
+    width: FloatArray
+
+    @classmethod
+    def of(cls, links: Sequence[Link], row: dict[int, int], width: dict[str, float]) -> Edges:
+        """Arrays of links; `row` maps keyframe numbers to rows, `width` kinds to kernels."""
+        return cls(
+            np.array([row[link.source] for link in links], dtype=np.int64),
+            np.array([row[link.target] for link in links], dtype=np.int64),
+            np.array([link.source_from_target for link in links]).reshape(-1, 3),
+            np.array([link.information for link in links]).reshape(-1, 3, 3),
+            np.array([width.get(link.kind, np.inf) for link in links]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """Optimised poses (n, 3), the robust cost, and each edge's chi2 = e^T W e."""
+
+    poses: FloatArray
+    cost: float
+    chi2: FloatArray
+    iterations: int
+
+
+def errors(poses: FloatArray, edges: Edges) -> FloatArray:
+    """(E, 3) the motion inv(z) inv(x_i) x_j of each edge."""
+    return compose(invert(edges.z), compose(invert(poses[edges.i]), poses[edges.j]))
+
+
+def squared(poses: FloatArray, edges: Edges) -> FloatArray:
+    """(E,) chi2 of each edge."""
+    e = errors(poses, edges)
+    return np.asarray(np.einsum("ea,eab,eb->e", e, edges.w, e), dtype=np.float64)
+
+
+def solve(poses: FloatArray, edges: Edges, iterations: int = 20) -> Solution:
+    """Poses (n, 3) that minimise the edges' robust cost, the first one held fixed.
+
+    Gauss-Newton with a sparse LU factorisation, damped (Levenberg) only when a step does not
+    lower the cost. Deterministic. Every pose must hang on the first by some chain of edges.
+    """
+    current = np.array(poses, dtype=np.float64)
+    if len(current) < 2 or not len(edges.i):
+        return Solution(current, 0.0, squared(current, edges), 0)
+    cost, damping, done = _cost(squared(current, edges), edges.width), 0.0, 0
+    while done < iterations:
+        done += 1
+        step = _step(current, edges, damping)
+        trial = current.copy()
+        trial[1:] += step
+        trial[:, 2] = wrap_angles(trial[:, 2])
+        trial_cost = _cost(squared(trial, edges), edges.width)
+        if not trial_cost < cost:
+            if damping > 1e6 or float(np.abs(step).max()) < 1e-7:
+                break
+            damping = max(1e-3, 10.0 * damping)
+            continue
+        settled = cost - trial_cost < 1e-6 * (1.0 + cost)
+        current, cost, damping = trial, trial_cost, damping / 10.0 if damping > 1e-4 else 0.0
+        if settled:
+            break
+    return Solution(current, cost, squared(current, edges), done)
+
+
+def _cost(chi2: FloatArray, width: FloatArray) -> float:
+    """Sum of Cauchy's kernel c^2 log(1 + chi2 / c^2), of chi2 itself where c is inf."""
+    plain = np.isinf(width)
+    c2 = np.where(plain, 1.0, width) ** 2
+    return float(np.where(plain, chi2, c2 * np.log1p(chi2 / c2)).sum())
+
+
+def _step(poses: FloatArray, edges: Edges, damping: float) -> FloatArray:
+    """The Gauss-Newton step (n - 1, 3) of all poses but the first."""
+    e = errors(poses, edges)
+    a, b = _jacobians(poses, edges)
+    chi2 = np.einsum("ea,eab,eb->e", e, edges.w, e)
+    weight = 1.0 / (1.0 + chi2 / edges.width**2)
+    w = edges.w * weight[:, None, None]
+    wa, wb = w @ a, w @ b
+    at, bt = a.transpose(0, 2, 1), b.transpose(0, 2, 1)
+    blocks = np.concatenate([at @ wa, at @ wb, bt @ wa, bt @ wb])
+    rows = np.concatenate([edges.i, edges.i, edges.j, edges.j])
+    columns = np.concatenate([edges.i, edges.j, edges.i, edges.j])
+    gradient = np.zeros((len(poses), 3))
+    np.add.at(gradient, edges.i, np.einsum("eba,eb->ea", wa, e))
+    np.add.at(gradient, edges.j, np.einsum("eba,eb->ea", wb, e))
+    free = (rows > 0) & (columns > 0)
+    k = np.arange(3)
+    r = (3 * (rows[free, None, None] - 1) + k[:, None]) + 0 * k
+    c = (3 * (columns[free, None, None] - 1) + k[None, :]) + 0 * k[:, None]
+    n = 3 * (len(poses) - 1)
+    hessian = coo_matrix((blocks[free].ravel(), (r.ravel(), c.ravel())), shape=(n, n)).tocsc()
+    diagonal = hessian.diagonal()
+    hessian.setdiag(diagonal * (1.0 + damping) + 1e-9)
+    factor = splu(hessian, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    return np.asarray(factor.solve(-gradient[1:].ravel()), dtype=np.float64).reshape(-1, 3)
+
+
+def _jacobians(poses: FloatArray, edges: Edges) -> tuple[FloatArray, FloatArray]:
+    """Derivatives (E, 3, 3) of the errors by the poses at either end."""
+    xi, xj = poses[edges.i], poses[edges.j]
+    d = xj[:, :2] - xi[:, :2]
+    ci, si = np.cos(xi[:, 2]), np.sin(xi[:, 2])
+    cz, sz = np.cos(edges.z[:, 2]), np.sin(edges.z[:, 2])
+    ri = np.array([[ci, si], [-si, ci]]).transpose(2, 0, 1)  # transposed rotation of x_i
+    rz = np.array([[cz, sz], [-sz, cz]]).transpose(2, 0, 1)
+    turned = np.stack([-si * d[:, 0] + ci * d[:, 1], -ci * d[:, 0] - si * d[:, 1]], axis=1)
+    a, b = np.zeros((len(d), 3, 3)), np.zeros((len(d), 3, 3))
+    b[:, :2, :2] = rz @ ri
+    a[:, :2, :2] = -b[:, :2, :2]
+    a[:, :2, 2] = np.einsum("eab,eb->ea", rz, turned)
+    a[:, 2, 2], b[:, 2, 2] = -1.0, 1.0
+    return a, b

@@ -1,0 +1,216 @@
+"""Topological maps as the records of topology.json, and back."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import Closure
+from specmap_cli.core.text import nanoseconds, rounded, seconds
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.maps.schema import (
+    SCHEMA_VERSION,
+    ClosureRecord,
+    EdgeRecord,
+    GraphRecord,
+    LogRecord,
+    NodeRecord,
+    TopologyRecord,
+    TraversalRecord,
+    VisitRecord,
+)
+from specmap_cli.topology.outlines import Outline
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.topological_map import (
+    Edge,
+    LogInfo,
+    Submap,
+    TopologicalMap,
+    Traversal,
+    Visit,
+)
+
+
+def image_stem(submap: int) -> str:
+    """Where the grid of a submap is kept in the map directory, without the suffix."""
+    return f"submaps/{submap:03d}"
+
+
+def to_record(
+    topology: TopologicalMap, regions: Regions, log: LogInfo, frame: str = "map"
+) -> TopologyRecord:
+    """The contents of topology.json: submaps and edges by id, closures in the order considered."""
+    return TopologyRecord(
+        directed=False,
+        multigraph=False,
+        graph=GraphRecord(
+            schema_version=SCHEMA_VERSION,
+            frame=frame,
+            log=LogRecord(
+                name=log.name,
+                start=None if log.start_ns is None else seconds(log.start_ns),
+                end=None if log.end_ns is None else seconds(log.end_ns),
+                scans=log.scans,
+            ),
+            closures=[_closure_record(closure) for closure in topology.closures],
+        ),
+        nodes=[
+            _node_record(topology.submaps[id_], regions.outline(id_))
+            for id_ in sorted(topology.submaps)
+        ],
+        edges=[
+            _edge_record(topology.edges[pair], topology, regions) for pair in sorted(topology.edges)
+        ],
+    )
+
+
+def from_record(
+    record: TopologyRecord,
+    grid_of: Callable[[NodeRecord], GridMap],
+    keyframes_of: Callable[[int], list[int]],
+) -> TopologicalMap:
+    """The map of a topology.json; grids and keyframe numbers come from the files beside it."""
+    return TopologicalMap(
+        submaps={
+            node.id: _submap(node, grid_of(node), keyframes_of(node.id) if node.scans else [])
+            for node in record.nodes
+        },
+        edges={(edge.source, edge.target): _edge(edge) for edge in record.edges},
+        closures=[_closure(closure) for closure in record.graph.closures],
+    )
+
+
+def _numbers(values: Iterable[float]) -> tuple[float, ...]:
+    return tuple(float(rounded(float(value)) or 0.0) for value in values)
+
+
+def _transform(pose: Pose2) -> tuple[float, float, float]:
+    x, y, theta = _numbers(pose)
+    return x, y, theta
+
+
+def _point(point: Iterable[float]) -> tuple[float, float]:
+    x, y = _numbers(point)
+    return x, y
+
+
+def _node_record(submap: Submap, shape: Outline) -> NodeRecord:
+    x, y, theta = _transform(submap.map_from_submap)
+    return NodeRecord(
+        id=submap.id,
+        name=submap.name or f"submap {submap.id}",
+        x=x,
+        y=y,
+        theta=theta,
+        centroid=None if shape.centroid is None else _point(shape.centroid),
+        polygon=[_point(point) for point in shape.polygon],
+        area_m2=_numbers([shape.area_m2])[0],
+        scans=len(submap.keyframes),
+        visits=[
+            VisitRecord(start=seconds(visit.start_ns), end=seconds(visit.end_ns))
+            for visit in submap.visits
+        ],
+        image=image_stem(submap.id) + ".png",
+    )
+
+
+def _edge_record(edge: Edge, topology: TopologicalMap, regions: Regions) -> EdgeRecord:
+    crossing = edge.crossing
+    ends = []
+    for id_ in (edge.source, edge.target):
+        centroid = regions.outline(id_).centroid
+        ends.append(topology.submaps[id_].map_from_submap[:2] if centroid is None else centroid)
+    stops = [ends[0], *([] if crossing is None else [crossing]), ends[1]]
+    way = sum(math.dist(a, b) for a, b in itertools.pairwise(stops))
+    return EdgeRecord(
+        source=edge.source,
+        target=edge.target,
+        kind=edge.kind,
+        traversals=[_traversal_record(traversal) for traversal in edge.traversals],
+        x=None if crossing is None else rounded(crossing[0]),
+        y=None if crossing is None else rounded(crossing[1]),
+        distance_m=_numbers([way])[0],
+        width_m=None if edge.width_m is None else rounded(edge.width_m),
+        transform=_transform(edge.source_from_target),
+    )
+
+
+def _traversal_record(traversal: Traversal) -> TraversalRecord:
+    x, y, theta = _transform(traversal.pose)
+    return TraversalRecord(
+        stamp=seconds(traversal.stamp_ns),
+        from_=traversal.source,
+        to=traversal.target,
+        x=x,
+        y=y,
+        theta=theta,
+    )
+
+
+def _closure_record(closure: Closure) -> ClosureRecord:
+    transform = closure.old_from_new
+    return ClosureRecord(
+        new=closure.new,
+        old=closure.old,
+        xi=rounded(closure.xi),
+        claims_new_by_old=rounded(closure.claims_new_by_old),
+        claims_old_by_new=rounded(closure.claims_old_by_new),
+        verified=closure.verified,
+        score=rounded(closure.score),
+        accepted=closure.merged,
+        reason=closure.reason,
+        transform=None if transform is None else _transform(transform),
+    )
+
+
+def _submap(node: NodeRecord, grid: GridMap, keyframes: list[int]) -> Submap:
+    frame = Pose2(node.x, node.y, node.theta)
+    polygon = np.array(node.polygon, dtype=np.float64).reshape(-1, 2)
+    return Submap(
+        id=node.id,
+        map_from_submap=frame,
+        keyframes=keyframes,
+        visits=[Visit(nanoseconds(v.start), nanoseconds(v.end)) for v in node.visits],
+        grid=grid,
+        polygon=frame.inverse().apply(polygon),
+        name=node.name,
+    )
+
+
+def _edge(edge: EdgeRecord) -> Edge:
+    place = None if edge.x is None or edge.y is None else (edge.x, edge.y)
+    return Edge(
+        source=edge.source,
+        target=edge.target,
+        kind=edge.kind,
+        traversals=[
+            Traversal(nanoseconds(t.stamp), t.from_, t.to, Pose2(t.x, t.y, t.theta))
+            for t in edge.traversals
+        ],
+        source_from_target=Pose2(*edge.transform),
+        doorway=None if edge.traversals else place,
+        width_m=edge.width_m,
+    )
+
+
+def _closure(closure: ClosureRecord) -> Closure:
+    return Closure(
+        new=closure.new,
+        old=closure.old,
+        xi=_or_nan(closure.xi),
+        claims_new_by_old=_or_nan(closure.claims_new_by_old),
+        claims_old_by_new=_or_nan(closure.claims_old_by_new),
+        verified=closure.verified,
+        merged=closure.accepted,
+        score=_or_nan(closure.score),
+        reason=closure.reason,
+        old_from_new=None if closure.transform is None else Pose2(*closure.transform),
+    )
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value

@@ -1,0 +1,163 @@
+"""An output directory that appears complete or not at all.
+
+Everything is written to a hidden sibling of the target, which is renamed into place at the end.
+The sibling is made on entering, before the long work, so that a target that cannot be written is
+told at once and not after an hour.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import threading
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType, TracebackType
+
+from specmap_cli.core.errors import UsageError
+
+# A directory that holds this file was written by us and may be replaced when asked to.
+MARKER = "topology.json"
+
+
+class OutputDirectory:
+    """`with OutputDirectory(path) as partial:` write into `partial`; leaving renames it to `path`.
+
+    An exception inside, an interruption included, removes what was written. An existing map is
+    replaced only with `overwrite`, and only once its successor is complete; a directory that holds
+    anything but a map is never touched. Raises UsageError, on entering where possible.
+    """
+
+    def __init__(self, path: Path, overwrite: bool = False) -> None:
+        self.path = path
+        self.overwrite = overwrite
+        self._target = Path(os.path.realpath(path))
+        self._token = os.urandom(4).hex()
+        self._partial = self._sibling("partial")
+        self._parents: list[Path] = []
+        # Also runs at the exit of the interpreter: an interruption between the lines of the
+        # methods below leaves nothing behind either.
+        self._clean_up = weakref.finalize(self, _remove, self._partial, self._parents)
+
+    def __enter__(self) -> Path:
+        try:
+            self._check_target()
+            self._make_parents()
+            self._partial.mkdir()
+        except OSError as error:
+            self._clean_up()
+            raise UsageError(
+                f"{self.path}: cannot write there: {self._target.parent}: {error.strerror}; "
+                "choose another output directory"
+            ) from None
+        return self._partial
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            if kind is None:
+                self._commit()
+        finally:
+            self._clean_up()
+
+    def _sibling(self, role: str) -> Path:
+        """A hidden neighbour of the target: same file system, so that a rename is atomic."""
+        return self._target.parent / f".{self._target.name}.{role}-{self._token}"
+
+    def _check_target(self) -> None:
+        """Refuse a target that must not be replaced."""
+        if not self._target.name:
+            raise UsageError(f"{self.path}: not a place for a map: choose a directory of its own")
+        if not os.path.lexists(self._target):
+            return
+        if not self._target.is_dir():
+            raise UsageError(f"{self.path}: is a file: choose a directory that does not exist yet")
+        if os.path.ismount(self._target):
+            raise UsageError(f"{self.path}: is a mount point: choose a directory inside it")
+        if not any(self._target.iterdir()):
+            return
+        if not (self._target / MARKER).is_file():
+            raise UsageError(
+                f"{self.path}: is not empty and holds no map (no {MARKER} in it): "
+                "choose another output directory"
+            )
+        if not self.overwrite:
+            raise UsageError(
+                f"{self.path}: already holds a map: use --overwrite to replace it, or another --out"
+            )
+
+    def _make_parents(self) -> None:
+        missing = self._target.parent
+        while not missing.exists():
+            self._parents.append(missing)
+            missing = missing.parent
+        for parent in reversed(self._parents):
+            parent.mkdir(exist_ok=True)
+
+    def _commit(self) -> None:
+        """Put the finished directory in place of the target."""
+        replaced = self._sibling("replaced")
+        try:
+            self._check_target()
+            with _signals_held():
+                self._swap(replaced)
+                shutil.rmtree(replaced, ignore_errors=True)
+        except OSError as error:
+            raise UsageError(
+                f"{self.path}: cannot put the finished directory in place: {error.strerror}"
+            ) from None
+
+    def _swap(self, replaced: Path) -> None:
+        """Old away, new in; the old one comes back when the new one cannot take its place."""
+        present = self._target.exists()
+        if present:
+            os.rename(self._target, replaced)
+        try:
+            os.rename(self._partial, self._target)
+        except BaseException:
+            if present:
+                os.rename(replaced, self._target)
+            raise
+
+
+def _remove(partial: Path, parents: list[Path]) -> None:
+    """Take back what entering made: the partial directory, and its parents while they are empty.
+
+    After the partial directory was renamed there is nothing to take back.
+    """
+    with _signals_held():
+        shutil.rmtree(partial, ignore_errors=True)
+        for parent in parents:
+            try:
+                parent.rmdir()
+            except OSError:
+                return
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Hold SIGINT and SIGTERM back while the few system calls inside run, then deliver them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+
+    def remember(number: int, _frame: FrameType | None) -> None:
+        received.append(number)
+
+    held = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, remember) for number in held}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        for pending in received:
+            os.kill(os.getpid(), pending)

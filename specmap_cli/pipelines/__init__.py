@@ -1,0 +1,1 @@
+"""The order of the stages, one pipeline a module, each on one screen, and what only they need."""

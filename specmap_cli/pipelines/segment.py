@@ -1,0 +1,108 @@
+"""An existing occupancy grid into submaps: from a map file to a directory, without a robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from specmap_cli.core.config import Config
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.geometry import IDENTITY
+from specmap_cli.core.text import counted, legible
+from specmap_cli.drawing.overview import render_segmentation
+from specmap_cli.drawing.split_tests import draw_segmentation
+from specmap_cli.grids.map_server import read_grid, write_png
+from specmap_cli.maps.directory import OutputDirectory
+from specmap_cli.maps.store import write_segmentation
+from specmap_cli.segmentation.floorplan import (
+    FloorplanResult,
+    segment_floorplan,
+    submap_grid,
+)
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.topological_map import Edge, LogInfo, Submap, TopologicalMap
+
+_COARSEST_M = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PartitionReport:
+    """What `segment` did."""
+
+    out: Path
+    result: FloorplanResult
+
+    def as_dict(self) -> dict[str, Any]:
+        """Counts and areas."""
+        return {
+            "out": str(self.out),
+            "submaps": len(self.result.submaps),
+            "edges": len(self.result.edges),
+            "area_m2": round(sum(submap.area_m2 for submap in self.result.submaps), 3),
+        }
+
+    def lines(self) -> list[str]:
+        """A summary in two lines."""
+        counts = self.as_dict()
+        return [
+            f"{self.out}: {counted(counts['submaps'], 'submap')}, "
+            f"{counted(counts['edges'], 'edge')}, "
+            f"{counts['area_m2']:.0f} m2",
+            f"look at {self.out / 'overview.png'}",
+        ]
+
+
+def partition_map(
+    path: Path,
+    out: Path,
+    config: Config,
+    *,
+    resolution: float | None = None,
+    overwrite: bool = False,
+    explain: Path | None = None,
+) -> PartitionReport:
+    """Divide the grid in a map file into submaps and write them to the directory `out`.
+
+    `resolution` (metres a pixel) is needed for a bare picture. `explain` is a PNG to write of what
+    was looked at: nodes, sight lines, eigenvalues. Raises MapError for a file that is
+    no map, NoResultError when it has no room for a node, UsageError for an output in the way.
+    """
+    grid = read_grid(path, resolution)
+    if grid.resolution > _COARSEST_M:
+        height, width = (side * grid.resolution for side in grid.cells.shape)
+        raise UsageError(
+            f"{path}: {grid.resolution:g} m a pixel make it {width:.0f} m x {height:.0f} m, too "
+            "coarse to see a door: check the resolution; 0.05 m is usual"
+        )
+    result = segment_floorplan(grid, config.segmentation)
+    regions = Regions.of(grid, np.asarray(result.segmentation.labels, dtype=np.int64))
+    with OutputDirectory(out, overwrite) as partial:
+        topology, info = _topology(result), LogInfo(legible(path.name))
+        overview = render_segmentation(topology, regions, info)
+        write_segmentation(partial, topology, regions, info, overview)
+        if explain is not None:
+            least = config.segmentation.eigenvalue_min
+            write_png(explain, draw_segmentation(grid, result.segmentation, least))
+    return PartitionReport(out, result)
+
+
+def _topology(result: FloorplanResult) -> TopologicalMap:
+    """The regions as submaps, all in the frame of the map, with an edge for each doorway."""
+    topology = TopologicalMap()
+    for region in result.submaps:
+        topology.submaps[region.id] = Submap(
+            region.id, IDENTITY, [], [], submap_grid(result, region.id), region.polygon
+        )
+    for found in result.edges:
+        door = found.doorways[0]
+        topology.edges[found.source, found.target] = Edge(
+            found.source,
+            found.target,
+            "doorway",
+            doorway=(door.x, door.y),
+            width_m=door.width_m,
+        )
+    return topology

@@ -1,0 +1,1 @@
+"""Section III-C of the paper: claims between submaps, the match of their grids, loop closures."""

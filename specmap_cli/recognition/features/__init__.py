@@ -1,0 +1,1 @@
+"""Section III-B of the paper: rotation-invariant features of one scan, in named sets."""

@@ -1,0 +1,1 @@
+"""Section III-A of the paper: boosted one-vs-all classifiers of features, and their JSON."""

@@ -1,0 +1,1 @@
+"""Section IV-B of the paper: in which submap, and where in it, was a scan taken?"""

@@ -1,0 +1,1 @@
+"""Simulated recordings: worlds of floor plans, tours, lasers and odometry with errors."""

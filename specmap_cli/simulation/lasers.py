@@ -1,0 +1,128 @@
+"""A planar laser and wheel odometry, with their errors, on a robot that follows a drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.simulation.driving import Drive
+from specmap_cli.simulation.worlds import World
+
+_NEAREST_M = 0.02  # noise never makes a return nearer than this
+_BATCH = 64  # scans cast at once
+
+
+@dataclass(frozen=True, slots=True)
+class Laser:
+    """A planar laser: `bearings` (B,) in its own frame, mounted at `base_from_laser`.
+
+    `noise_m` is the standard deviation of a range, `step_m` what ranges are rounded to,
+    `dropouts` the share of beams that lose their return, `sweep_s` the time from the first beam of
+    a scan to the last.
+    """
+
+    bearings: FloatArray
+    range_max_m: float
+    base_from_laser: Pose2
+    noise_m: float = 0.0
+    step_m: float = 0.0
+    dropouts: float = 0.0
+    sweep_s: float = 0.0
+
+    @property
+    def increment(self) -> float:
+        """Angle from beam to beam."""
+        return float(self.bearings[-1] - self.bearings[0]) / (len(self.bearings) - 1)
+
+    @property
+    def beam_times_s(self) -> FloatArray:
+        """(B,) seconds of each beam after the scan's stamp, which is the first beam's."""
+        return np.linspace(0.0, self.sweep_s, len(self.bearings))
+
+    def scans(
+        self, world: World, drive: Drive, times_s: FloatArray, rng: np.random.Generator
+    ) -> Iterator[FloatArray]:
+        """Measured ranges (B,) of the scans that begin at the times (n,), +inf = no return."""
+        for first in range(0, len(times_s), _BATCH):
+            begins = times_s[first : first + _BATCH]
+            times = begins[:, None] + self.beam_times_s[None, :]
+            lasers = compose(drive.at(times), np.array(self.base_from_laser))
+            angles = lasers[..., 2] + self.bearings
+            origins = lasers[..., :2].reshape(-1, 2)
+            ranges = world.cast(origins, angles.reshape(-1), self.range_max_m)
+            yield from self._measured(ranges.reshape(times.shape), rng)
+
+    def _measured(self, ranges: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """True ranges as this laser reports them, in float32's precision."""
+        measured = ranges + rng.normal(0.0, self.noise_m, ranges.shape)
+        if self.step_m > 0.0:
+            measured = np.round(measured / self.step_m) * self.step_m
+        measured = np.maximum(measured, _NEAREST_M)
+        measured[rng.random(ranges.shape) < self.dropouts] = np.inf
+        measured[measured > self.range_max_m] = np.inf
+        return np.asarray(measured.astype(np.float32), dtype=np.float64)
+
+
+def laser_bearings(field_of_view_rad: float, beams: int) -> FloatArray:
+    """Bearings (B,) centred on straight ahead; of a full circle the last one is left out."""
+    half = 0.5 * field_of_view_rad
+    full = field_of_view_rad >= 2.0 * math.pi - 1e-9
+    return np.linspace(-half, half, beams, endpoint=not full)
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryErrors:
+    """How wheel odometry drifts: random walks, and errors of the calibration.
+
+    A random error grows with the square root of the way: its standard deviation is that after one
+    metre or one radian. The calibration's errors are relative (`..._scale`) or, for wheels of
+    unequal size, radians a metre (`veer_per_m`).
+    """
+
+    translation_per_m: float = 0.01
+    rotation_per_m: float = 0.01
+    rotation_per_rad: float = 0.02
+    distance_scale: float = 0.01
+    turn_scale: float = 0.01
+    veer_per_m: float = 0.003
+
+    def times(self, factor: float) -> OdometryErrors:
+        """All errors made larger or smaller."""
+        return OdometryErrors(
+            factor * self.translation_per_m,
+            factor * self.rotation_per_m,
+            factor * self.rotation_per_rad,
+            factor * self.distance_scale,
+            factor * self.turn_scale,
+            factor * self.veer_per_m,
+        )
+
+
+def drifting_odometry(
+    poses: FloatArray, errors: OdometryErrors, rng: np.random.Generator
+) -> FloatArray:
+    """Dead reckoning (n, 3) along true poses (n, 3), from the origin, angles unwrapped."""
+    steps = compose(invert(poses[:-1]), poses[1:])
+    way = np.hypot(steps[:, 0], steps[:, 1])
+    turn = np.abs(steps[:, 2])
+    slip = rng.normal(0.0, 1.0, (len(steps), 3))
+    along = errors.translation_per_m * np.sqrt(way)
+    measured = np.empty_like(steps)
+    measured[:, 0] = steps[:, 0] * (1.0 + errors.distance_scale) + slip[:, 0] * along
+    measured[:, 1] = steps[:, 1] * (1.0 + errors.distance_scale) + slip[:, 1] * 0.5 * along
+    random_turn = np.hypot(
+        errors.rotation_per_m * np.sqrt(way), errors.rotation_per_rad * np.sqrt(turn)
+    )
+    measured[:, 2] = steps[:, 2] * (1.0 + errors.turn_scale) + errors.veer_per_m * way
+    measured[:, 2] += slip[:, 2] * random_turn
+    heading = np.concatenate([[0.0], np.cumsum(measured[:, 2])])
+    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
+    moved = np.column_stack(
+        [c * measured[:, 0] - s * measured[:, 1], s * measured[:, 0] + c * measured[:, 1]]
+    )
+    places = np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)])
+    return np.column_stack([places, heading])

@@ -1,0 +1,212 @@
+"""Tours: a path through all the space a robot can reach, and how it is driven.
+
+Targets are spread over the reachable space, ordered by nearest neighbour and 2-opt, joined by the
+shortest paths on a lattice that prefers to keep away from walls, and smoothed. The drive limits
+speed, acceleration and turn rate, and turns in place at sharp corners.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra, shortest_path
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.simulation.worlds import World
+
+IndexArray = NDArray[np.intp]
+
+_LATTICE_M = 0.1  # distance of the lattice's nodes
+_COMFORT_M = 0.8  # farther from a wall is no better
+_WALL_COST = 4.0  # how much longer a way along a wall counts
+_STEP_M = 0.05  # distance of the path's points
+_SMOOTHINGS = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """The reachable space as a graph of nodes `points` (n, 2) with their `clearance` (n,).
+
+    `lengths` and `costs` (n, n) hold the metres between neighbours, and more of them near walls.
+    """
+
+    points: FloatArray
+    clearance: FloatArray
+    lengths: csr_matrix
+    costs: csr_matrix
+    area_m2: float
+
+
+def reachable_space(world: World, radius_m: float) -> Lattice:
+    """The largest connected part of the plan in which a disc of `radius_m` fits.
+
+    Raises MapError when it fits nowhere.
+    """
+    stride = max(1, round(_LATTICE_M / world.plan.resolution))
+    rows, columns = (np.arange(stride // 2, side, stride) for side in world.plan.cells.shape)
+    cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
+    centres = world.plan.centres_of(cells.reshape(-1, 2))
+    clearance = world.clearance_at(centres)
+    open_ = clearance >= radius_m
+    if not open_.any():
+        raise MapError(
+            f"the plan has no free space for a robot of radius {radius_m:g} m: check its "
+            "resolution and that free space is white"
+        )
+    number = np.where(open_, np.cumsum(open_) - 1, -1).reshape(len(rows), len(columns))
+    spacing = stride * world.plan.resolution
+    lengths = _lattice_lengths(number, spacing)
+    _, part = connected_components(lengths, directed=False)
+    kept = np.flatnonzero(part == np.bincount(part).argmax())
+    points, clearance = centres[open_][kept], clearance[open_][kept]
+    lengths = csr_matrix(lengths[kept][:, kept])
+    area = len(kept) * spacing**2
+    return Lattice(points, clearance, lengths, _costs(lengths, clearance), area)
+
+
+def _lattice_lengths(number: IndexArray, spacing_m: float) -> csr_matrix:
+    """Metres (n, n) between the eight neighbours of each node, by the nodes' numbers (H, W)."""
+    sources, targets, lengths = [], [], []
+    for rows, columns in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        a = number[: number.shape[0] - rows, max(-columns, 0) : number.shape[1] - max(columns, 0)]
+        b = number[rows:, max(columns, 0) : number.shape[1] - max(-columns, 0)]
+        both = (a >= 0) & (b >= 0)
+        i, j = a[both], b[both]
+        sources.append(i)
+        targets.append(j)
+        lengths.append(np.full(len(i), spacing_m * math.hypot(rows, columns)))
+    i, j, length = np.concatenate(sources), np.concatenate(targets), np.concatenate(lengths)
+    n = int(number.max()) + 1
+    half = csr_matrix((length, (i, j)), shape=(n, n))
+    return csr_matrix(half + half.T)
+
+
+def _costs(lengths: csr_matrix, clearance: FloatArray) -> csr_matrix:
+    """The lengths (n, n), up to `1 + _WALL_COST` times as much along walls."""
+    near_wall = np.clip(1.0 - clearance / _COMFORT_M, 0.0, 1.0) ** 2
+    edges = lengths.tocoo()
+    dearer = 1.0 + _WALL_COST * 0.5 * (near_wall[edges.row] + near_wall[edges.col])
+    return csr_matrix((edges.data * dearer, (edges.row, edges.col)), shape=lengths.shape)
+
+
+def plan_tour(
+    world: World, lattice: Lattice, radius_m: float, spacing_m: float, laps: int, rng: Any
+) -> FloatArray:
+    """A path (N, 2) that comes within about `spacing_m` of every reachable point in each lap.
+
+    `rng` is the seeded numpy Generator that draws the start and each lap's targets, so that every
+    lap and every seed is a new path. Each lap starts where the one before ended.
+    """
+    here = int(rng.choice(len(lattice.points), p=_preference(lattice, np.inf)))
+    nodes = [np.array([here])]
+    for _ in range(laps):
+        targets = _spread_targets(lattice, here, spacing_m, rng)
+        distances = _distances(lattice, targets, spacing_m)
+        order = shortest_order(distances)
+        for a, b in pairwise(order):
+            nodes.append(_way(lattice, int(targets[a]), int(targets[b]), distances[a, b]))
+        here = int(targets[order[-1]])
+    return _smooth(world, lattice.points[np.concatenate(nodes)], radius_m)
+
+
+def _preference(lattice: Lattice, distance: Any) -> FloatArray:
+    """(n,) probability of each node as a target: none where covered, more away from walls."""
+    weight = np.where(np.isinf(distance), np.minimum(lattice.clearance, _COMFORT_M) ** 2, 0.0)
+    return np.asarray(weight / weight.sum(), dtype=np.float64)
+
+
+def _spread_targets(lattice: Lattice, start: int, spacing_m: float, rng: Any) -> IndexArray:
+    """Nodes, `start` first, of which one is within `spacing_m` of every node of the lattice."""
+    targets = [start]
+    distance = dijkstra(lattice.lengths, indices=start, limit=spacing_m)
+    while np.isinf(distance).any():
+        targets.append(int(rng.choice(len(distance), p=_preference(lattice, distance))))
+        near = dijkstra(lattice.lengths, indices=targets[-1], limit=spacing_m)
+        distance = np.minimum(distance, near)
+    return np.array(targets, dtype=np.intp)
+
+
+def _distances(lattice: Lattice, targets: IndexArray, spacing_m: float) -> FloatArray:
+    """Costs (t, t) between targets, by way of their neighbours, which is enough to order them.
+
+    Neighbours within 2.5 spacings join all: along any way, the target nearest to its points
+    changes only between targets less than two spacings and a step apart.
+    """
+    limit = 2.5 * spacing_m * (1.0 + _WALL_COST)
+    n = len(targets)
+    near = np.zeros((n, n))
+    for row, target in enumerate(targets):
+        reached = dijkstra(lattice.costs, indices=target, limit=limit)[targets]
+        near[row] = np.where(np.isfinite(reached), reached, 0.0)
+    return np.asarray(shortest_path(csr_matrix(near), directed=False), dtype=np.float64)
+
+
+def shortest_order(distances: FloatArray) -> IndexArray:
+    """An order (t,) of the targets, the first one first: nearest neighbour, then 2-opt."""
+    n = len(distances)
+    order = [0]
+    left = np.ones(n, dtype=bool)
+    left[0] = False
+    while left.any():
+        order.append(int(np.where(left, distances[order[-1]], np.inf).argmin()))
+        left[order[-1]] = False
+    tour = np.array(order, dtype=np.intp)
+    for _ in range(20 * n):
+        first, last, gain = _best_reversal(distances, tour)
+        if gain <= 1e-9:
+            break
+        tour[first : last + 1] = tour[first : last + 1][::-1]
+    return tour
+
+
+def _best_reversal(distances: FloatArray, tour: IndexArray) -> tuple[int, int, float]:
+    """The stretch first..last (first > 0) whose reversal shortens an open tour most."""
+    n = len(tour)
+    if n < 3:
+        return 0, 0, 0.0
+    before, inner = tour[:-1], tour[1:]
+    step = distances[before, inner]
+    after_step = np.append(step[1:], 0.0)  # the last stretch has nothing behind it
+    joined = np.zeros((n - 1, n - 1))
+    joined[:, :-1] = distances[np.ix_(inner, inner[1:])]
+    gain = step[:, None] + after_step[None, :] - distances[np.ix_(before, inner)] - joined
+    gain[np.tril_indices(n - 1)] = 0.0
+    first, last = np.unravel_index(int(gain.argmax()), gain.shape)
+    return int(first) + 1, int(last) + 1, float(gain[first, last])
+
+
+def _way(lattice: Lattice, source: int, target: int, at_most: float) -> IndexArray:
+    """Nodes of the cheapest way from `source`, itself left out, to `target`."""
+    limit = at_most * (1.0 + 1e-9) + 1e-9
+    _, before = dijkstra(lattice.costs, indices=source, limit=limit, return_predecessors=True)
+    way = [target]
+    while way[-1] != source:
+        way.append(int(before[way[-1]]))
+    return np.array(way[-2::-1], dtype=np.intp)
+
+
+def _smooth(world: World, path: FloatArray, radius_m: float) -> FloatArray:
+    """The path without the lattice's corners; no point moves to where the robot does not fit."""
+    points = _resample(path)
+    for _ in range(_SMOOTHINGS):
+        moved = points.copy()
+        moved[1:-1] = 0.25 * points[:-2] + 0.5 * points[1:-1] + 0.25 * points[2:]
+        fits = world.clearance_at(moved) >= radius_m
+        points[fits] = moved[fits]
+    return _resample(points)
+
+
+def _resample(path: FloatArray) -> FloatArray:
+    """The same path with points at equal distances of about `_STEP_M`."""
+    steps = np.hypot(*np.diff(path, axis=0).T)
+    at = np.concatenate([[0.0], np.cumsum(steps)])
+    count = max(2, round(at[-1] / _STEP_M) + 1)
+    wanted = np.linspace(0.0, at[-1], count)
+    return np.column_stack([np.interp(wanted, at, path[:, axis]) for axis in (0, 1)])

@@ -1,0 +1,91 @@
+"""The outline of a submap: the outer contour of its free cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.grids.gridmap import BoolArray, GridMap
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """A region's shape in metres: `polygon` (N, 2) counter-clockwise and `centroid` (2,).
+
+    Both are those of the largest connected part; `area_m2` is that of all cells. A region without a
+    cell has no points, None and zero.
+    """
+
+    polygon: FloatArray
+    centroid: FloatArray | None
+    area_m2: float
+
+
+NOTHING = Outline(np.zeros((0, 2)), None, 0.0)
+
+
+def outline(grid: GridMap) -> Outline:
+    """The outline of the free cells of `grid`, in the grid's frame."""
+    return outline_of(grid.free, grid)
+
+
+def outline_of(region: BoolArray, grid: GridMap) -> Outline:
+    """The outline of the cells `region` (H, W) of `grid`, simplified to within a cell's side.
+
+    The centroid is the centre of the region's cell nearest the mean of its cells, so that it lies
+    inside a region of any shape.
+    """
+    if not region.any():
+        return NOTHING
+    part = _largest_part(region)
+    return Outline(
+        _contour(part) * grid.resolution + grid.origin,
+        grid.centres_of(_middle(part)[None])[0],
+        float(np.count_nonzero(region)) * grid.resolution**2,
+    )
+
+
+def _largest_part(region: BoolArray) -> BoolArray:
+    """The largest 4-connected part of a region, the first of equals."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+        region.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S
+    )
+    return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+
+
+def _middle(region: BoolArray) -> NDArray[np.intp]:
+    """Row and column of the cell of a region nearest the mean of its cells."""
+    counts = [np.count_nonzero(region, axis=axis) for axis in (1, 0)]
+    mean = np.array([np.average(np.arange(len(count)), weights=count) for count in counts])
+    cell = np.round(mean).astype(np.intp)
+    if region[cell[0], cell[1]]:
+        return cell
+    eroded = cv2.erode(region.astype(np.uint8), np.ones((3, 3), dtype=np.uint8))
+    border = np.argwhere(region & (eroded == 0))
+    return np.asarray(border[np.argmin(np.sum((border - mean) ** 2, axis=1))])
+
+
+def _contour(region: BoolArray) -> FloatArray:
+    """(N, 2) columns and rows of the outer contour of one connected region, counter-clockwise.
+
+    Cell (row, column) covers [column, column + 1) x [row, row + 1).
+    """
+    # Doubled, so that the contour runs a quarter of a cell inside the region, not along centres,
+    # where a passage one cell wide would have no area.
+    doubled = cv2.resize(
+        region.astype(np.uint8), None, fx=2.0, fy=2.0, interpolation=cv2.INTER_NEAREST
+    )
+    doubled = cv2.copyMakeBorder(doubled, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,))
+    contours, _ = cv2.findContours(doubled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    ring = max(contours, key=cv2.contourArea)
+    simple = cv2.approxPolyDP(ring, 2.0, True)
+    if cv2.contourArea(simple) < 0.8 * cv2.contourArea(ring):  # a region thinner than the tolerance
+        simple = ring
+    corners = (simple.reshape(-1, 2).astype(np.float64) - 0.5) / 2.0
+    x, y = corners.T
+    turning = float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+    return corners if turning >= 0.0 else corners[::-1]

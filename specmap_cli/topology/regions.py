@@ -1,0 +1,101 @@
+"""Which submap each cell of the whole map belongs to.
+
+The grids of neighbouring submaps overlap: the robot saw through each door from both sides. So a
+cell belongs to the submap from which the robot would reach it first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from specmap_cli.core.records import NO_SUBMAP, Labels
+from specmap_cli.grids.gridmap import BoolArray, GridMap
+from specmap_cli.topology.outlines import NOTHING, Outline, outline_of
+
+OwnerArray = NDArray[np.signedinteger[Any]]
+
+NOBODY = -1
+# Half the width of the gaps that a region goes through, and how far it goes past the last of them.
+_ROBOT_RADIUS_M, _REACH_M = 0.15, 0.3
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class Regions:
+    """The map divided: `owner` (H, W) is the submap id of each free cell of `grid`, or NOBODY.
+
+    `outlines` are the shapes of the regions in the map frame, by id; a submap that owns no cell has
+    none.
+    """
+
+    grid: GridMap
+    owner: OwnerArray
+    outlines: dict[int, Outline]
+
+    @classmethod
+    def of(cls, grid: GridMap, owner: OwnerArray) -> Regions:
+        """The regions with their outlines."""
+        outlines = {}
+        for id_, window in enumerate(ndimage.find_objects(owner + 1)):
+            if window is not None:
+                rows, columns = window
+                x, y = np.array([columns.start, rows.start]) * grid.resolution + grid.origin
+                part = GridMap(grid.cells[window], grid.resolution, (float(x), float(y)))
+                outlines[id_] = outline_of(owner[window] == id_, part)
+        return cls(grid, owner, outlines)
+
+    def outline(self, submap: int) -> Outline:
+        """The outline of one region, that of nothing for a submap without a cell."""
+        return self.outlines.get(submap, NOTHING)
+
+
+def divide(whole: GridMap, labels: Labels) -> Regions:
+    """Give each free cell of `whole` to the submap of the keyframe that is nearest on foot.
+
+    The keyframes flood the free cells, so that regions are connected and end at walls. Cells that a
+    robot could not get near, such as those seen through a gap or a window, are nobody's.
+    """
+    places = whole.cells_of(labels.poses[:, :2])
+    inside = whole.inside(places) & (labels.submaps != NO_SUBMAP)
+    rows, columns = places[inside].T
+    passable = whole.free
+    passable[rows, columns] = True  # where the robot stood, whatever was found there later
+    markers = np.zeros(passable.shape, dtype=np.int32)
+    markers[rows, columns] = labels.submaps[inside] + 1
+    owner = _flood(passable, markers) - 1
+    owner[~whole.free | ~_reached(whole, markers > 0)] = NOBODY
+    return Regions.of(whole, owner)
+
+
+def _flood(passable: BoolArray, markers: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(H, W) the marker that reaches each cell first.
+
+    The watershed grows all markers a ring at a time over equal cells, and crosses an edge of the
+    picture only when nothing else is left. It leaves lines one cell wide where fronts meet.
+    """
+    picture = np.pad(np.where(passable, np.uint8(0), np.uint8(255)), 1, constant_values=255)
+    flooded = cv2.watershed(cv2.merge([picture] * 3), np.pad(markers, 1))
+    closed = cv2.dilate(flooded.astype(np.float32), _CROSS)  # ids are exact in single precision
+    fronts = (flooded < 0) & (picture == 0)
+    return np.where(fronts, closed, flooded).astype(np.int32)[1:-1, 1:-1]
+
+
+def _reached(whole: GridMap, stood: BoolArray) -> BoolArray:
+    """(H, W) the cells within reach of where a robot could go from the cells where it `stood`."""
+    entered = _connected((whole.clearance() >= _ROBOT_RADIUS_M) | stood, stood)
+    away = cv2.distanceTransform((~entered).astype(np.uint8), cv2.DIST_L2, 5)
+    return _connected((away * whole.resolution <= _REACH_M) & (whole.free | stood), entered)
+
+
+def _connected(cells: BoolArray, seeds: BoolArray) -> BoolArray:
+    """(H, W) the parts of `cells` that hold one of the `seeds`."""
+    _, parts = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)
+    held = np.zeros(int(parts.max(initial=0)) + 1, dtype=np.bool_)
+    held[parts[seeds & cells]] = True
+    return np.asarray(held[parts])

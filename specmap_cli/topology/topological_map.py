@@ -1,0 +1,98 @@
+"""The topological map: submaps, the edges between them, the closures that were considered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import Closure
+from specmap_cli.grids.gridmap import GridMap
+
+# traversed: the robot drove across; closure: joined by matching grids only; loose: joined by a
+# guess across scans that could not be registered; doorway: regions of a finished map that touch.
+EdgeKind = Literal["traversed", "closure", "loose", "doorway"]
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """One stay in a submap, by the header stamps of its first and last keyframe."""
+
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(slots=True)
+class Submap:
+    """A region of the building with its own frame, grid and scans.
+
+    `keyframes` are numbers in the keyframe store, ascending; `grid` and `polygon` (N, 2) are in the
+    submap's frame.
+    """
+
+    id: int
+    map_from_submap: Pose2
+    keyframes: list[int]
+    visits: list[Visit]
+    grid: GridMap
+    polygon: FloatArray | None = None
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Traversal:
+    """The robot crossed from one submap to another at `pose` (map frame)."""
+
+    stamp_ns: int
+    source: int
+    target: int
+    pose: Pose2
+
+
+@dataclass(slots=True)
+class Edge:
+    """An undirected link between two submaps, `source` < `target`.
+
+    `doorway` (map frame) and `width_m` are known where the submaps were cut from a finished map.
+    """
+
+    source: int
+    target: int
+    kind: EdgeKind
+    traversals: list[Traversal] = field(default_factory=list)
+    source_from_target: Pose2 = IDENTITY
+    doorway: tuple[float, float] | None = None
+    width_m: float | None = None
+
+    @property
+    def crossing(self) -> tuple[float, float] | None:
+        """Mean place of the traversals in the map; the doorway, or None, for an edge not driven."""
+        if not self.traversals:
+            return self.doorway
+        n = len(self.traversals)
+        return (
+            sum(t.pose.x for t in self.traversals) / n,
+            sum(t.pose.y for t in self.traversals) / n,
+        )
+
+
+@dataclass(slots=True)
+class TopologicalMap:
+    """Submaps by id, edges by (smaller id, larger id), and every closure considered."""
+
+    submaps: dict[int, Submap] = field(default_factory=dict)
+    edges: dict[tuple[int, int], Edge] = field(default_factory=dict)
+    closures: list[Closure] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class LogInfo:
+    """What a map was made of: a recording, or a finished grid, which has no stamps.
+
+    `name` is that of the file, without directories, which differ from machine to machine.
+    """
+
+    name: str
+    start_ns: int | None = None
+    end_ns: int | None = None
+    scans: int = 0

@@ -1,0 +1,125 @@
+"""Settings: what goes over what, and one clear line for what cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel
+
+from specmap_cli.core.config import PRESETS, Config, load_config, with_overrides
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.tomltext import to_toml
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "specmap.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_without_anything_the_defaults_hold() -> None:
+    assert load_config() == Config()
+
+
+def test_a_flag_goes_over_the_file_the_file_over_the_preset_and_it_over_the_default(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path, "[segmentation]\nneighbours = 9\nsight_m = 4.0\n")
+    config = load_config(path, "paper", {"segmentation": {"sight_m": 3.0}})
+    assert config.preset == "paper"
+    assert config.segmentation.sight_m == 3.0  # the flag
+    assert config.segmentation.neighbours == 9  # the file
+    assert config.segmentation.labels == PRESETS["paper"]["segmentation"]["labels"]  # the preset
+    assert config.segmentation.labels != Config().segmentation.labels
+    assert config.segmentation.cell_m == Config().segmentation.cell_m  # the default
+
+
+def test_the_preset_may_stand_in_the_file_and_a_flag_goes_over_it(tmp_path: Path) -> None:
+    path = write(tmp_path, 'preset = "paper"\n')
+    assert load_config(path) == load_config(None, "paper")
+    assert load_config(path, "default") == Config()
+
+
+def test_a_saved_configuration_cannot_silently_undo_a_preset(tmp_path: Path) -> None:
+    path = write(tmp_path, to_toml(Config()))
+    with pytest.raises(UsageError, match="--preset paper was given"):
+        load_config(path, "paper")
+
+
+@pytest.mark.parametrize("preset", sorted(PRESETS))
+def test_every_preset_is_valid_and_survives_toml(preset: str, tmp_path: Path) -> None:
+    config = load_config(None, preset, {"log": {"scan_topic": "/front/scan"}})
+    assert load_config(write(tmp_path, to_toml(config))) == config
+
+
+def test_toml_names_every_setting() -> None:
+    text = to_toml(Config())
+    for name in Config.model_fields:
+        section = getattr(Config(), name)
+        if isinstance(section, BaseModel):
+            assert f"[{name}]" in text
+            for key in type(section).model_fields:
+                assert f"\n{key} = " in text or f"\n# {key} =" in text
+
+
+@given(st.text(st.characters(categories=["L", "N", "P", "S", "Zs"]), max_size=12))
+def test_any_text_survives_toml(tmp_path_factory: pytest.TempPathFactory, topic: str) -> None:
+    config = load_config(None, None, {"log": {"scan_topic": topic}})
+    path = write(tmp_path_factory.getbasetemp(), to_toml(config))
+    assert load_config(path).log.scan_topic == topic
+
+
+BROKEN = {
+    "an unknown key": ("[grid]\nresolution = 0.1\n", "grid.resolution"),
+    "an unknown section": ("[gird]\n", "gird"),
+    "a value out of range": ("[grid]\nresolution_m = -1\n", "grid.resolution_m"),
+    "a value of another type": ('[grid]\nresolution_m = "fine"\n', "grid.resolution_m"),
+    "no number": ("[grid]\nresolution_m = nan\n", "grid.resolution_m"),
+    "an endless number": ("[grid]\nmax_range_m = inf\n", "grid.max_range_m"),
+    "a section that is a number": ("grid = 3\n", "grid"),
+    "a negative seed": ("seed = -1\n", "seed"),
+    "an unknown preset": ('preset = "papre"\n', "papre"),
+    "a preset that is a list": ("preset = [1]\n", "preset"),
+    "no TOML": ("[grid\n", "not valid TOML"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_file_is_one_line_that_names_the_key(tmp_path: Path, case: str) -> None:
+    text, named = BROKEN[case]
+    with pytest.raises(UsageError) as caught:
+        load_config(write(tmp_path, text))
+    assert named in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize("content", [None, b"\xff\xfe seed"])
+def test_a_file_that_cannot_be_read_is_one_line(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "specmap.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(UsageError, match=r"specmap\.toml: cannot read the configuration"):
+        load_config(path)
+
+
+@pytest.mark.parametrize(
+    "overrides", [{"grid": {"resolution": 0.1}}, {"grid": {"resolution_m": 0}}, {"seeds": 1}]
+)
+def test_overrides_are_checked_like_a_file(overrides: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match=r"specmap config"):
+        load_config(None, None, overrides)
+    with pytest.raises(UsageError, match=r"specmap config"):
+        with_overrides(Config(), overrides)
+
+
+def test_later_overrides_leave_the_rest_alone() -> None:
+    paper = load_config(None, "paper")
+    changed = with_overrides(paper, {"grid": {"resolution_m": 0.1}})
+    assert changed.grid.resolution_m == 0.1
+    assert changed.segmentation == paper.segmentation
+    assert changed.preset == "paper"

@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.files import write_text
+from specmap_cli.grids.map_server import write_png
+
+
+def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
+    path = tmp_path / "labels.csv"
+    path.write_text("a longer text than the new one")
+    write_text(path, "für\n")
+    assert path.read_bytes() == "für\n".encode()
+    assert os.listdir(tmp_path) == ["labels.csv"]
+
+
+@pytest.mark.parametrize("place", ["gone/plot.png", "file/plot.png", "."])
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, place: str) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError) as caught:
+        write_png(tmp_path / place, np.zeros((2, 2), dtype=np.uint8))
+    assert "\n" not in str(caught.value)
+    assert sorted(os.listdir(tmp_path)) == ["file"]
+
+
+def test_a_failing_replacement_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.json"
+    path.write_text("old")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(UsageError, match="No space left"):
+        write_text(path, "new")
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["run.json"]

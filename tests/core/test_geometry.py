@@ -1,0 +1,113 @@
+"""Rigid motions obey the laws of a group, and agree with SciPy's rotations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from specmap_cli.core.geometry import (
+    IDENTITY,
+    FloatArray,
+    Pose2,
+    compose,
+    invert,
+    quaternions_from_rpy,
+    rotation_from_quaternion,
+    wrap_angle,
+    wrap_angles,
+    yaw_of,
+)
+from tests.strategies import pose_arrays, poses
+
+any_angle = st.floats(-1e4, 1e4, allow_nan=False)
+
+
+def assert_same(a: Pose2, b: Pose2, tolerance: float = 1e-9) -> None:
+    assert math.hypot(a.x - b.x, a.y - b.y) < tolerance
+    assert abs(wrap_angle(a.theta - b.theta)) < tolerance
+
+
+@given(poses, poses, poses)
+def test_composition_is_associative(a: Pose2, b: Pose2, c: Pose2) -> None:
+    assert_same((a @ b) @ c, a @ (b @ c))
+
+
+@given(poses)
+def test_identity_and_inverse(a: Pose2) -> None:
+    assert_same(a @ IDENTITY, a)
+    assert_same(IDENTITY @ a, a)
+    assert_same(a @ a.inverse(), IDENTITY)
+    assert_same(a.inverse() @ a, IDENTITY)
+
+
+@given(poses, poses)
+def test_a_composition_maps_points_one_after_the_other(a: Pose2, b: Pose2) -> None:
+    points = np.array([[0.0, 0.0], [1.0, -2.0], [30.0, 4.0]])
+    np.testing.assert_allclose((a @ b).apply(points), a.apply(b.apply(points)), atol=1e-9)
+
+
+@given(poses, poses)
+def test_matrices_multiply_as_poses_do(a: Pose2, b: Pose2) -> None:
+    np.testing.assert_allclose((a @ b).matrix(), a.matrix() @ b.matrix(), atol=1e-9)
+    assert_same(Pose2.from_matrix(a.matrix()), a)
+
+
+@given(pose_arrays(4), pose_arrays(4))
+def test_arrays_of_poses_compose_and_invert_as_single_ones(a: FloatArray, b: FloatArray) -> None:
+    composed, inverted = compose(a, b), invert(a)
+    for row in range(4):
+        one, other = Pose2(*a[row].tolist()), Pose2(*b[row].tolist())
+        assert_same(Pose2(*composed[row].tolist()), one @ other)
+        assert_same(Pose2(*inverted[row].tolist()), one.inverse())
+    np.testing.assert_array_equal(compose(a[0], b)[2], compose(a[0], b[2]))
+
+
+@given(any_angle)
+def test_wrapped_angles_are_the_same_angles_in_range(angle: float) -> None:
+    wrapped = wrap_angle(angle)
+    assert -math.pi <= wrapped < math.pi
+    assert math.cos(wrapped - angle) == pytest.approx(1.0)
+    assert wrap_angles(np.array([angle]))[0] == wrapped
+
+
+def test_half_a_turn_wraps_to_minus_pi() -> None:
+    assert wrap_angle(math.pi) == -math.pi
+    assert wrap_angle(-math.pi) == -math.pi
+
+
+@given(st.tuples(any_angle, any_angle, any_angle))
+def test_quaternions_there_and_back(angles: tuple[float, float, float]) -> None:
+    rotation = Rotation.from_euler("xyz", angles).as_matrix()
+    x, y, z, w = quaternions_from_rpy(*np.array(angles)[:, None])[0].tolist()
+    assert w >= 0.0
+    np.testing.assert_allclose(rotation_from_quaternion(x, y, z, w), rotation, atol=1e-9)
+    # of any length and either sign
+    np.testing.assert_allclose(
+        rotation_from_quaternion(-3 * x, -3 * y, -3 * z, -3 * w), rotation, atol=1e-9
+    )
+
+
+@given(st.lists(st.tuples(any_angle, any_angle, any_angle), min_size=1, max_size=5))
+def test_quaternions_from_roll_pitch_yaw_are_scipys(angles: list[tuple[float, ...]]) -> None:
+    roll, pitch, yaw = np.array(angles).T
+    found = quaternions_from_rpy(roll, pitch, yaw)
+    assert (found[:, 3] >= 0.0).all()
+    expected = Rotation.from_euler("xyz", np.array(angles))
+    difference = (Rotation.from_quat(found) * expected.inv()).magnitude()
+    np.testing.assert_allclose(difference, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("broken", [(0, 0, 0, 0), (math.nan, 0, 0, 1), (math.inf, 0, 0, 1)])
+def test_a_quaternion_that_is_none_is_no_rotation(broken: tuple[float, ...]) -> None:
+    x, y, z, w = broken
+    np.testing.assert_array_equal(rotation_from_quaternion(x, y, z, w), np.eye(3))
+
+
+@given(poses)
+def test_yaw_is_read_from_a_matrix(a: Pose2) -> None:
+    assert abs(wrap_angle(yaw_of(a.matrix()) - a.theta)) < 1e-9

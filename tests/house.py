@@ -1,0 +1,94 @@
+"""A small building: a corridor and two rooms, mapped without a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.config import Config
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import Closure, Labels, Trajectory
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.maps.store import MapResult
+from specmap_cli.topology.regions import divide
+from specmap_cli.topology.topological_map import (
+    Edge,
+    LogInfo,
+    Submap,
+    TopologicalMap,
+    Traversal,
+    Visit,
+)
+
+START_NS = 1_700_000_000_123_456_789
+RESOLUTION = 0.1
+
+
+def room_grid(width_m: float, height_m: float) -> GridMap:
+    """A walled room around the origin of its frame, unknown around it."""
+    width, height = round(width_m / RESOLUTION), round(height_m / RESOLUTION)
+    cells = np.full((height + 6, width + 6), UNKNOWN, dtype=np.uint8)
+    cells[2:-2, 2:-2] = OCCUPIED
+    cells[3:-3, 3:-3] = FREE
+    return GridMap(cells, RESOLUTION, (-width_m / 2 - 0.3, -height_m / 2 - 0.3))
+
+
+def _submap(id_: int, frame: Pose2, size: tuple[float, float]) -> Submap:
+    start = START_NS + id_ * 10_000_000_000
+    keyframes = list(range(10 * id_, 10 * id_ + 10))
+    return Submap(id_, frame, keyframes, [Visit(start, start + 9_000_000_000)], room_grid(*size))
+
+
+def whole_of(submaps: Iterable[Submap]) -> GridMap:
+    """The grids of submaps laid out in the map: occupied wins over free, free over unknown."""
+    canvas = GridMap(np.full((180, 180), UNKNOWN, dtype=np.uint8), RESOLUTION, (-9.0, -9.0))
+    places = canvas.centres_of(np.argwhere(canvas.cells == UNKNOWN))
+    for submap in submaps:
+        seen = submap.grid.values_at(submap.map_from_submap.inverse().apply(places))
+        cells = canvas.cells.reshape(-1)
+        cells[(seen == FREE) & (cells == UNKNOWN)] = FREE
+        cells[seen == OCCUPIED] = OCCUPIED
+    return canvas
+
+
+@pytest.fixture
+def result() -> MapResult:
+    """Corridor 0, room 1 driven into, room 2 joined by a closure; 10 keyframes each."""
+    submaps = {
+        0: _submap(0, Pose2(0.0, 0.0, 0.0), (12.0, 2.0)),
+        1: _submap(1, Pose2(-3.0, 3.5, 0.3), (3.0, 4.0)),
+        2: _submap(2, Pose2(3.0, 3.5, -2.0), (4.0, 3.0)),
+    }
+    crossing = Traversal(1_700_000_010_000_001_000, 0, 1, Pose2(-3.0, 1.25, 1.5))
+    edges = {
+        (0, 1): Edge(0, 1, "traversed", [crossing], Pose2(-3.0, 3.5, 0.3)),
+        (0, 2): Edge(0, 2, "closure", [], Pose2(3.0, 3.5, -2.0)),
+    }
+    closures = [
+        Closure(3, 0, 0.2, 0.4, 0.5, True, True, 0.81, "grids match", Pose2(0.1, 0.2, 0.01)),
+        Closure(3, 1, 0.02, 0.1, 0.2, False, False, float("nan"), "claims too low"),
+    ]
+    topology = TopologicalMap(submaps, edges, closures)
+    stamps = START_NS + np.arange(30) * 1_000_000_000
+    poses = np.array(
+        [
+            submaps[k // 10].map_from_submap @ Pose2(0.08 * (k % 10) - 0.4, 0.1, 0.1 * k)
+            for k in range(30)
+        ]
+    )
+    labels = Labels(stamps, poses, np.repeat(np.arange(3), 10))
+    log = LogInfo("house.mcap", int(stamps[0]), int(stamps[-1]), 30)
+    run = {"config": Config().model_dump(), "seconds": {"write": 0.25}, "warnings": []}
+    return MapResult(
+        topology=topology,
+        regions=divide(whole_of(submaps.values()), labels),
+        trajectory=Trajectory(stamps, poses),
+        labels=labels,
+        classifiers="{}\n",
+        log=log,
+        run=run,
+        pose_graph="",
+        overview=np.full((30, 40, 3), 200, dtype=np.uint8),
+    )

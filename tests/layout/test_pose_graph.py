@@ -1,0 +1,112 @@
+"""The pose graph solver against scipy's least squares, and on graphs solved by hand."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
+from specmap_cli.layout.pose_graph import Edges, Link, errors, solve, squared
+
+
+def random_graph(
+    seed: int, nodes: int, loops: int, noise: float = 0.05
+) -> tuple[FloatArray, FloatArray, list[Link]]:
+    """True poses, drifted poses, and noisy edges: a chain and some loops."""
+    rng = np.random.default_rng(seed)
+    truth = np.zeros((nodes, 3))
+    for k in range(1, nodes):
+        truth[k] = compose(truth[k - 1], np.array([1.0, 0.0, rng.normal(0, 0.5)]))
+    pairs = [(k, k + 1) for k in range(nodes - 1)]
+    pairs += [tuple(sorted(rng.choice(nodes, 2, replace=False).tolist())) for _ in range(loops)]
+    links = []
+    for i, j in pairs:
+        z = compose(compose(invert(truth[i]), truth[j]), rng.normal(0, noise, 3) * (1, 1, 0.3))
+        root = rng.normal(size=(3, 3))
+        information = root @ root.T + np.diag([50.0, 50.0, 200.0])
+        kind = "odometry" if j == i + 1 else "nearby"
+        links.append(Link(i, j, Pose2(*z.tolist()), information, kind))  # type: ignore[arg-type]
+    start = np.array(truth)
+    for link in links[: nodes - 1]:
+        start[link.target] = compose(start[link.source], np.array(link.source_from_target))
+    return truth, start, links
+
+
+def arrays(links: list[Link], nodes: int, width: float = np.inf) -> Edges:
+    return Edges.of(links, {k: k for k in range(nodes)}, {"nearby": width})
+
+
+def oracle(start: FloatArray, edges: Edges) -> FloatArray:
+    """scipy's answer to the same squares."""
+    roots = np.linalg.cholesky(edges.w).transpose(0, 2, 1)
+
+    def residuals(x: FloatArray) -> FloatArray:
+        poses = np.vstack([start[:1], x.reshape(-1, 3)])
+        return np.asarray(np.einsum("eab,eb->ea", roots, errors(poses, edges)).ravel())
+
+    found = least_squares(residuals, start[1:].ravel(), xtol=1e-14, ftol=1e-14, gtol=1e-12)
+    return np.vstack([start[:1], found.x.reshape(-1, 3)])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_agrees_with_scipy_least_squares(seed: int) -> None:
+    _, start, links = random_graph(seed, nodes=12, loops=6)
+    edges = arrays(links, 12)
+    ours, theirs = solve(start, edges, 50), oracle(start, edges)
+    assert ours.cost == pytest.approx(float(squared(theirs, edges).sum()), rel=1e-5)
+    assert np.abs(ours.poses[:, :2] - theirs[:, :2]).max() < 1e-3
+    assert np.abs(wrap_angles(ours.poses[:, 2] - theirs[:, 2])).max() < 1e-3
+
+
+def test_a_square_with_a_closing_edge_solved_by_hand() -> None:
+    """A square whose left turns are sure and whose second side was measured 0.3 m too long.
+
+    The gap of 0.3 m is shared by four equal springs, 0.075 m each: the second side shrinks and the
+    fourth grows by it, the other two, at right angles to it, lean by it.
+    """
+    sides = [1.1, 1.4, 1.1, 1.1]
+    quarter = np.pi / 2
+    stiff = np.diag([100.0, 100.0, 1e8])  # turns are as good as certain
+    links = [
+        Link(k, (k + 1) % 4, Pose2(side, 0.0, quarter), stiff, "odometry")
+        for k, side in enumerate(sides)
+    ]
+    start = np.zeros((4, 3))
+    for k in range(3):
+        start[k + 1] = compose(start[k], np.array(links[k].source_from_target))
+    found = solve(start, arrays(links, 4), 50).poses
+    lengths = np.hypot(*(np.roll(found, -1, axis=0) - found)[:, :2].T)
+    leaning = np.hypot(1.1, 0.075)
+    assert np.allclose(lengths, [leaning, 1.325, leaning, 1.175], atol=1e-4)
+
+
+def test_a_wrong_loop_is_outvoted() -> None:
+    truth, start, links = random_graph(5, nodes=30, loops=15, noise=0.01)
+    wrong = Link(2, 25, Pose2(40.0, -30.0, 2.0), np.diag([1e3, 1e3, 1e3]), "nearby")
+    robust = solve(start, arrays([*links, wrong], 30, width=2.0), 50)
+    assert np.hypot(*(robust.poses - truth)[:, :2].T).max() < 0.2
+    assert robust.chi2[-1] > 1e4
+
+
+@given(st.integers(0, 1000), st.integers(2, 10))
+def test_a_perfect_graph_stays_as_it_is(seed: int, nodes: int) -> None:
+    truth, _, links = random_graph(seed, nodes, loops=3, noise=0.0)
+    solution = solve(truth, arrays(links, nodes, width=2.0))
+    assert solution.cost < 1e-12
+    assert np.allclose(solution.poses[:, :2], truth[:, :2], atol=1e-6)
+
+
+@given(st.integers(0, 1000), st.floats(-20, 20), st.floats(-3, 3))
+def test_a_moved_start_moves_the_solution(seed: int, x: float, turn: float) -> None:
+    _, start, links = random_graph(seed, nodes=8, loops=4)
+    edges, motion = arrays(links, 8), np.array([x, -x, turn])
+    plain, moved = solve(start, edges, 50), solve(compose(motion, start), edges, 50)
+    assert moved.cost == pytest.approx(plain.cost, rel=1e-4, abs=1e-9)
+    assert np.allclose(moved.poses[:, :2], compose(motion, plain.poses)[:, :2], atol=1e-2)
+
+
+def test_the_first_pose_never_moves_and_nothing_needs_solving_alone() -> None:
+    _, start, links = random_graph(7, nodes=9, loops=3)
+    assert np.array_equal(solve(start, arrays(links, 9)).poses[0], start[0])
+    assert np.array_equal(solve(start[:1], arrays([], 1)).poses, start[:1])

@@ -1,0 +1,146 @@
+"""CARMEN logs: laser and odometry lines, their stamps, mountings and damage."""
+
+from __future__ import annotations
+
+import gzip
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.config import LogConfig
+from specmap_cli.core.records import Sweep
+from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.readers.carmen import flaser_angles
+from specmap_cli.logs.stream import SweepStream
+
+RANGES = " ".join(f"{1 + i / 100:.2f}" for i in range(178))
+
+
+def flaser(stamp: float, laser: str, base: str, name: str = "FLASER") -> str:
+    return f"{name} 180 {RANGES} 81.83 80.00 {laser} {base} {stamp:.6f} nohost {stamp:.6f}\n"
+
+
+def robotlaser(stamp: float) -> str:
+    head = "ROBOTLASER1 4 -1.000000 2.000000 0.500000 30.000000 0.010000 0"
+    tail = "0.2 0.0 0.1 0.0 0.0 0.1 0.0 0.0 0.4 0.3 1000000.0"
+    return f"{head} 5 1.0 2.0 30.0 31.0 5.0 2 7 7 {tail} {stamp:.6f} nohost {stamp:.6f}\n"
+
+
+def read(path: Path, **options: object) -> tuple[list[Sweep], SweepStream]:
+    with open_log(path) as log:
+        stream = SweepStream(log, LogConfig.model_validate(options))
+        return list(stream), stream
+
+
+@pytest.fixture
+def front(tmp_path: Path) -> Path:
+    path = tmp_path / "log.clf"
+    path.write_text(
+        "# message_name [message contents]\n"
+        "PARAM robot_length 0.5 nohost 0.0\n"
+        "SYNC run\n"
+        "ODOM 0.9 2.0 0.5 0.1 0.0 0.0 9.950000 nohost 9.95\n"
+        + flaser(10.000001, "1.1 2.0 0.0", "1.0 2.0 0.0")
+        + flaser(10.2, f"2.0 2.1 {math.pi / 2}", f"2.0 2.0 {math.pi / 2}")
+    )
+    return path
+
+
+def test_flaser_lines_become_sweeps(front: Path) -> None:
+    sweeps, stream = read(front)
+    assert stream.expected == 2
+    assert stream.warnings == []
+    assert [s.stamp_ns for s in sweeps] == [10_000_001_000, 10_200_000_000]
+    first = sweeps[0]
+    np.testing.assert_allclose(first.planar.bearings, np.radians(np.arange(180) - 90.0), atol=1e-6)
+    np.testing.assert_allclose(first.planar.ranges[:178], 1 + np.arange(178) / 100, rtol=1e-6)
+    assert np.isposinf(first.planar.ranges[178:]).all()
+    assert first.odom_from_base == (1.0, 2.0, 0.0)
+    assert first.base_from_laser == pytest.approx((0.1, 0.0, 0.0))
+    assert sweeps[1].odom_from_base == pytest.approx((2.0, 2.0, math.pi / 2))
+
+
+def test_the_contents_are_those_of_the_messages(front: Path) -> None:
+    with open_log(front) as log:
+        counted: dict[str, int] = {}
+        for message in log.messages():
+            counted[message.topic] = counted.get(message.topic, 0) + 1
+        assert {t.name: t.count for t in log.topics()} == counted
+        assert counted == {"/flaser": 2, "/odom": 3, "/tf_static": 1}
+        assert log.format == "CARMEN log"
+
+
+@pytest.mark.parametrize(
+    ("beams", "first", "step"),
+    [(180, -90.0, 1.0), (181, -90.0, 1.0), (360, -90.0, 0.5), (361, -90.0, 0.5)]
+    + [(541, -135.0, 0.5), (1081, -135.0, 0.25), (401, -90.0, 0.45)],
+)
+def test_flaser_angles(beams: int, first: float, step: float) -> None:
+    start, increment = flaser_angles(beams)
+    assert math.degrees(start) == pytest.approx(first)
+    assert math.degrees(increment) == pytest.approx(step)
+
+
+def test_poses_that_were_corrected_give_no_mounting(tmp_path: Path) -> None:
+    path = tmp_path / "log.log"
+    path.write_text(
+        flaser(1.0, "5.0 5.0 0.2", "1.0 2.0 0.0") + flaser(1.2, "5.9 5.1 0.1", "2.0 2.0 0.0")
+    )
+    sweeps, stream = read(path)
+    assert sweeps[0].base_from_laser == (0.0, 0.0, 0.0)
+    assert any("no transform from 'base_link'" in line for line in stream.warnings)
+
+
+def test_robotlaser_lines_say_their_own_angles_and_ranges(tmp_path: Path) -> None:
+    path = tmp_path / "log.clf"
+    path.write_text(robotlaser(3.5))
+    (sweep,), _ = read(path)
+    np.testing.assert_allclose(sweep.planar.bearings, [-1.0, -0.5, 0.0, 0.5, 1.0], atol=1e-6)
+    assert sweep.planar.ranges.tolist() == [1.0, 2.0, math.inf, math.inf, 5.0]
+    assert sweep.planar.range_max == 30.0
+    assert sweep.stamp_ns == 3_500_000_000
+    mount = (0.2 * math.cos(0.1), -0.2 * math.sin(0.1), 0.0)
+    assert sweep.base_from_laser == pytest.approx(mount)
+
+
+def test_front_and_rear_lasers_are_two_topics(tmp_path: Path) -> None:
+    path = tmp_path / "log.clf"
+    path.write_text(
+        flaser(1.0, "1.0 2.0 0.0", "1.0 2.0 0.0")
+        + flaser(1.0, f"0.9 2.0 {math.pi}", "1.0 2.0 0.0", "RLASER")
+    )
+    (sweep,), _ = read(path, scan_topic="/rlaser")
+    assert sweep.base_from_laser.x == pytest.approx(-0.1)
+    assert abs(sweep.base_from_laser.theta) == pytest.approx(math.pi)
+
+
+def test_damaged_lines_are_left_out_and_said(tmp_path: Path) -> None:
+    path = tmp_path / "log.clf"
+    whole = flaser(1.0, "1.0 2.0 0.0", "1.0 2.0 0.0")
+    last = flaser(2.0, "1.5 2.0 0.0", "1.5 2.0 0.0")
+    path.write_text(whole + "FLASER 180 1.0 oops\n" + last[: len(last) // 2])
+    sweeps, stream = read(path)
+    assert len(sweeps) == 1
+    assert len(stream.log.damage) == 2
+    assert "line 2 (byte" in stream.log.damage[0]
+    assert "one FLASER after 1.000 s is lost" in stream.log.damage[0]
+
+
+def test_a_line_without_ipc_time_takes_the_loggers(tmp_path: Path) -> None:
+    path = tmp_path / "log.clf"
+    line = flaser(0.0, "1.0 2.0 0.0", "1.0 2.0 0.0")
+    path.write_text(line.removesuffix("0.000000\n") + "7.25\n")
+    (sweep,), _ = read(path)
+    assert sweep.stamp_ns == 7_250_000_000
+
+
+def test_a_zipped_log_is_read(front: Path) -> None:
+    path = front.with_name("log.clf.gz")
+    path.write_bytes(gzip.compress(front.read_bytes()))
+    assert len(read(path)[0]) == 2
+    path.write_bytes(path.read_bytes()[:-20])
+    sweeps, stream = read(path)
+    assert len(sweeps) <= 2
+    assert "the gzip compression ends early" in stream.warnings[0]

@@ -1,0 +1,207 @@
+"""Scans and clouds made planar, against direct geometry in space."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike
+from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
+
+from specmap_cli.core.config import LogConfig
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.logs.messages import BadMessageError, ScanRecord
+from specmap_cli.logs.planar import CloudFlattener, Mount, ScanLeveller
+
+LEVEL = Mount.from_matrix(np.eye(4))
+
+
+def record(
+    ranges: ArrayLike,
+    angle_min: float = -1.0,
+    step: float = 0.1,
+    *,
+    angle_max: float = 0.0,
+    time_increment: float = 0.0,
+    range_min: float = 0.1,
+    range_max: float = 8.0,
+) -> ScanRecord:
+    values = np.asarray(ranges, dtype=np.float32)
+    return ScanRecord(
+        7, "laser", angle_min, angle_max, step, time_increment, range_min, range_max, values
+    )
+
+
+def mounted(roll: float, pitch: float, yaw: float, x: float, y: float, z: float) -> FloatArray:
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    flip=st.sampled_from([(0.0, 0.0), (math.pi, 0.0), (0.0, math.pi), (math.pi, math.pi)]),
+    yaw=st.floats(-3.1, 3.1),
+    x=st.floats(-1.0, 1.0),
+    step=st.sampled_from([0.05, -0.05]),
+    beams=st.integers(2, 60),
+)
+def test_returns_are_where_the_mounted_laser_saw_them(
+    flip: tuple[float, float], yaw: float, x: float, step: float, beams: int
+) -> None:
+    base_from_laser = mounted(*flip, yaw, x, -0.2, 0.4)
+    ranges = np.linspace(1.0, 3.0, beams).astype(np.float32)
+    angles = 0.3 + step * np.arange(beams)
+    in_laser = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
+    flat = np.column_stack([in_laser, np.zeros(beams), np.ones(beams)])
+    expected = (flat @ base_from_laser.T)[:, :2]
+    mount = Mount.from_matrix(base_from_laser)
+    scan = ScanLeveller(mount).level(record(ranges, 0.3, step), 5)
+    found = mount.base_from_laser.apply(scan.hits())
+    assert (np.diff(scan.bearings) > 0.0).all()
+    order = np.argsort(expected[:, 0] + 10.0 * expected[:, 1])
+    again = np.argsort(found[:, 0] + 10.0 * found[:, 1])
+    np.testing.assert_allclose(found[again], expected[order], atol=1e-6)
+
+
+def test_codes_of_no_return_and_of_invalid_readings() -> None:
+    ranges = [0.0, 0.05, -1.0, 1.0, 7.99, 8.0, 9.5, math.inf, math.nan, -math.inf]
+    scan = ScanLeveller(LEVEL).level(record(ranges), 5)
+    inf, nan = math.inf, math.nan
+    expected = [inf, nan, nan, 1.0, 7.99, inf, inf, inf, nan, nan]
+    np.testing.assert_allclose(scan.ranges, expected, rtol=1e-6)
+
+
+def test_an_unknown_maximum_range_limits_nothing() -> None:
+    scan = ScanLeveller(LEVEL).level(record([1.0, 500.0], range_max=0.0), 5)
+    assert scan.ranges.tolist() == [1.0, 500.0]
+    assert scan.range_max == math.inf
+
+
+@pytest.mark.parametrize("beams", [720, 721])
+def test_a_full_circle_counts_each_direction_once(beams: int) -> None:
+    scan = ScanLeveller(LEVEL).level(record(np.ones(beams), -math.pi, 2 * math.pi / 720), 5)
+    assert scan.full_circle
+    assert len(scan.bearings) == len(scan.ranges) == 720
+
+
+@pytest.mark.parametrize(("degrees", "full"), [(180.0, False), (270.0, False), (350.0, False)])
+def test_less_than_a_circle_is_not_full(degrees: float, full: bool) -> None:
+    step = math.radians(0.5)
+    beams = int(degrees * 2) + 1
+    scan = ScanLeveller(LEVEL).level(record(np.ones(beams), 0.0, step), 5)
+    assert scan.full_circle is full
+    assert len(scan.bearings) == beams
+
+
+def test_beam_times_follow_the_beams() -> None:
+    forward = ScanLeveller(LEVEL).level(record([1.0, 2.0, 3.0], time_increment=0.01), 5)
+    backward = ScanLeveller(LEVEL).level(record([1.0, 2.0, 3.0], step=-0.1, time_increment=0.01), 5)
+    assert forward.beam_times_s is not None
+    assert backward.beam_times_s is not None
+    np.testing.assert_allclose(forward.beam_times_s, [0.0, 0.01, 0.02])
+    np.testing.assert_allclose(backward.beam_times_s, [0.02, 0.01, 0.0])
+    assert backward.ranges.tolist() == [3.0, 2.0, 1.0]
+
+
+@pytest.mark.parametrize("increment", [0.0, -0.1, math.nan, 5.0])
+def test_times_that_cannot_be_are_none(increment: float) -> None:
+    scan = ScanLeveller(LEVEL).level(record([1.0, 2.0], time_increment=increment), 5)
+    assert scan.beam_times_s is None
+
+
+def test_a_missing_increment_is_found_from_the_angles() -> None:
+    scan = ScanLeveller(LEVEL).level(record([1.0, 1.0, 1.0], -1.0, 0.0, angle_max=1.0), 5)
+    np.testing.assert_allclose(scan.bearings, [-1.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        record([]),
+        record([1.0, 1.0], math.nan),
+        record([1.0, 1.0], 0.0, 0.0),
+        record([1.0, 1.0], 0.0, math.nan, angle_max=math.inf),
+    ],
+)
+def test_scans_without_beams_or_angles_are_refused(bad: ScanRecord) -> None:
+    with pytest.raises(BadMessageError):
+        ScanLeveller(LEVEL).level(bad, 5)
+
+
+def test_bearings_are_shared_between_scans_and_renewed_when_the_laser_changes() -> None:
+    leveller = ScanLeveller(LEVEL)
+    first, second = leveller.level(record([1.0, 2.0]), 5), leveller.level(record([2.0, 1.0]), 6)
+    assert first.bearings is second.bearings
+    third = leveller.level(record([1.0, 2.0, 3.0]), 7)
+    assert len(third.bearings) == 3
+
+
+def brute_force(cloud: FloatArray, beams: int, low: float, high: float) -> FloatArray:
+    """Nearest return per bearing, point by point; NaN where no point lies at any height."""
+    ranges = np.full(beams, np.nan)
+    for x, y, z in cloud:
+        cell = int((math.atan2(y, x) / (2 * math.pi) + 0.5) * beams)
+        if not low <= z <= high:
+            ranges[cell] = np.nan_to_num(ranges[cell], nan=np.inf, posinf=np.inf)
+        elif not ranges[cell] <= math.hypot(x, y):
+            ranges[cell] = math.hypot(x, y)
+    return ranges
+
+
+def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band() -> None:
+    rng = np.random.default_rng(3)
+    cloud = rng.uniform((-5, -5, 0), (5, 5, 3), (4000, 3))
+    config = LogConfig(cloud_beams=90, band_min_m=0.5, band_max_m=1.0)
+    scan = CloudFlattener(np.eye(4), 0.25, config).flatten(cloud, 9)
+    np.testing.assert_allclose(scan.ranges, brute_force(cloud, 90, 0.75, 1.25))
+    assert scan.full_circle
+    assert scan.stamp_ns == 9
+    found = scan.hits()
+    nearest = np.abs(found[:, None] - cloud[None, :, :2]).max(axis=2).min(axis=1)
+    assert nearest.max() < 5.0 * math.radians(2.0), "hits lie at returns, but for the bearing"
+
+
+def test_a_bearing_is_empty_where_the_lidar_looks_and_unknown_where_it_never_did() -> None:
+    half = np.linspace(0.01, 3.14, 400)
+    floor = np.column_stack([4 * np.cos(half), 4 * np.sin(half), np.zeros(400)])
+    wall = np.column_stack([2 * np.cos(half), 2 * np.sin(half), np.ones(400)])[:100]
+    flattener = CloudFlattener(np.eye(4), 0.0, LogConfig(cloud_beams=180))
+    scan = flattener.flatten(np.vstack([floor, wall]), 1)
+    left = scan.bearings > 0.0
+    assert np.isnan(scan.ranges[~left]).all()
+    assert not np.isnan(scan.ranges[left]).any()
+    np.testing.assert_allclose(scan.ranges[left][:20], 2.0)
+    assert np.isposinf(scan.ranges[left][-20:]).all()
+    assert not scan.full_circle
+    later = flattener.flatten(floor[:50], 2)
+    assert np.isposinf(later.ranges[left]).all(), "it looked there before"
+
+
+def test_a_band_without_height_is_refused() -> None:
+    with pytest.raises(ValidationError, match="band_min_m must be below band_max_m"):
+        LogConfig(band_min_m=2.0)
+
+
+def test_a_coarse_lidar_gets_fewer_bearings() -> None:
+    angles = np.radians(np.arange(0, 360, 2) + 0.5)
+    ring = np.column_stack([3 * np.cos(angles), 3 * np.sin(angles), np.ones(180)])
+    scan = CloudFlattener(np.eye(4), 0.0, LogConfig(cloud_beams=720)).flatten(ring, 1)
+    assert len(scan.bearings) == 180
+    np.testing.assert_allclose(scan.ranges, 3.0)
+
+
+def test_an_unknown_floor_is_where_the_lowest_returns_are() -> None:
+    rng = np.random.default_rng(4)
+    floor = np.column_stack([rng.uniform(-3, 3, (900, 2)), np.full(900, -1.2)])
+    wall = np.array([[2.0, 0.0, -1.15], [2.5, 0.0, -0.2], [1.5, 0.0, 0.9]])
+    scan = CloudFlattener(np.eye(4), None, LogConfig(cloud_beams=16)).flatten(
+        np.vstack([floor, wall]), 1
+    )
+    assert np.isfinite(scan.ranges).sum() == 1
+    assert np.nanmin(scan.ranges) == pytest.approx(2.5)

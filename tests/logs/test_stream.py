@@ -1,0 +1,293 @@
+"""The stream of sweeps: odometry, frames, stamps, counts, and memory."""
+
+from __future__ import annotations
+
+import math
+import tracemalloc
+from collections.abc import Callable, Collection, Iterator
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.config import LogConfig
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import Sweep
+from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.readers.encoding import odometry_cdr, scan_cdr
+from specmap_cli.logs.readers.recording import Contents, Log, Message, Recording, survey
+from specmap_cli.logs.readers.typestore import LASER_SCAN, ODOMETRY
+from specmap_cli.logs.stream import MAX_WAITING, SweepStream
+from specmap_cli.logs.writer import LogWriter
+
+SECOND = 1_000_000_000
+START = 100 * SECOND
+
+
+class Spy(Recording):
+    """A recording that makes its messages while it is read, and counts those it handed out."""
+
+    format = "spy"
+
+    def __init__(self, make: Callable[[], Iterator[Message]]) -> None:
+        super().__init__(Path("spy"))
+        self.make = make
+        self.handed_out = 0
+
+    @cached_property
+    def contents(self) -> Contents:
+        return survey((m.topic, m.type, m.time_ns) for m in self.make())
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        self.handed_out = 0
+        for message in self.make():
+            if topics is None or message.topic in topics:
+                self.handed_out += 1
+                yield message
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+def scan(stamp: int, beams: int = 10, time: int | None = None, topic: str = "/scan") -> Message:
+    data = scan_cdr("laser", stamp, -1.0, 2.0 / beams, np.full(beams, 2.0), range_max=8.0)
+    return Message(topic, LASER_SCAN, stamp if time is None else time, data)
+
+
+def odometry(stamp: int, x: float, time: int | None = None) -> Message:
+    data = odometry_cdr("odom", "base", stamp, Pose2(x, 0.0, 0.0))
+    return Message("/odom", ODOMETRY, stamp if time is None else time, data)
+
+
+def stream_of(messages: list[Message], **options: object) -> SweepStream:
+    log = Log([Spy(lambda: iter(messages))], [Path("spy")])
+    return SweepStream(log, LogConfig.model_validate(options))
+
+
+def read(path: Path, **options: object) -> tuple[list[Sweep], SweepStream]:
+    with open_log(path) as log:
+        stream = SweepStream(log, LogConfig.model_validate(options))
+        return list(stream), stream
+
+
+def test_odometry_is_interpolated_to_the_stamps_of_the_scans(drive: Path) -> None:
+    sweeps, stream = read(drive)
+    assert [s.index for s in sweeps] == list(range(30))
+    for sweep in sweeps[:-1]:
+        assert sweep.odom_from_base is not None
+        assert sweep.odom_from_base.x == pytest.approx((sweep.stamp_ns - START) / SECOND)
+        assert sweep.base_from_laser == (0.2, 0.0, 0.0)
+    assert stream.expected == 30
+    assert stream.counts["scans"] == 30
+    assert stream.counts["odometry"] == 60
+    assert stream.warnings == []
+
+
+def test_a_stream_can_be_read_again(drive: Path) -> None:
+    with open_log(drive) as log:
+        stream = SweepStream(log, LogConfig())
+        first, second = list(stream), list(stream)
+        assert [s.odom_from_base for s in first] == [s.odom_from_base for s in second]
+        assert stream.counts["scans"] == 30
+
+
+def test_odometry_can_be_left_out(drive: Path) -> None:
+    sweeps, stream = read(drive, use_odometry=False)
+    assert all(s.odom_from_base is None for s in sweeps)
+    assert stream.selection.odometry is None
+    assert stream.counts["without_odometry"] == 0
+
+
+def test_a_scan_waits_for_late_odometry_but_not_long() -> None:
+    late = [odometry(START, 0.0)]
+    late += [scan(START + i * SECOND // 100) for i in range(1, 40)]
+    late += [odometry(START + SECOND // 50, 2.0)]
+    spy = Spy(lambda: iter(late))
+    stream = SweepStream(Log([spy], [Path("spy")]), LogConfig())
+    for sweep in stream:
+        assert spy.handed_out - 1 - sweep.index <= MAX_WAITING + 2
+    assert stream.counts["scans"] == 39
+
+
+def test_waiting_ends_when_log_time_goes_on() -> None:
+    messages = [odometry(START, 0.0), scan(START + SECOND // 100)]
+    messages += [scan(START + SECOND + SECOND // 100)]
+    spy = Spy(lambda: iter(messages))
+    stream = SweepStream(Log([spy], [Path("spy")]), LogConfig())
+    iterator = iter(stream)
+    assert next(iterator).odom_from_base == (0.0, 0.0, 0.0), "held for a moment"
+    assert next(iterator).odom_from_base is None
+    assert stream.counts["without_odometry"] == 1
+    assert "scans without odometry near their stamp: 1" in stream.warnings
+
+
+def test_memory_does_not_grow_with_the_log() -> None:
+    def make(scans: int) -> Iterator[Message]:
+        for number in range(scans):
+            stamp = START + number * SECOND // 10
+            yield odometry(stamp, 0.1 * number)
+            yield scan(stamp + 1, beams=40_000)
+
+    def peak(scans: int) -> int:
+        stream = SweepStream(Log([Spy(lambda: make(scans))], [Path("spy")]), LogConfig())
+        tracemalloc.start()
+        assert sum(1 for _ in stream) == scans
+        used = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return used
+
+    peak(3)
+    short, long = peak(10), peak(100)
+    assert long < 1.1 * short
+
+
+def test_files_are_read_with_one_chunk_in_memory(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    rng = np.random.default_rng(1)
+    with LogWriter(path) as log:
+        for number in range(400):
+            ranges = rng.uniform(1.0, 5.0, 20_000)
+            stamp = START + number * SECOND // 10
+            log.scan("/scan", "laser", stamp, -1.0, 1e-4, ranges, range_max=8.0)
+    read(path)
+    tracemalloc.start()
+    with open_log(path) as log_:
+        assert sum(1 for _ in SweepStream(log_, LogConfig())) == 400
+    used = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert used < 0.3 * 400 * 20_000 * 4
+
+
+def test_odometry_comes_from_transforms_too(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for i in range(20):
+            stamp = START + i * SECOND // 10
+            log.transform("map", "odom", stamp, Pose2(5.0, 5.0, 1.0))
+            log.transform("odom", "base_footprint", stamp, Pose2(0.1 * i, 0.0, 0.0))
+            log.transform("arm", "hand", stamp, Pose2(9.0, 9.0, 9.0))
+            ranges = np.full(10, 2.0)
+            log.scan("/scan", "laser", stamp + 50_000_000, -1.0, 0.2, ranges, range_max=8.0)
+        late = START + 2 * SECOND
+        log.static_transform("base_footprint", "base_link", (0.0, 0.5, 0.1), stamp_ns=late)
+        log.static_transform("base_link", "laser", (0.2, 0.0, 0.3), stamp_ns=late)
+    sweeps, stream = read(path)
+    assert stream.selection.note == (
+        "scans from /scan (LaserScan, 20), odometry from transforms odom -> base_link, "
+        "base frame base_link"
+    )
+    assert sweeps[3].odom_from_base == pytest.approx((0.35, 0.5, 0.0))
+    assert sweeps[3].base_from_laser == (0.2, 0.0, 0.0)
+    footprint, _ = read(path, base_frame="base_footprint")
+    assert footprint[3].odom_from_base == pytest.approx((0.35, 0.0, 0.0))
+    assert footprint[3].base_from_laser == (0.2, 0.5, 0.0)
+
+
+def test_odometry_of_another_frame_is_carried_to_the_base(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        log.static_transform("base_link", "wheel", (0.5, 0.0, 0.0), stamp_ns=START)
+        log.static_transform("base_link", "laser", (0.2, 0.0, 0.0), stamp_ns=START)
+        log.odometry("/odom", "odom", "wheel", START, Pose2(0.0, 0.0, math.pi / 2))
+        log.scan("/scan", "laser", START, -1.0, 0.2, np.full(10, 2.0), range_max=8.0)
+    (sweep,), _ = read(path, base_frame="base_link")
+    assert sweep.odom_from_base == pytest.approx((0.0, -0.5, math.pi / 2))
+
+
+def test_an_upside_down_laser_sees_the_same_room(tmp_path: Path) -> None:
+    angles = np.linspace(-1.2, 1.2, 49)
+    ranges = 2.0 + np.sin(3.0 * angles)
+    points = []
+    for upright in (True, False):
+        path = tmp_path / f"{upright}.mcap"
+        turn = (0.0, 0.0, 0.0, 1.0) if upright else (1.0, 0.0, 0.0, 0.0)
+        with LogWriter(path) as log:
+            log.static_transform("base_link", "laser", (0.2, 0.1, 0.3), turn, START)
+            seen = ranges if upright else ranges[::-1]
+            log.scan("/scan", "laser", START, -1.2, 0.05, seen, range_max=8.0)
+        (sweep,), _ = read(path)
+        points.append(sweep.base_from_laser.apply(sweep.planar.hits()))
+    np.testing.assert_allclose(points[0], points[1], atol=1e-6)
+
+
+def test_a_log_without_stamps_is_read_by_the_recorders_times() -> None:
+    messages = [odometry(0, 0.0, START), scan(0, time=START)]
+    messages += [odometry(0, 1.0, START + SECOND), scan(0, time=START + SECOND)]
+    messages += [scan(0, time=START + 2 * SECOND)]
+    stream = stream_of(messages)
+    sweeps = list(stream)
+    assert [s.stamp_ns for s in sweeps] == [START, START + SECOND, START + 2 * SECOND]
+    assert sweeps[1].odom_from_base == (1.0, 0.0, 0.0)
+    assert any("header stamps are zero" in line for line in stream.warnings)
+
+
+def test_a_simulated_clock_may_start_at_zero() -> None:
+    stream = stream_of([scan(i * SECOND, time=START + i * SECOND) for i in range(3)])
+    assert [s.stamp_ns for s in stream] == [0, SECOND, 2 * SECOND]
+
+
+def test_strange_stamps_and_scans_are_survived_and_counted() -> None:
+    stamps = [1, 2, 2, 5, 4, 6]
+    messages = [scan(START + s * SECOND, time=START + i) for i, s in enumerate(stamps)]
+    blank = scan_cdr("laser", START + 7 * SECOND, -1.0, 0.2, np.full(10, np.nan), range_max=8.0)
+    messages.append(Message("/scan", LASER_SCAN, START + 8, blank))
+    messages.append(Message("/scan", LASER_SCAN, START + 9, b"\x00\x01\x00\x00rubbish"))
+    messages.append(Message("/odom", ODOMETRY, START + 10, b"rubbish"))
+    empty = scan_cdr("laser", START + 8 * SECOND, -1.0, 0.2, [], range_max=8.0)
+    messages.append(Message("/scan", LASER_SCAN, START + 11, empty))
+    stream = stream_of(messages)
+    assert len(list(stream)) == 7
+    assert stream.expected == 9
+    counts = {k: n for k, n in stream.counts.items() if n}
+    assert counts == {
+        "scans": 7,
+        "unusable_scans": 2,
+        "unusable_odometry": 1,
+        "blank_scans": 1,
+        "backward_stamps": 1,
+        "repeated_stamps": 1,
+        "without_odometry": 7,
+    }
+    assert len(stream.warnings) == 6
+    assert "scans that could not be read and were left out: 2" in stream.warnings
+
+
+def test_a_cloud_becomes_points_in_the_base_frame_and_a_planar_scan(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    points = rng.uniform((-4, -4, -0.5), (4, 4, 2.0), (3000, 3)).astype(np.float32)
+    points[:5] = np.nan
+    half = math.sqrt(0.5)
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        log.static_transform("base_footprint", "base_link", (0.0, 0.0, 0.1), stamp_ns=START)
+        yaw = (0.0, 0.0, half, half)
+        log.static_transform("base_link", "lidar", (0.3, 0.0, 0.5), yaw, START)
+        for i in range(3):
+            times = np.linspace(0.0, 0.1, 3000)
+            log.cloud("/points", "lidar", START + i * SECOND // 10, points, times)
+    sweeps, stream = read(path, cloud_beams=180)
+    assert "height band 0.15 to 1.5 m above the floor" in stream.selection.note
+    sweep = sweeps[1]
+    assert sweep.cloud is not None
+    assert sweep.cloud_times_s is not None
+    assert len(sweep.cloud) == len(sweep.cloud_times_s) == 2995
+    good = points[5:]
+    expected = np.column_stack([-good[:, 1] + 0.3, good[:, 0], good[:, 2] + 0.5])
+    np.testing.assert_allclose(sweep.cloud, expected, atol=1e-6)
+    assert sweep.base_from_laser == (0.3, 0.0, 0.0)
+    band = expected[(expected[:, 2] >= 0.05) & (expected[:, 2] <= 1.4)]
+    nearest = np.hypot(band[:, 0] - 0.3, band[:, 1]).min()
+    assert np.nanmin(sweep.planar.ranges) == pytest.approx(nearest)
+    assert stream.warnings == []
+
+
+def test_a_lidar_without_transforms_is_its_own_base(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    rng = np.random.default_rng(8)
+    with LogWriter(path) as log:
+        log.cloud("/points", "lidar", START, rng.uniform(-3, 3, (900, 3)))
+    (sweep,), stream = read(path)
+    assert stream.selection.base_frame == "lidar"
+    assert sweep.cloud_times_s is None
+    assert any("lowest returns of the first cloud" in line for line in stream.warnings)

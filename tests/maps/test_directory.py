@@ -1,0 +1,231 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+from specmap_cli.core.errors import UsageError
+from specmap_cli.maps.directory import MARKER, OutputDirectory
+
+
+def fill(directory: Path, words: str = "new") -> None:
+    (directory / MARKER).write_text(words)
+    (directory / "submaps").mkdir()
+    (directory / "submaps" / "000.png").write_text(words)
+
+
+def fill_and_raise(directory: Path, error: type[BaseException]) -> None:
+    fill(directory)
+    raise error
+
+
+def a_map(path: Path) -> Path:
+    path.mkdir()
+    fill(path, "old")
+    return path
+
+
+def hidden(parent: Path) -> list[str]:
+    return sorted(entry.name for entry in parent.iterdir() if entry.name.startswith("."))
+
+
+def test_appears_complete(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with OutputDirectory(out) as partial:
+        assert partial.parent == tmp_path
+        fill(partial)
+        assert not out.exists()
+    assert (out / "submaps" / "000.png").read_text() == "new"
+    assert os.listdir(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_an_interruption_leaves_nothing(tmp_path: Path, error: type[BaseException]) -> None:
+    with pytest.raises(error), OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
+        fill_and_raise(partial, error)
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_interruption_keeps_the_old_map(tmp_path: Path) -> None:
+    out = a_map(tmp_path / "out")
+    with pytest.raises(KeyboardInterrupt), OutputDirectory(out, overwrite=True) as partial:
+        fill_and_raise(partial, KeyboardInterrupt)
+    assert (out / MARKER).read_text() == "old"
+    assert hidden(tmp_path) == []
+
+
+def test_missing_parents_are_made(tmp_path: Path) -> None:
+    with OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
+        fill(partial)
+    assert (tmp_path / "a" / "b" / "out" / MARKER).is_file()
+
+
+def test_an_existing_map_needs_overwrite(tmp_path: Path) -> None:
+    out = a_map(tmp_path / "out")
+    with pytest.raises(UsageError, match="--overwrite"), OutputDirectory(out):
+        pytest.fail("entered")
+    assert hidden(tmp_path) == []
+
+
+def test_overwrite_replaces_the_whole_map(tmp_path: Path) -> None:
+    out = a_map(tmp_path / "out")
+    (out / "submaps" / "007.png").write_text("stale")
+    with OutputDirectory(out, overwrite=True) as partial:
+        fill(partial)
+        assert (out / MARKER).read_text() == "old"
+    assert (out / MARKER).read_text() == "new"
+    assert os.listdir(out / "submaps") == ["000.png"]
+    assert hidden(tmp_path) == []
+
+
+def test_an_empty_directory_is_used(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    with OutputDirectory(tmp_path / "out") as partial:
+        fill(partial)
+    assert (tmp_path / "out" / MARKER).is_file()
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_foreign_data_is_never_touched(tmp_path: Path, overwrite: bool) -> None:
+    out = tmp_path / "thesis"
+    out.mkdir()
+    (out / "chapter1.tex").write_text("years of work")
+    with pytest.raises(UsageError, match="no map"), OutputDirectory(out, overwrite):
+        pytest.fail("entered")
+    assert (out / "chapter1.tex").read_text() == "years of work"
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_file_at_the_target_is_refused(tmp_path: Path, overwrite: bool) -> None:
+    (tmp_path / "out").write_text("a file")
+    with pytest.raises(UsageError, match="is a file"), OutputDirectory(tmp_path / "out", overwrite):
+        pytest.fail("entered")
+    assert (tmp_path / "out").read_text() == "a file"
+
+
+def test_a_file_as_the_parent_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(UsageError, match=r"cannot write there.*Not a directory") as caught,
+        OutputDirectory(tmp_path / "file" / "out"),
+    ):
+        pytest.fail("entered")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_link_to_a_map_stays_a_link(tmp_path: Path) -> None:
+    a_map(tmp_path / "real")
+    link = tmp_path / "link"
+    link.symlink_to("real")
+    with OutputDirectory(link, overwrite=True) as partial:
+        fill(partial)
+    assert link.is_symlink()
+    assert (tmp_path / "real" / MARKER).read_text() == "new"
+
+
+def test_a_dangling_link_leads_to_its_target(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to("real")
+    with OutputDirectory(tmp_path / "link") as partial:
+        fill(partial)
+    assert (tmp_path / "real" / MARKER).read_text() == "new"
+
+
+def test_links_in_an_old_map_are_not_followed(tmp_path: Path) -> None:
+    out = a_map(tmp_path / "out")
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "precious" / "file").write_text("kept")
+    (out / "link").symlink_to(tmp_path / "precious")
+    with OutputDirectory(out, overwrite=True) as partial:
+        fill(partial)
+    assert (tmp_path / "precious" / "file").read_text() == "kept"
+
+
+@pytest.mark.parametrize("place", ["/", "/proc/specmap_out"])
+def test_hopeless_places_are_refused(place: str) -> None:
+    with pytest.raises(UsageError), OutputDirectory(Path(place)):
+        pytest.fail("entered")
+
+
+def test_a_target_that_turns_up_meanwhile_is_not_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(UsageError, match="--overwrite"), OutputDirectory(out):
+        a_map(out)
+    assert (out / MARKER).read_text() == "old"
+    assert hidden(tmp_path) == []
+
+
+def test_a_failing_swap_restores_the_old_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = a_map(tmp_path / "out")
+    rename = os.rename
+
+    def failing(source: Path, target: Path) -> None:
+        if ".partial-" in str(source):
+            raise OSError(5, "Input/output error")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "rename", failing)
+    with (
+        pytest.raises(UsageError, match="Input/output error"),
+        OutputDirectory(out, overwrite=True) as partial,
+    ):
+        fill(partial)
+    assert (out / MARKER).read_text() == "old"
+    assert hidden(tmp_path) == []
+
+
+def test_a_signal_in_the_middle_of_the_swap_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = a_map(tmp_path / "out")
+    rename = os.rename
+
+    def interrupted(source: Path, target: Path) -> None:
+        rename(source, target)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(os, "rename", interrupted)
+    with pytest.raises(KeyboardInterrupt), OutputDirectory(out, overwrite=True) as partial:
+        fill(partial)
+    assert (out / MARKER).read_text() == "new"
+    assert hidden(tmp_path) == []
+
+
+WRITER = """
+import signal, sys
+from pathlib import Path
+from specmap_cli.maps.directory import MARKER, OutputDirectory
+
+def stop(number, frame):
+    raise SystemExit(143)
+
+signal.signal(signal.SIGTERM, stop)
+print("ready", flush=True)
+while True:
+    with OutputDirectory(Path(sys.argv[1]), overwrite=True) as partial:
+        for name in (MARKER, "a", "b", "c"):
+            (partial / name).write_text("x")
+"""
+
+
+def test_sigterm_at_any_moment_leaves_a_whole_map_or_none(tmp_path: Path) -> None:
+    for i in range(6):
+        parent = tmp_path / str(i)
+        parent.mkdir()
+        command = [sys.executable, "-c", textwrap.dedent(WRITER), str(parent / "out")]
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            time.sleep(0.004 * i)
+            process.terminate()
+            assert process.wait(timeout=20) == 143
+        assert set(os.listdir(parent)) <= {"out"}
+        if (parent / "out").exists():
+            assert sorted(os.listdir(parent / "out")) == sorted([MARKER, "a", "b", "c"])

@@ -1,0 +1,211 @@
+"""Simulated recordings: what is written is what was simulated, and always the same."""
+
+from __future__ import annotations
+
+import importlib.util
+import shlex
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_typestore
+
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import Sweep
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.pipelines.simulate import (
+    SimulationOptions,
+    SimulationResult,
+    record,
+    simulate,
+    simulate_sweeps,
+    simulation_options,
+)
+from specmap_cli.simulation.worlds import RoomTruth
+from tests.conftest import SAMPLE_LOGS
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+
+
+def messages(path: Path) -> Iterator[tuple[str, int, Any]]:
+    """Topic, log time and message of a recording, by readers that are not ours."""
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            assert schema is not None
+            yield (
+                channel.topic,
+                message.log_time,
+                STORE.deserialize_cdr(message.data, schema.name),
+            )
+
+
+def tum(path: Path) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return np.loadtxt(path, ndmin=2)
+
+
+def test_the_file_holds_the_scans_of_the_tour(
+    flat_log: SimulationResult, flat_tour: list[tuple[Sweep, Pose2]]
+) -> None:
+    scans = [message for topic, _, message in messages(flat_log.log) if topic == "/scan"]
+    assert len(scans) == len(flat_tour) == flat_log.scans
+    for scan, (sweep, _) in zip(scans[::17], flat_tour[::17], strict=True):
+        assert scan.header.stamp.sec * 10**9 + scan.header.stamp.nanosec == sweep.stamp_ns
+        np.testing.assert_array_equal(scan.ranges, sweep.planar.ranges)
+        bearings = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+        np.testing.assert_allclose(bearings, sweep.planar.bearings, atol=1e-6)
+        assert sweep.planar.full_circle
+
+
+def test_odometry_encloses_the_scans_and_interpolates_to_the_sweeps(
+    flat_log: SimulationResult, flat_tour: list[tuple[Sweep, Pose2]]
+) -> None:
+    odometry = [
+        (t, m.pose.pose.position) for topic, t, m in messages(flat_log.log) if topic == "/odom"
+    ]
+    stamps = np.array([stamp for stamp, _ in odometry])
+    places = np.array([[p.x, p.y] for _, p in odometry])
+    sweeps = [sweep for sweep, _ in flat_tour]
+    assert stamps[0] < sweeps[0].stamp_ns
+    assert stamps[-1] > sweeps[-1].stamp_ns
+    wanted = np.array([sweep.stamp_ns for sweep in sweeps])
+    for axis in (0, 1):
+        found = [sweep.odom_from_base[axis] for sweep in sweeps if sweep.odom_from_base]
+        expected = np.interp(wanted - stamps[0], stamps - stamps[0], places[:, axis])
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_messages_come_in_the_order_of_their_stamps(flat_log: SimulationResult) -> None:
+    topics, times, _ = zip(*messages(flat_log.log), strict=True)
+    assert topics[0] == "/tf_static"
+    assert list(times[1:]) == sorted(times[1:])
+    assert set(Counter(topics)) == {"/tf_static", "/scan", "/odom"}
+
+
+def test_the_truth_has_a_line_a_scan_at_its_stamp(
+    flat_log: SimulationResult, flat_tour: list[tuple[Sweep, Pose2]]
+) -> None:
+    lines = flat_log.truth.read_text().splitlines()
+    assert len(lines) == len(flat_tour)
+    for line, (sweep, pose) in zip(lines, flat_tour, strict=True):
+        seconds, nanoseconds = line.split()[0].split(".")
+        assert int(seconds) * 10**9 + int(nanoseconds.ljust(9, "0")) == sweep.stamp_ns
+        _, x, y, z, qx, qy, qz, qw = map(float, line.split())
+        assert [x, y] == pytest.approx([pose.x, pose.y])
+        assert [z, qx, qy] == [0.0, 0.0, 0.0]
+        assert np.cos(2 * np.arctan2(qz, qw) - pose.theta) == pytest.approx(1.0)
+
+
+def test_the_same_options_give_the_same_bytes(
+    flat: GridMap, flat_options: SimulationOptions, flat_log: SimulationResult, tmp_path: Path
+) -> None:
+    again = simulate(flat, flat_options, tmp_path / "again.mcap", tmp_path / "elsewhere.txt")
+    assert again.log.read_bytes() == flat_log.log.read_bytes()
+    assert again.truth == tmp_path / "elsewhere.txt"
+    assert again.truth.read_bytes() == flat_log.truth.read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["again.mcap", "elsewhere.txt"]
+
+
+def test_errors_of_the_sensors_leave_the_route_as_it_is(flat: GridMap) -> None:
+    exact = record(flat, SimulationOptions(seed=5, noise_m=0.0, odometry_drift=0.0))
+    noisy = record(flat, SimulationOptions(seed=5, noise_m=0.05, odometry_drift=3.0, beams=90))
+    np.testing.assert_array_equal(exact.drive.poses, noisy.drive.poses)
+
+
+def test_a_longest_duration_ends_the_recording(flat: GridMap) -> None:
+    options = SimulationOptions(max_duration_s=3.0, rate_hz=4, beams=30, seed=2)
+    sweeps = [sweep for sweep, _ in simulate_sweeps(flat, options)]
+    assert len(sweeps) == 13
+    assert sweeps[-1].stamp_ns - sweeps[0].stamp_ns == 3 * 10**9
+
+
+def test_the_mounting_reaches_the_static_transform(flat: GridMap, tmp_path: Path) -> None:
+    options = SimulationOptions(
+        max_duration_s=0.1, beams=8, laser_x_m=0.2, laser_y_m=-0.1, laser_yaw_deg=90
+    )
+    simulate(flat, options, tmp_path / "a.mcap")
+    _, _, message = next(messages(tmp_path / "a.mcap"))
+    (mounted,) = message.transforms
+    assert (mounted.header.frame_id, mounted.child_frame_id) == ("base_link", "laser")
+    assert mounted.transform.translation.x == 0.2
+    assert mounted.transform.translation.y == -0.1
+    assert mounted.transform.rotation.z == pytest.approx(np.sqrt(0.5))
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"beams": 1}, "beams: .*greater than or equal to 8.*found 1"),
+        ({"speed_mps": float("nan")}, "speed_mps: .*finite"),
+        ({"lapse": 3}, "lapse: .*found 3"),
+        ({"sweep_s": 0.3, "rate_hz": 5}, "sweep_s is longer than the 0.2 s between scans"),
+    ],
+)
+def test_options_out_of_range_are_one_line(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message) as caught:
+        simulation_options(**values)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_robot_that_just_fits_records_where_it_stands(tmp_path: Path) -> None:
+    cells = np.full((30, 30), OCCUPIED, dtype=np.uint8)
+    cells[9:22, 9:22] = FREE
+    made = simulate(GridMap(cells, 0.05), SimulationOptions(beams=16), tmp_path / "a.mcap")
+    assert (made.scans, made.distance_m) == (1, 0.0)
+
+
+def test_a_truth_that_cannot_be_written_leaves_no_recording(flat: GridMap, tmp_path: Path) -> None:
+    options = SimulationOptions(max_duration_s=0.2, beams=8)
+    with pytest.raises(UsageError, match=r"truth.*cannot be written"):
+        simulate(flat, options, tmp_path / "log.mcap", tmp_path / "no" / "truth.tum")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_plan_of_the_sample_logs_is_what_its_script_draws(office: GridMap) -> None:
+    spec = importlib.util.spec_from_file_location("draw_office", SAMPLE_LOGS / "draw_office.py")
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    drawn = script.draw_plan(script.draw_rooms())
+    np.testing.assert_array_equal(office.free, drawn[::-1] == script.FREE)
+    np.testing.assert_array_equal(office.occupied, drawn[::-1] == script.OCCUPIED)
+
+
+@pytest.mark.parametrize(("name", "visits"), [("office", 2), ("office_again", 1)])
+def test_the_sample_logs_visit_every_room(office_rooms: RoomTruth, name: str, visits: int) -> None:
+    rooms = office_rooms.at(tum(SAMPLE_LOGS / f"{name}.tum")[:, 1:3], reach_m=0.3)
+    rooms = rooms[rooms > 0]
+    stays = np.split(rooms, np.flatnonzero(np.diff(rooms)) + 1)
+    counts = Counter(int(stay[0]) for stay in stays if len(stay) >= 20)
+    assert set(counts) == set(range(1, office_rooms.count + 1))
+    assert min(counts.values()) >= visits
+
+
+def readme_lines() -> list[list[str]]:
+    """The `specmap simulate` lines of the README of the sample logs, as arguments."""
+    text = (SAMPLE_LOGS / "README.md").read_text().replace("\\\n", " ")
+    lines = [line for line in text.splitlines() if line.startswith("specmap simulate")]
+    return [shlex.split(line)[1:] for line in lines]
+
+
+@pytest.mark.parametrize("arguments", readme_lines(), ids=lambda a: Path(a[3]).stem)
+def test_the_lines_of_the_readme_make_the_sample_logs(arguments: list[str], tmp_path: Path) -> None:
+    sample = SAMPLE_LOGS.parent / arguments[3]
+    arguments = [*arguments[:3], str(tmp_path / "made.mcap"), *arguments[4:]]
+    command = [sys.executable, "-m", "specmap_cli", *arguments, "--quiet"]
+    subprocess.run(command, check=True, cwd=SAMPLE_LOGS.parent)
+    # other versions of the libraries may round and compress otherwise
+    assert (tum(tmp_path / "made.tum")[:, 0] == tum(sample.with_suffix(".tum"))[:, 0]).all()
+    for (topic, time, made), (kept_topic, kept_time, kept) in zip(
+        messages(tmp_path / "made.mcap"), messages(sample), strict=True
+    ):
+        assert (topic, time) == (kept_topic, kept_time)
+        if topic == "/scan":
+            np.testing.assert_allclose(made.ranges, kept.ranges, atol=0.0011)

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from specmap_cli.core.records import NO_SUBMAP, Labels
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.topology.outlines import outline
+from specmap_cli.topology.regions import NOBODY, Regions, divide
+
+
+def grid_of(picture: list[str], resolution: float = 0.5) -> GridMap:
+    """Free cells where a `.` is, the first line being the highest y."""
+    cells = [[FREE if letter == "." else UNKNOWN for letter in line] for line in picture[::-1]]
+    return GridMap(np.array(cells, dtype=np.uint8), resolution, (10.0, -4.0))
+
+
+def area(polygon: NDArray[Any]) -> float:
+    x, y = polygon.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+
+
+def test_a_rectangle() -> None:
+    grid = GridMap(np.full((20, 30), FREE, dtype=np.uint8), 0.1, (1.0, 2.0))
+    shape = outline(grid)
+    assert shape.area_m2 == pytest.approx(6.0)
+    assert len(shape.polygon) == 4
+    assert area(shape.polygon) == pytest.approx(6.0, rel=0.06)  # counter-clockwise: positive
+    assert shape.polygon.min(axis=0) == pytest.approx((1.0, 2.0), abs=0.05)
+    assert shape.polygon.max(axis=0) == pytest.approx((4.0, 4.0), abs=0.05)
+    assert shape.centroid == pytest.approx((2.5, 3.0), abs=0.06)
+
+
+def test_the_centroid_lies_inside_an_l() -> None:
+    shape = outline(grid_of(["...     ", "...     ", "...     ", "........", "........"]))
+    assert shape.centroid is not None
+    inside = cv2.pointPolygonTest(
+        shape.polygon.astype(np.float32), tuple(shape.centroid.tolist()), False
+    )
+    assert inside > 0
+
+
+def test_the_polygon_is_that_of_the_largest_part() -> None:
+    shape = outline(grid_of(["....  .", "....   ", "      ."]))
+    assert shape.area_m2 == pytest.approx(10 * 0.25)
+    assert shape.polygon[:, 0].max() < 12.1
+    assert shape.polygon[:, 1].min() > -3.6
+
+
+@pytest.mark.parametrize("picture", [["."], ["...."], [".", "."]])
+def test_thin_regions_keep_an_area(picture: list[str]) -> None:
+    shape = outline(grid_of(picture))
+    assert len(shape.polygon) >= 3
+    assert area(shape.polygon) > 0
+
+
+def test_nothing_free() -> None:
+    shape = outline(grid_of(["  ", "  "]))
+    assert (len(shape.polygon), shape.centroid, shape.area_m2) == (0, None, 0.0)
+
+
+def labels_at(places: dict[int, tuple[float, float]]) -> Labels:
+    """One keyframe in each submap."""
+    poses = np.array([(x, y, 0.0) for x, y in places.values()])
+    return Labels(np.arange(len(places)), poses, np.array(list(places)))
+
+
+def test_shared_cells_go_to_the_nearest_keyframe() -> None:
+    grid = GridMap(np.full((4, 10), FREE, dtype=np.uint8), 1.0)
+    regions = divide(grid, labels_at({3: (1.5, 1.5), 5: (8.5, 1.5)}))
+    assert (regions.owner[:, :4] == 3).all()
+    assert (regions.owner[:, 6:] == 5).all()
+    assert set(np.unique(regions.owner)) == {3, 5}
+
+
+def test_near_is_on_foot_not_through_a_wall() -> None:
+    cells = np.full((30, 41), FREE, dtype=np.uint8)
+    cells[:24, 20] = OCCUPIED  # a wall with an opening at the far end
+    grid = GridMap(cells, 1.0)
+    regions = divide(grid, labels_at({0: (18.5, 1.5), 1: (39.5, 28.5)}))
+    assert (regions.owner[:4, :20] == 0).all()
+    assert (regions.owner[:4, 21:] == 1).all()  # nearer to keyframe 0 as the crow flies
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_regions_are_connected_and_hold_their_keyframes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cells = np.where(rng.random((60, 80)) < 0.04, OCCUPIED, FREE).astype(np.uint8)
+    grid = GridMap(cells, 0.1)
+    places = {id_: tuple(rng.uniform((0.2, 0.2), (7.8, 5.8))) for id_ in range(6)}
+    regions = divide(grid, labels_at(places))
+    for id_, place in places.items():
+        row, column = grid.cells_of(np.array([place]))[0]
+        region = regions.owner == id_
+        assert region[row, column] or cells[row, column] == OCCUPIED
+        count, _, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8))
+        largest = stats[1:, cv2.CC_STAT_AREA].max() if count > 1 else 0
+        assert largest >= 0.97 * region.sum()
+    owned = regions.owner != NOBODY
+    assert (owned <= grid.free).all()
+    assert owned.sum() > 0.97 * grid.free.sum()
+
+
+def test_what_no_keyframe_reaches_is_nobodys() -> None:
+    cells = np.full((9, 20), FREE, dtype=np.uint8)
+    cells[:, 10] = OCCUPIED
+    regions = divide(GridMap(cells, 1.0), labels_at({0: (3.0, 3.0)}))
+    assert (regions.owner[:, :10] == 0).all()
+    assert (regions.owner[:, 10:] == NOBODY).all()
+
+
+def test_specks_behind_a_wall_are_not_reached() -> None:
+    cells = np.full((20, 30), FREE, dtype=np.uint8)
+    cells[:, 20], cells[:, 22:] = OCCUPIED, UNKNOWN
+    regions = divide(GridMap(cells, 0.05), labels_at({0: (0.3, 0.3)}))
+    assert (regions.owner[:, :20] == 0).all()
+    assert (regions.owner[:, 20:] == NOBODY).all()
+
+
+def test_thin_rays_are_not_reached() -> None:
+    """What single beams carved through a gap is no part of a room."""
+    cells = np.full((40, 120), UNKNOWN, dtype=np.uint8)
+    cells[5:35, 5:35] = FREE
+    cells[20, 35:110] = FREE
+    regions = divide(GridMap(cells, 0.05), labels_at({0: (1.0, 1.0)}))
+    assert (regions.owner[5:35, 5:35] == 0).all()
+    assert (regions.owner[20, 45:110] == NOBODY).all()
+
+
+def test_a_doorway_of_half_a_metre_is_gone_through() -> None:
+    cells = np.full((40, 70), FREE, dtype=np.uint8)
+    cells[:, 35] = OCCUPIED
+    cells[15:25, 35] = FREE
+    regions = divide(GridMap(cells, 0.05), labels_at({0: (1.0, 1.0)}))
+    assert (regions.owner[cells == FREE] == 0).all()
+
+
+def test_where_the_robot_stood_is_reached_even_when_marked_occupied() -> None:
+    cells = np.full((9, 20), FREE, dtype=np.uint8)
+    cells[4, 4] = OCCUPIED
+    regions = divide(GridMap(cells, 1.0), labels_at({0: (4.5, 4.5)}))
+    assert regions.outline(0).area_m2 == 9 * 20 - 1
+
+
+def test_no_keyframes_and_keyframes_off_the_grid() -> None:
+    grid = GridMap(np.full((4, 4), FREE, dtype=np.uint8), 1.0)
+    for labels in (labels_at({0: (100.0, 0.0)}), labels_at({NO_SUBMAP: (1.0, 1.0)})):
+        assert (divide(grid, labels).owner == NOBODY).all()
+
+
+def test_a_region_without_a_cell_has_no_outline() -> None:
+    grid = GridMap(np.full((2, 2), FREE, dtype=np.uint8), 1.0)
+    regions = Regions.of(grid, np.array([[0, 0], [NOBODY, 2]]))
+    assert sorted(regions.outlines) == [0, 2]
+    assert regions.outline(1).centroid is None
