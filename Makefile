@@ -1,20 +1,27 @@
-# The commands of the project. Each makes what it needs: a virtual environment in .venv with
-# the versions pinned in constraints.txt. Needs Python 3.11 or newer with its venv module, and make.
+# The commands of the project. Each makes what it needs: a virtual environment in .venv with the
+# versions pinned in constraints.txt, and one in .venv-lowest with the lowest that pyproject.toml
+# allows, pinned in constraints-lowest.txt. Needs Python 3.11 or newer with its venv module, and
+# make; the lowest versions need Python 3.11, the lowest itself.
 
 PYTHON ?= $(firstword $(foreach p,python3.11 python3.12 python3.13 python3,$(if $(shell $(p) -c 'import sys, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo ok),$(p))))
+PYTHON_LOWEST ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
+LOWEST := .venv-lowest
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test lint format bench sample-logs clean
+.PHONY: demo test test-lowest lint format bench fuzz sample-logs constraints-lowest clean
 
 demo: $(VENV)/installed
 	$(BIN)/specmap build sample_logs/office.mcap --out demo/map --overwrite
-	$(BIN)/specmap localize sample_logs/office_again.mcap --map demo/map --output demo/office_again.csv --plot demo/office_again.png --metric --overwrite
+	$(BIN)/specmap localize sample_logs/office_again.mcap --map demo/map --out demo/office_again.csv --plot demo/office_again.png --metric --overwrite
 	@echo "The map is in demo/map (look at demo/map/overview.png); where the second log was taken: demo/office_again.csv, demo/office_again.png"
 
 test: lint
 	$(BIN)/python -m pytest -n 2
+
+test-lowest: $(LOWEST)/installed-dev
+	$(LOWEST)/bin/python -m pytest -n 2
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .
@@ -32,13 +39,26 @@ bench: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.online
 	$(BIN)/python -m benchmarks.recognition
 
+# A mutation fuzzer of our own over logs and maps: see docs/reliability.md.
+CASES ?= 20000
+SEED ?= 1
+JOBS ?= 2
+fuzz: $(VENV)/installed-dev
+	$(BIN)/python -m fuzz --cases $(CASES) --seed $(SEED) --jobs $(JOBS)
+
 sample-logs: $(VENV)/installed
 	$(BIN)/python sample_logs/draw_office.py
 	$(BIN)/specmap simulate sample_logs/office.yaml -o sample_logs/office.mcap --beams 181 --speed 0.8 --spacing 3 --laps 2 --seed 2 --overwrite
 	$(BIN)/specmap simulate sample_logs/office.yaml -o sample_logs/office_again.mcap --beams 181 --speed 0.8 --spacing 3 --seed 7 --overwrite
 
+# The pins of test-lowest, made anew when a floor in pyproject.toml has changed.
+constraints-lowest: $(LOWEST)/created
+	$(LOWEST)/bin/python -m pip install --quiet uv
+	$(LOWEST)/bin/python -m uv pip compile --quiet --resolution lowest-direct --extra dev --no-annotate \
+		--python-version 3.11 --custom-compile-command "make $@" pyproject.toml --output-file constraints-lowest.txt
+
 clean:
-	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(LOWEST) demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 $(VENV)/created:
 	@if [ -z "$(PYTHON)" ]; then echo "make: no Python 3.11 or newer with the venv module found: install python3 and python3-venv, or say make PYTHON=/path/to/python3" >&2; exit 2; fi
@@ -51,4 +71,13 @@ $(VENV)/installed: $(VENV)/created pyproject.toml constraints.txt
 
 $(VENV)/installed-dev: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+$(LOWEST)/created:
+	@if ! $(PYTHON_LOWEST) -c 'import sys, ensurepip; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null; then echo "make: the lowest versions need Python 3.11 with the venv module: install it, or say make test-lowest PYTHON_LOWEST=/path/to/python3.11" >&2; exit 2; fi
+	$(PYTHON_LOWEST) -m venv $(LOWEST)
+	@touch $@
+
+$(LOWEST)/installed-dev: $(LOWEST)/created pyproject.toml constraints-lowest.txt
+	$(LOWEST)/bin/python -m pip install --quiet --constraint constraints-lowest.txt --editable '.[dev]'
 	@touch $@

@@ -23,15 +23,16 @@ import cv2
 import numpy as np
 
 from benchmarks.data import plan, rooms_of
-from specmap_cli.core.config import Config, load_config
+from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.evaluation.scores import stay_scores, visits_of
+from specmap_cli.core.settings import Config
+from specmap_cli.evaluation.scores import visit_scores, visits_of
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
-from specmap_cli.pipelines.simulate import SimulationOptions, simulate_sweeps
 from specmap_cli.registration import FrontEnd
 from specmap_cli.segmentation.online import OnlineSegmenter, Region
-from specmap_cli.simulation.worlds import RoomTruth
+from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
 
 PLANS = ("Freiburg79_scan", "Freiburg79_scan_furnitures", "office_a", "lab_c_scan")
 LASERS = ((180.0, 361, 8.0), (360.0, 720, 20.0))
@@ -120,7 +121,7 @@ def score(name: str, laser: str, tour: Tour, rooms: RoomTruth, config: Config) -
     room = rooms.at(tour.truth, reach_m=np.inf)
     steps = np.hypot(*np.diff(tour.truth[:, :2], axis=0, prepend=tour.truth[:1, :2]).T)
     visits = visits_of(room, steps)
-    scores = stay_scores(room, visits, submap, region_of)
+    scores = visit_scores(rooms=room, visits=visits, submaps=submap, regions=region_of)
     third = max(1, len(durations) // 3)
     return Row(
         plan=name,
@@ -159,8 +160,9 @@ def labels_of(regions: list[Region], keyframes: int) -> tuple[np.ndarray, np.nda
     """The submap and the region (n,) of every keyframe."""
     submap, region_of = np.full((2, keyframes), -1)
     for region in regions:
-        region_of[region.keyframes] = region.number
-        submap[region.keyframes] = region.number if region.continues is None else region.continues
+        rows = list(region.keyframes)
+        region_of[rows] = region.number
+        submap[rows] = region.number if region.continues is None else region.continues
     return submap, region_of
 
 

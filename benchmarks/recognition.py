@@ -13,28 +13,37 @@ from __future__ import annotations
 
 import argparse
 import time
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from benchmarks.data import RESOLUTION_M, log_file, plan, rooms_of, truth_file
-from specmap_cli.core.config import Config, load_config
+from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import Pose2, compose, invert, wrap_angle
+from specmap_cli.core.labels import neighbours
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
+from specmap_cli.core.settings import Config
 from specmap_cli.evaluation.classification import classification_scores
-from specmap_cli.evaluation.protocols import HoldOut, hold_out, map_log
+from specmap_cli.evaluation.protocols import HoldOut, hold_out
 from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
-from specmap_cli.pipelines.finishing import finish_map
-from specmap_cli.pipelines.mapper import Mapper
-from specmap_cli.pipelines.simulate import SimulationOptions, simulate_sweeps
-from specmap_cli.recognition.closure.loop_closer import LoopCloser, SubmapView
+from specmap_cli.logs import open_log
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.pipelines.build import explore_log, map_log
+from specmap_cli.pipelines.exploration import Exploration, Explored
+from specmap_cli.pipelines.refutation import constraints_of
+from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.recognition.closure.loop_closer import LoopCloser
+from specmap_cli.recognition.closure.stay import Stay
 from specmap_cli.recognition.closure.verification import tracks_overlap
-from specmap_cli.recognition.features.sets import FEATURE_SETS, scans_features
+from specmap_cli.recognition.features.sets import feature_names, scans_features
 from specmap_cli.recognition.learning.training import train_localizer
 from specmap_cli.recognition.localization.localizer import Localizer
+from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from specmap_cli.topology.graph import submap_of_regions
 
 LOGS = ("fr079", "mit_csail")
 PAPER = {"fr079": (0.9728, 0.9818, 0.9089, 0.9212), "mit_csail": (0.9689, 0.9739, 0.83, 0.8458)}
@@ -82,22 +91,22 @@ def closures(quick: bool) -> None:
 def _closures_of(name: str, preset: str) -> str:
     config = load_config(preset=preset)
     with KeyframeStore() as store:
-        mapper = _mapped(name, config, store)
+        explored = _explored(name, config, store)
         truth = read_tum(truth_file(f"{name}_corrected.tum"))
         known_at, found = associate(truth.stamps_ns, np.array(store.stamps_ns), 5_000_000)
         rows = np.full(len(store), -1)
         rows[known_at] = found
         poses = truth.poses
         tracks = {}
-        for region, keyframes in mapper.regions.items():
+        for region, keyframes in explored.regions.items():
             known = [k for k in keyframes if rows[k] >= 0]
             if known:
                 base = np.array(store.base_from_laser(known[0]).inverse())
                 tracks[region] = compose(poses[rows[known]], base)
-        return _judged(mapper, tracks, rows, poses)
+        return _judged(explored, store, tracks, rows, poses)
 
 
-def _judged(mapper: Mapper, tracks: Any, rows: Any, poses: Any) -> str:
+def _judged(explored: Explored, store: KeyframeStore, tracks: Any, rows: Any, poses: Any) -> str:
     here = Pose2(0.0, 0.0, 0.0)
     overlap = {
         (a, b): tracks_overlap(tracks[a], tracks[b], here, 1.0)
@@ -105,22 +114,19 @@ def _judged(mapper: Mapper, tracks: Any, rows: Any, poses: Any) -> str:
         for b in tracks
         if a < b
     }
-    merges = [c for c in mapper.closures if c.merged]
+    merges = [c for c in explored.closures if c.merged]
+    submap = submap_of_regions(explored.regions, [(c.old, c.new) for c in merges])
     right = sum(_overlap(overlap, c.old, c.new) > 0.25 for c in merges)
     back = [b for b in tracks if any(overlap[a, b] >= REVISIT for a in tracks if a < b)]
     found = sum(
-        any(
-            mapper.merger.find(a) == mapper.merger.find(b) and overlap[a, b] >= REVISIT
-            for a in tracks
-            if a < b
-        )
+        any(submap[a] == submap[b] and overlap[a, b] >= REVISIT for a in tracks if a < b)
         for b in back
     )
-    errors = np.array(_constraint_errors(mapper, rows, poses)).reshape(-1, 2)
+    errors = np.array(_constraint_errors(explored, store, rows, poses)).reshape(-1, 2)
     wrong = int(((errors[:, 0] > 0.6) | (errors[:, 1] > 7.0)).sum())
     median = np.median(errors, axis=0) if len(errors) else np.full(2, np.nan)
     return (
-        f"{len(mapper.regions)} regions, {len(merges)} merges, {right} right | "
+        f"{len(explored.regions)} regions, {len(merges)} merges, {right} right | "
         f"{found}/{len(back)} | {len(errors)}, {wrong} wrong, "
         f"{100 * median[0]:.1f} cm {median[1]:.2f} deg"
     )
@@ -130,14 +136,18 @@ def _overlap(overlap: dict[tuple[int, int], float], a: int, b: int) -> float:
     return overlap.get((min(a, b), max(a, b)), 0.0)
 
 
-def _constraint_errors(mapper: Mapper, rows: Any, poses: Any) -> list[tuple[float, float]]:
+def _constraint_errors(
+    explored: Explored, store: KeyframeStore, rows: Any, poses: Any
+) -> list[tuple[float, float]]:
     """Metres and degrees between each verified transform and the truth, at the keyframes joined."""
     errors = []
-    for constraint in mapper.constraints():
+    settings = load_config().relaxation
+    constraints = constraints_of(explored.closures, explored.regions, store, settings)
+    for constraint in constraints.values():
         a, b = rows[constraint.source], rows[constraint.target]
         if a < 0 or b < 0:
             continue
-        laser = mapper.store.base_from_laser(constraint.source)
+        laser = store.base_from_laser(constraint.source)
         base = [Pose2(*poses[k].tolist()) @ laser.inverse() for k in (a, b)]
         true = base[0].inverse() @ base[1]
         off = true.inverse() @ constraint.source_from_target
@@ -145,10 +155,12 @@ def _constraint_errors(mapper: Mapper, rows: Any, poses: Any) -> list[tuple[floa
     return errors
 
 
-def _mapped(name: str, config: Config, store: KeyframeStore) -> Mapper:
-    mapper = Mapper(config, store)
-    map_log([log_file(name)], mapper, Silent())
-    return mapper
+def _explored(name: str, config: Config, store: KeyframeStore) -> Explored:
+    with open_log(log_file(name)) as log:
+        exploration = Exploration(config, store, Stopwatch(), None)
+        accepts = KeyframeSelector(config.keyframes).accepts
+        stream = SweepStream(log, config.log)
+        return explore_log(stream, config, exploration, accepts, Silent())[0]
 
 
 def tours(quick: bool) -> None:
@@ -184,7 +196,13 @@ def _tour(world: GridMap, view: float, seed: int, **more: Any) -> list[PosedScan
         field_of_view_deg=view, beams=int(view), rate_hz=5.0, seed=seed, **more
     )
     return [
-        PosedScan(s.index, s.stamp_ns, pose, s.planar, s.base_from_laser)
+        PosedScan(
+            index=s.index,
+            stamp_ns=s.stamp_ns,
+            map_from_base=pose,
+            planar=s.planar,
+            base_from_laser=s.base_from_laser,
+        )
         for s, pose in simulate_sweeps(world, options)
     ]
 
@@ -204,21 +222,16 @@ def _localizers(tour: list[PosedScan], rooms: Any, config: Config) -> list[Local
             grids[i] = integrate_keyframes(store, numbers, track, config.grid).snapshot()
         rng = np.random.default_rng(config.seed)
         trained = train_localizer(store, submaps, store.poses, grids, config, rng)
-    adjacency: dict[int, set[int]] = {i: set() for i in submaps}
-    for a, b in zip(labels[:-1].tolist(), labels[1:].tolist(), strict=True):
-        if a != b and a in adjacency and b in adjacency:
-            adjacency[a].add(b)
-            adjacency[b].add(a)
+    driven = pairwise(labels.tolist())
+    adjacency = neighbours(submaps, [(a, b) for a, b in driven if a in submaps and b in submaps])
     return [Localizer(trained, adjacency, grids, config.localization) for _ in range(2)]
 
 
 def cost(quick: bool) -> None:
     name = LOGS[1] if quick else LOGS[0]
     config = load_config()
-    with KeyframeStore() as store:
-        mapper = _mapped(name, config, store)
-        finish_map(mapper, Silent())
-    seconds = mapper.clock.seconds
+    with open_log(log_file(name)) as log, KeyframeStore() as store:
+        seconds = map_log(SweepStream(log, config.log), config, store, Silent()).seconds
     ours = seconds["recognition"] + seconds["training"]
     print(f"{name}: closing and training {ours:.1f} s of {sum(seconds.values()):.1f} s")
     print("  " + ", ".join(f"{stage} {value:.1f}" for stage, value in seconds.items()))
@@ -229,13 +242,13 @@ def _many_submaps(count: int) -> None:
     """Closing alone, for synthetic submaps of 150 scans with features around their own centres."""
     config = load_config().recognition
     rng = np.random.default_rng(0)
-    width = len(FEATURE_SETS[config.feature_set])
+    width = len(feature_names(config.feature_set))
     loop = LoopCloser(config, rng)
     empty = GridMap(np.full((4, 4), 2, dtype=np.uint8), RESOLUTION_M)
     started, marks = time.process_time(), []
     for number in range(count):
         features = rng.normal(rng.normal(0.0, 1.0, width), 0.7, (150, width))
-        loop.consider(SubmapView(number, features, empty, np.zeros((5, 3))))
+        loop.consider(Stay(number=number, features=features, grid=empty, track=np.zeros((5, 3))))
         marks.append(time.process_time() - started)
     third = marks[count // 3] / (count // 3)
     print(

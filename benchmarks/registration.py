@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.data import log_file, truth_file
-from specmap_cli.core.config import Config, LogConfig
 from specmap_cli.core.geometry import Pose2, compose, invert
 from specmap_cli.core.records import PosedScan, Sweep, Trajectory
+from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.evaluation.trajectories import (
     RelativeErrors,
     read_relations,

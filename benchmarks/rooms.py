@@ -21,10 +21,11 @@ import cv2
 import numpy as np
 
 from benchmarks.data import TRUTH, data_folder, plan, rooms_of
-from specmap_cli.core.config import SegmentationConfig, load_config
+from specmap_cli.core.config import load_config
+from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.evaluation.scores import room_scores
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.segmentation.spectral import segment
+from specmap_cli.segmentation.division import segment
 
 REPEATS = 3
 

@@ -14,14 +14,15 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.data import RESOLUTION_M, plan, rooms_of
-from specmap_cli.cli.options import overrides
-from specmap_cli.core.config import Config, load_config
+from specmap_cli.cli.options import Settings
+from specmap_cli.core.settings import Config
 from specmap_cli.evaluation.rooms import map_scores
 from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
 from specmap_cli.maps.store import read_map
 from specmap_cli.pipelines.build import build_map
-from specmap_cli.pipelines.simulate import SimulationOptions, simulate
-from specmap_cli.simulation.worlds import RoomTruth, read_rooms
+from specmap_cli.pipelines.simulate import simulate
+from specmap_cli.simulation.room_truth import RoomTruth, read_rooms
+from specmap_cli.simulation.simulator import SimulationOptions
 
 PLANS = ("Freiburg79_scan", "Freiburg79_scan_furnitures", "lab_c_scan", "office_h_furnitures")
 
@@ -46,7 +47,7 @@ def main() -> None:
     parser.add_argument("--set", dest="settings", action="append", default=[])
     parser.add_argument("--plans", action="store_true", help="also the plans of the data folder")
     arguments = parser.parse_args()
-    config = load_config(None, None, overrides(arguments.settings))
+    config = Settings(assignments=arguments.settings).load()
     print(
         f"{'tour':28} {'rooms':>5} {'submaps':>7} {'whole <=2':>9} {'recognised':>10} "
         f"{'doors':>9} {'invented':>8} {'purity':>6} {'merges':>6} {'ATE m':>7}"

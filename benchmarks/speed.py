@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.data import log_file
-from specmap_cli.core.config import Config
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.settings import Config
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter

@@ -1,5 +1,62 @@
-"""specmap: topological maps from laser logs (Brunskill, Kollar and Roy, IROS 2007)."""
+"""Topological maps from robot laser logs, offline and without ROS.
+
+What a program needs is here; docs/library.md shows it at work::
+
+    from specmap_cli import build_map, read_map
+
+    report = build_map("log.mcap", "out")
+    print(read_map("out").ids)
+
+`build_map`, `localize_log` and `segment_map` do what the commands of the same names do. `read_map`
+opens a map directory, `open_log` a recording. `load_config` makes the settings. Whatever goes wrong
+with the input is a `SpecmapError`.
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from specmap_cli.core.config import load_config
+    from specmap_cli.core.errors import SpecmapError
+    from specmap_cli.logs.opening import open_log
+    from specmap_cli.maps.store import read_map
+    from specmap_cli.pipelines.build import build_map
+    from specmap_cli.pipelines.localize import localize_log
+    from specmap_cli.pipelines.segment import segment_map
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "SpecmapError",
+    "build_map",
+    "load_config",
+    "localize_log",
+    "open_log",
+    "read_map",
+    "segment_map",
+]
+
+# Loaded when first asked for: `specmap --help` needs none of them.
+_HOMES = {
+    "SpecmapError": "core.errors",
+    "build_map": "pipelines.build",
+    "load_config": "core.config",
+    "localize_log": "pipelines.localize",
+    "open_log": "logs.opening",
+    "read_map": "maps.store",
+    "segment_map": "pipelines.segment",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, from the module that it lives in."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted([*globals(), *__all__])

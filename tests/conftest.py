@@ -12,13 +12,9 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.map_server import read_grid
-from specmap_cli.pipelines.simulate import (
-    SimulationOptions,
-    SimulationResult,
-    simulate,
-    simulate_sweeps,
-)
-from specmap_cli.simulation.worlds import RoomTruth, read_rooms
+from specmap_cli.pipelines.simulate import SimulationResult, simulate
+from specmap_cli.simulation.room_truth import RoomTruth, read_rooms
+from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
 from tests.house import result
 
 __all__ = ["result"]  # a fixture for all

@@ -7,11 +7,11 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import Config
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Closure, Labels, Trajectory
+from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.maps.store import MapResult
+from specmap_cli.maps.writing import MapResult
 from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import (
     Edge,
@@ -37,8 +37,13 @@ def room_grid(width_m: float, height_m: float) -> GridMap:
 
 def _submap(id_: int, frame: Pose2, size: tuple[float, float]) -> Submap:
     start = START_NS + id_ * 10_000_000_000
-    keyframes = list(range(10 * id_, 10 * id_ + 10))
-    return Submap(id_, frame, keyframes, [Visit(start, start + 9_000_000_000)], room_grid(*size))
+    return Submap(
+        id=id_,
+        map_from_submap=frame,
+        keyframes=tuple(range(10 * id_, 10 * id_ + 10)),
+        visits=(Visit(start, start + 9_000_000_000),),
+        grid=room_grid(*size),
+    )
 
 
 def whole_of(submaps: Iterable[Submap]) -> GridMap:
@@ -63,14 +68,41 @@ def result() -> MapResult:
     }
     crossing = Traversal(1_700_000_010_000_001_000, 0, 1, Pose2(-3.0, 1.25, 1.5))
     edges = {
-        (0, 1): Edge(0, 1, "traversed", [crossing], Pose2(-3.0, 3.5, 0.3)),
-        (0, 2): Edge(0, 2, "closure", [], Pose2(3.0, 3.5, -2.0)),
+        (0, 1): Edge(
+            source=0,
+            target=1,
+            kind="traversed",
+            traversals=(crossing,),
+            source_from_target=Pose2(-3.0, 3.5, 0.3),
+        ),
+        (0, 2): Edge(source=0, target=2, kind="closure", source_from_target=Pose2(3.0, 3.5, -2.0)),
     }
-    closures = [
-        Closure(3, 0, 0.2, 0.4, 0.5, True, True, 0.81, "grids match", Pose2(0.1, 0.2, 0.01)),
-        Closure(3, 1, 0.02, 0.1, 0.2, False, False, float("nan"), "claims too low"),
-    ]
-    topology = TopologicalMap(submaps, edges, closures)
+    closures = (
+        Closure(
+            new=3,
+            old=0,
+            xi=0.2,
+            claims_new_by_old=0.4,
+            claims_old_by_new=0.5,
+            verified=True,
+            merged=True,
+            score=0.81,
+            reason="grids match",
+            old_from_new=Pose2(0.1, 0.2, 0.01),
+        ),
+        Closure(
+            new=3,
+            old=1,
+            xi=0.02,
+            claims_new_by_old=0.1,
+            claims_old_by_new=0.2,
+            verified=False,
+            merged=False,
+            score=float("nan"),
+            reason="claims too low",
+        ),
+    )
+    topology = TopologicalMap(submaps=submaps, edges=edges, closures=closures)
     stamps = START_NS + np.arange(30) * 1_000_000_000
     poses = np.array(
         [
@@ -78,7 +110,7 @@ def result() -> MapResult:
             for k in range(30)
         ]
     )
-    labels = Labels(stamps, poses, np.repeat(np.arange(3), 10))
+    labels = Labels(stamps_ns=stamps, poses=poses, submaps=np.repeat(np.arange(3), 10))
     log = LogInfo("house.mcap", int(stamps[0]), int(stamps[-1]), 30)
     run = {"config": Config().model_dump(), "seconds": {"write": 0.25}, "warnings": []}
     return MapResult(

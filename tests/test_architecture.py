@@ -49,9 +49,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "simulation": _STAGE,
     "maps": _STAGE | {"topology"},
     "drawing": _STAGE | {"topology", "segmentation"},
+    "exports": _STAGE | {"topology", "maps"},
     "pipelines": _ORDER,
     "evaluation": {*_ORDER, "pipelines"},
-    "cli": {*_ORDER, "pipelines", "evaluation"},
+    "cli": {*_ORDER, "pipelines", "evaluation", "exports"},
 }
 MOST_ROOMS, MOST_FLOORS = 20, 10
 # what `specmap --help` must not load
@@ -178,9 +179,22 @@ def test_the_library_neither_prints_nor_exits_nor_runs_data(path: Path) -> None:
         assert name.split(".")[0] not in {"pickle", "shelve", "marshal"}, f"{path}:{line}: {name}"
 
 
+# Functions that hand any error on in another way than by raising it: to the parent, in words.
+TELLERS = {("pipelines/worker.py", "_portable")}
+
+
 @pytest.mark.parametrize("path", LIBRARY, ids=relative)
 def test_no_error_is_swallowed_without_being_known(path: Path) -> None:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tellers = {
+        handler
+        for function in ast.walk(tree)
+        if isinstance(function, ast.FunctionDef) and (relative(path), function.name) in TELLERS
+        for handler in ast.walk(function)
+    }
+    for node in ast.walk(tree):
+        if node in tellers:
+            continue
         if isinstance(node, ast.ExceptHandler) and not isinstance(node.body[-1], ast.Raise):
             caught = "" if node.type is None else ast.unparse(node.type)
             assert caught not in {"", "Exception", "BaseException"}, f"{path}:{node.lineno}"

@@ -12,9 +12,10 @@ import pytest
 import typer
 
 from specmap_cli.cli.app import app
-from specmap_cli.core.config import Config
+from specmap_cli.core.settings import Config
 
 ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "specmap_cli"
 DOCUMENTS = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")),
     *(ROOT / "sample_logs").glob("*.md"),
@@ -72,15 +73,21 @@ def test_the_paper_s_map_names_tests_that_exist() -> None:
         assert test in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, test
 
 
-def test_the_architecture_names_every_module_at_the_top() -> None:
+def test_the_architecture_names_every_package() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    package = ROOT / "specmap_cli"
-    tops = [path.name for path in package.glob("*.py") if not path.name.startswith("__")]
-    tops += [f"{path.parent.name}/" for path in package.glob("*/__init__.py")]
-    assert [name for name in sorted(tops) if name not in text] == []
-    modules = {path.name for path in package.rglob("*.py")}
+    packages = [f"{path.parent.name}/" for path in PACKAGE.rglob("*/__init__.py")]
+    assert [name for name in sorted(packages) if name not in text] == []
+    modules = {path.name for path in PACKAGE.rglob("*.py")}
     modules |= {path.name for path in (ROOT / "tests").glob("*.py")}
     assert [name for name in re.findall(r"\w+\.py\b", text) if name not in modules] == []
+
+
+def test_the_way_to_a_change_leads_to_files_that_exist() -> None:
+    text = (ROOT / "docs" / "find_your_way.md").read_text(encoding="utf-8")
+    paths = [name for name in quoted(text) if re.fullmatch(r"\w+(/\w+)+\.\w+", name)]
+    assert len(paths) > 20
+    missing = [name for name in paths if not (PACKAGE / name).exists() | (ROOT / name).exists()]
+    assert missing == []
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=named)

@@ -7,22 +7,30 @@ from typing import Annotated, Any
 
 import typer
 
-from specmap_cli import __version__
 from specmap_cli.cli import (
     build,
-    configuration,
+    config,
     convert,
     evaluate,
+    export,
     info,
     localize,
     segment,
     simulate,
 )
+from specmap_cli.cli.groups import unfolded
 from specmap_cli.core.errors import UsageError
 
 EXIT_CODES = (
     "Exit codes: 0 done; 1 a bug, with its traceback; 2 wrong usage or an output in the way; "
     "3 an input that cannot be used; 4 no result; 130 and 143 interrupted by Ctrl-C and SIGTERM."
+)
+
+# What Typer raises for arguments that make no command: only since 0.29 its root has a public name.
+_WRONG_LINE = next(
+    kind
+    for kind in typer.BadParameter.__mro__
+    if issubclass(kind, Exception) and kind.__base__ is Exception
 )
 
 app = typer.Typer(
@@ -37,7 +45,10 @@ app = typer.Typer(
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"specmap {__version__}")
+        from specmap_cli.cli.streams import print_text
+        from specmap_cli.core.versions import versions
+
+        print_text("".join(f"{name} {version}\n" for name, version in versions().items()))
         raise typer.Exit
 
 
@@ -46,7 +57,12 @@ def _options(
     context: typer.Context,
     _version: Annotated[
         bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
+        typer.Option(
+            "--version",
+            callback=_show_version,
+            is_eager=True,
+            help="Show the versions of specmap and of what it stands on.",
+        ),
     ] = False,
 ) -> None:
     """Topological maps from robot laser logs, without ROS.
@@ -70,20 +86,21 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "evaluate": evaluate.evaluate,
     "simulate": simulate.simulate,
     "convert": convert.convert,
-    "config": configuration.show_config,
+    "export": export.export,
+    "config": config.config,
 }
 for _name, _command in _COMMANDS.items():
-    app.command(_name, epilog=EXIT_CODES)(_command)
+    app.command(_name, epilog=EXIT_CODES)(unfolded(_command))
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code; UsageError for arguments that make no command."""
     try:
         code = app(args=arguments, prog_name="specmap", standalone_mode=False)
-    except typer.TyperException as error:
+    except _WRONG_LINE as error:
         context = getattr(error, "ctx", None)
         command = context.command_path if context is not None else "specmap"
-        message = error.format_message().rstrip(".")
+        message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
         raise UsageError(f"{message}; see `{command} --help`") from None
     except SystemExit as leaving:
         if isinstance(leaving.__context__, BrokenPipeError):  # `specmap --help | head`

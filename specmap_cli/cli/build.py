@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli import options
+from specmap_cli.cli.options import Common, Logs, LogSettings, Overwrite, output
 from specmap_cli.cli.targets import keep_inputs
 
-Out = Annotated[Path, typer.Option("--out", "-o", help="Map directory to write.")]
+Out = Annotated[Path, output("Map directory to write.")]
 NoRelax = Annotated[
     bool, typer.Option("--no-relax", help="Leave the layout as registration found it.")
 ]
@@ -18,24 +18,19 @@ Explain = Annotated[
     Path | None,
     typer.Option(help="Directory for a picture of every test that may split a submap."),
 ]
+Seed = Annotated[int | None, typer.Option(help="Seed of everything random.")]
 
 
 def build(
-    logs: options.Logs,
+    logs: Logs,
     out: Out = Path("out"),
-    overwrite: options.Overwrite = False,
-    preset: options.Preset = None,
-    config: options.ConfigFile = None,
-    settings: options.Settings = None,
-    scan_topic: options.ScanTopic = None,
-    odom_topic: options.OdomTopic = None,
-    base_frame: options.BaseFrame = None,
-    no_odometry: options.NoOdometry = False,
     no_relax: NoRelax = False,
     explain: Explain = None,
-    seed: options.Seed = None,
-    quiet: options.Quiet = False,
-    as_json: options.Json = False,
+    seed: Seed = None,
+    overwrite: Overwrite = False,
+    *,
+    settings: LogSettings,
+    common: Common,
 ) -> None:
     """Build a topological map of a recording.
 
@@ -46,17 +41,12 @@ def build(
     specmap build log.mcap
     specmap build log.bag -o map --scan-topic /scan --set grid.resolution_m=0.1
     """
-    from specmap_cli.cli.console import ConsoleProgress, print_result
-    from specmap_cli.core.config import load_config
     from specmap_cli.pipelines.build import build_map
 
-    flags = options.overrides(
-        settings, scan_topic, odom_topic, base_frame, no_odometry, no_relax=no_relax, seed=seed
-    )
-    effective = load_config(config, preset, flags)
+    effective = settings.load({"relaxation.enabled": False if no_relax else None, "seed": seed})
     keep_inputs([out], logs)
-    with ConsoleProgress(quiet) as progress:
+    with common.progress() as progress:
         report = build_map(
             logs, out, effective, overwrite=overwrite, progress=progress, explain=explain
         )
-    print_result(report.as_dict(), report.lines(), as_json)
+    common.show(report.as_dict(), report.lines())

@@ -1,15 +1,13 @@
-"""How a run shows itself: progress and notes on stderr, results on stdout."""
+"""Progress, notes and warnings on stderr."""
 
 from __future__ import annotations
-
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
-from specmap_cli.cli.stdout import print_text
+from specmap_cli.cli.streams import one_line
 
 
 class _Rate(ProgressColumn):
@@ -23,7 +21,7 @@ class _Rate(ProgressColumn):
 
 
 class ConsoleProgress:
-    """A `Progress` on stderr: bars on a terminal, notes unless quiet, warnings always."""
+    """A `Progress` on stderr: bars on a terminal, notes and warnings; nothing when quiet."""
 
     def __init__(self, quiet: bool = False) -> None:
         self.quiet = quiet
@@ -42,11 +40,13 @@ class ConsoleProgress:
         self._task: TaskID | None = None
 
     def __enter__(self) -> ConsoleProgress:
-        self._bars.start()
+        if not self._bars.disable:
+            self._bars.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bars.stop()
+        if not self._bars.disable:  # up to rich 14.2 even a disabled one would end with a line
+            self._bars.stop()
 
     def start(self, stage: str, total: int | None) -> None:
         """Show a new bar in place of the last one."""
@@ -60,20 +60,13 @@ class ConsoleProgress:
             self._bars.advance(self._task, steps)
 
     def note(self, message: str) -> None:
-        """A line on stderr, unless quiet."""
-        if not self.quiet:
-            self._line(message)
+        """A line, unless quiet."""
+        self._line(message)
 
     def warn(self, message: str) -> None:
-        """A line on stderr, also when quiet."""
+        """A line, unless quiet: the result has its warnings, too."""
         self._line(f"warning: {message}")
 
     def _line(self, message: str) -> None:
-        self._console.print(f"specmap: {message}")
-
-
-def print_result(result: dict[str, Any], lines: list[str], as_json: bool) -> None:
-    """The result of a command on stdout: one JSON object, or lines for a person."""
-    from specmap_cli.core.text import to_json
-
-    print_text(to_json(result) if as_json else "\n".join(lines) + "\n")
+        if not self.quiet:
+            self._console.print(f"specmap: {one_line(message)}")

@@ -8,29 +8,37 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli import options
+from specmap_cli.cli.options import RECORDING, Common, Overwrite, output
 from specmap_cli.cli.targets import check_files
+from specmap_cli.core.errors import UsageError
+
+Paths = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="LOG",
+        help=f"{RECORDING} Without --out the last one is the MCAP to write.",
+        show_default=False,
+    ),
+]
+Out = Annotated[Path | None, output("MCAP to write.")]
 
 
-def convert(
-    logs: options.Logs,
-    out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="MCAP to write.")],
-    overwrite: options.Overwrite = False,
-    quiet: options.Quiet = False,
-    as_json: options.Json = False,
-) -> None:
+def convert(paths: Paths, common: Common, out: Out = None, overwrite: Overwrite = False) -> None:
     """Convert a recording of another format to MCAP.
 
     A CARMEN log, ROS 1 bag or rosbag2 recording becomes an MCAP of ROS 2 messages. Keeps scans,
     point clouds, odometry and transforms; says what it left out.
 
     \b
+    specmap convert log.bag -o log.mcap
     specmap convert log.bag log.mcap
     """
-    from specmap_cli.cli.console import ConsoleProgress, print_result
     from specmap_cli.logs.convert import convert as convert_log
 
-    check_files([out], logs, overwrite=overwrite)
-    with ConsoleProgress(quiet) as progress:
-        conversion = convert_log(logs, out, overwrite=overwrite, progress=progress)
-    print_result({**asdict(conversion), "path": str(out)}, conversion.lines(), as_json)
+    logs, target = (paths, out) if out is not None else (paths[:-1], paths[-1])
+    if not logs:
+        raise UsageError(f"name the MCAP to write: specmap convert {target} -o OUT.mcap")
+    check_files([target], logs, overwrite=overwrite)
+    with common.progress() as progress:
+        conversion = convert_log(logs, target, overwrite=overwrite, progress=progress)
+    common.show({**asdict(conversion), "path": str(target)}, conversion.lines())

@@ -6,13 +6,14 @@ It imports nothing that takes time, so that a signal is heeded from the first mo
 from __future__ import annotations
 
 import errno
+import json
 import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
 from specmap_cli.cli.interruption import Interruption, interruptible
-from specmap_cli.cli.stdout import discard_stdout
+from specmap_cli.cli.streams import discard_stdout, one_line, print_text
 from specmap_cli.core.errors import InputError, SpecmapError, UsageError
 
 # The matrices here are small: threads of BLAS would wait for each other, and burn time doing so.
@@ -22,18 +23,26 @@ _EXHAUSTED = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, e
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit code; without `arguments`, those of the process."""
+    """Run the command line and return the exit code; without `arguments`, those of the process.
+
+    An error is a line on stderr, and with `--json` an object on stdout, too. A bug is raised.
+    """
+    as_json = _asks_for_json(sys.argv[1:] if arguments is None else arguments)
     try:
         with interruptible(last=arguments is None):
-            return _run(arguments)
+            return _run(arguments, as_json)
     except Interruption as interruption:
-        return _fail(
-            f"interrupted by {interruption.name}; nothing half-written is left",
-            interruption.exit_code,
-        )
+        message = f"interrupted by {interruption.name}; nothing half-written is left"
+        return _fail(message, interruption.exit_code, as_json)
 
 
-def _run(arguments: Sequence[str] | None) -> int:
+def _asks_for_json(arguments: Sequence[str]) -> bool:
+    """Whether `--json` is among the options; what follows `--` are names of files."""
+    options = arguments[: arguments.index("--")] if "--" in arguments else arguments
+    return "--json" in options
+
+
+def _run(arguments: Sequence[str] | None, as_json: bool) -> int:
     for variable in _THREADS:  # read when numpy is loaded
         os.environ.setdefault(variable, "1")
     from specmap_cli.cli.app import run
@@ -43,31 +52,49 @@ def _run(arguments: Sequence[str] | None) -> int:
         if sys.stdout is not None:
             sys.stdout.flush()
         return code
-    except SpecmapError as error:
-        return _fail(str(error), error.exit_code)
     except BrokenPipeError:
         discard_stdout()
         return 0
-    except OSError as error:
-        if error.errno not in _EXHAUSTED:
+    except Exception as error:
+        told = _told(error)
+        if told is None:
+            _print_error(f"a bug: {type(error).__name__}: {error}", 1, as_json)
             raise
-        discard_stdout()
+        if isinstance(error, OSError):  # stdout itself may be full
+            discard_stdout()
+        return _fail(*told, as_json)
+
+
+def _told(error: Exception) -> tuple[str, int] | None:
+    """What to say of an error that is no bug, and its exit code."""
+    if isinstance(error, SpecmapError):
+        return str(error), error.exit_code
+    if isinstance(error, OSError) and error.errno in _EXHAUSTED:
         what = error.filename or "the output"
-        return _fail(
+        return (
             f"{what}: cannot be written: {error.strerror}; make room or write elsewhere",
             UsageError.exit_code,
         )
-    except MemoryError as error:
-        return _fail(
+    if isinstance(error, MemoryError):
+        return (
             f"not enough memory: {error}; a coarser grid (--set grid.resolution_m) needs less",
             InputError.exit_code,
         )
+    return None
 
 
-def _fail(message: str, code: int) -> int:
+def _fail(message: str, code: int, as_json: bool) -> int:
     """One line on stderr, which may be closed or full: the exit code tells then."""
-    line = " ".join(message.split())
+    _print_error(message, code, as_json)
     if sys.stderr is not None:
         with suppress(OSError):
-            print(f"specmap: error: {line}", file=sys.stderr)
+            print(f"specmap: error: {one_line(message)}", file=sys.stderr)
     return code
+
+
+def _print_error(message: str, code: int, as_json: bool) -> None:
+    """The error as the one object on stdout, when it is to be JSON."""
+    if as_json:
+        error = {"error": {"code": code, "message": one_line(message)}}
+        with suppress(OSError):
+            print_text(json.dumps(error, indent=1, ensure_ascii=False) + "\n")

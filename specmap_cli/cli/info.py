@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from specmap_cli.cli import options
+from specmap_cli.cli.options import Common, Logs, LogSettings
 
 
-def info(logs: options.Logs, as_json: options.Json = False) -> None:
+def info(logs: Logs, settings: LogSettings, common: Common) -> None:
     """Show what a recording holds, and what to run next.
 
     Topics with their types, counts and rates, the duration, the frames, the scans, and what
-    `specmap build` would read.
+    `specmap build` would read with the same options.
 
     \b
     specmap info log.mcap
     specmap info recording_directory --json
     """
-    from specmap_cli.cli.console import print_result
     from specmap_cli.logs import open_log
-    from specmap_cli.logs.summary import summarize
+    from specmap_cli.logs.inspection import summarize
 
-    with open_log(logs) as log:
-        summary = summarize(log)
-    print_result(summary.to_dict(), summary.lines(), as_json)
+    effective = settings.load()
+    with open_log(logs, effective.log) as log:
+        summary = summarize(log, effective.log)
+    common.show(summary.to_dict(), summary.lines())

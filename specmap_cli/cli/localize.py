@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli import options
+from specmap_cli.cli.options import Common, Logs, LogSettings, Overwrite, output
 from specmap_cli.cli.targets import check_files
 
 MapDirectory = Annotated[
     Path, typer.Option("--map", "-m", help="Map directory written by `specmap build`.")
 ]
-Output = Annotated[Path | None, typer.Option("--output", "-o", help="CSV to write, a line a scan.")]
+Out = Annotated[Path | None, output("CSV to write, a line a scan.", "--output")]
 Plot = Annotated[
     Path | None, typer.Option(help="PNG to write: the predicted submap along the trajectory.")
 ]
@@ -26,44 +26,41 @@ Metric = Annotated[
 
 
 def localize(
-    logs: options.Logs,
+    logs: Logs,
     map_directory: MapDirectory,
-    output: Output = None,
+    out: Out = None,
     plot: Plot = None,
     offline: Offline = False,
     metric: Metric = False,
-    settings: options.Settings = None,
-    scan_topic: options.ScanTopic = None,
-    odom_topic: options.OdomTopic = None,
-    base_frame: options.BaseFrame = None,
-    no_odometry: options.NoOdometry = False,
-    overwrite: options.Overwrite = False,
-    quiet: options.Quiet = False,
-    as_json: options.Json = False,
+    overwrite: Overwrite = False,
+    *,
+    settings: LogSettings,
+    common: Common,
 ) -> None:
     """Tell, scan by scan, in which submap a log was recorded.
 
     Gives the raw vote of single scans and the label of a hidden Markov filter over the topology.
-    Uses the settings of the map, but for topics and frames; --set changes one.
+
+    The settings are those the map was built with, but for topics and frames. --config and --set
+    change some of them. --preset, and a file that names a preset, take the place of all of them.
 
     \b
     specmap localize other.mcap --map map -o labels.csv --plot labels.png
     specmap localize other.mcap --map map --offline --metric --json
     """
-    from specmap_cli.cli.console import ConsoleProgress, print_result
     from specmap_cli.maps.store import read_map
-    from specmap_cli.pipelines.localize import localize_log, settings_for, write_csv, write_plot
+    from specmap_cli.pipelines.localization_report import write_csv, write_plot
+    from specmap_cli.pipelines.localize import localize_log, settings_for
 
-    check_files([output, plot], logs, overwrite=overwrite)
+    check_files([out, plot], logs, overwrite=overwrite)
     stored = read_map(map_directory)
-    flags = options.overrides(settings, scan_topic, odom_topic, base_frame, no_odometry)
-    config = settings_for(stored, flags)
-    with ConsoleProgress(quiet) as progress:
+    effective = settings_for(stored, settings.overrides(), settings.config, settings.preset)
+    with common.progress() as progress:
         report = localize_log(
-            logs, stored, config, offline=offline, metric=metric, progress=progress
+            logs, stored, effective, offline=offline, metric=metric, progress=progress
         )
-    if output is not None:
-        write_csv(output, report, metric)
+    if out is not None:
+        write_csv(out, report, metric)
     if plot is not None:
         write_plot(plot, report, stored, metric)
-    print_result(report.as_dict(), report.lines(), as_json)
+    common.show(report.as_dict(), report.lines())

@@ -1,86 +1,142 @@
-"""Options that several commands share, and how they become a configuration."""
+"""The options that several commands share, decided once, and the settings that they stand for.
+
+Every command takes `Common`. One that computes with settings takes `Settings`; if it reads a log,
+`LogSettings`. One that writes takes `Overwrite`, and `-o/--out` (`output`) for its output.
+"""
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from specmap_cli.core.errors import UsageError
 
-Logs = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="LOG",
-        help="Recording: .mcap, rosbag2 directory or .db3, ROS 1 .bag, CARMEN .log; "
-        "several files of one split recording together.",
-        show_default=False,
-    ),
+if TYPE_CHECKING:
+    from specmap_cli.cli.console import ConsoleProgress
+    from specmap_cli.core.settings import Config
+
+RECORDING = (
+    "Recording: .mcap, rosbag2 directory or .db3, ROS 1 .bag, CARMEN .log; "
+    "several files of one split recording together."
+)
+Logs = Annotated[list[Path], typer.Argument(metavar="LOG", help=RECORDING, show_default=False)]
+Resolution = Annotated[
+    float | None, typer.Option(help="Metres per pixel of a picture without a .yaml.")
 ]
-ConfigFile = Annotated[
-    Path | None, typer.Option("--config", help="TOML file of settings (see `specmap config`).")
-]
-Preset = Annotated[
-    str | None,
-    typer.Option(help="default: what measures best; paper: the paper's own choices."),
-]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="One setting, such as grid.resolution_m=0.1; repeatable."
-    ),
-]
-ScanTopic = Annotated[str | None, typer.Option(help="Topic of the scans, when several fit.")]
-OdomTopic = Annotated[str | None, typer.Option(help="Topic of the odometry, when several fit.")]
-BaseFrame = Annotated[str | None, typer.Option(help="Frame of the robot's base.")]
-NoOdometry = Annotated[bool, typer.Option("--no-odometry", help="Do not use odometry.")]
-Seed = Annotated[int | None, typer.Option(help="Seed of everything random.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no notes.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing result.")]
 
 
-def overrides(
-    settings: list[str] | None,
-    scan_topic: str | None = None,
-    odom_topic: str | None = None,
-    base_frame: str | None = None,
-    no_odometry: bool = False,
-    *,
-    no_relax: bool = False,
-    seed: int | None = None,
-) -> dict[str, Any]:
-    """The nested dictionary of settings that the flags of a command stand for.
-
-    Raises UsageError for a setting that is no KEY=VALUE.
-    """
-    result: dict[str, Any] = {}
-    for setting in settings or []:
-        key, value = _parse(setting)
-        _put(result, key, value)
-    flags = {
-        "log.scan_topic": scan_topic,
-        "log.odom_topic": odom_topic,
-        "log.base_frame": base_frame,
-        "log.use_odometry": False if no_odometry else None,
-        "relaxation.enabled": False if no_relax else None,
-        "seed": seed,
-    }
-    for key, value in flags.items():
-        if value is not None:
-            _put(result, key, value)
-    return result
+def output(what: str, *aliases: str) -> Any:
+    """`-o/--out`: the output of a command, a directory or a file; `aliases` are other names."""
+    return typer.Option("--out", "-o", *aliases, help=what)
 
 
-def _parse(setting: str) -> tuple[str, Any]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Common:
+    """How a command shows itself and its result: what every command has."""
+
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Nothing on stderr but an error.")
+    ] = False
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print one JSON object instead of text; an error is one, too."),
+    ] = False
+
+    def progress(self) -> ConsoleProgress:
+        """Progress, notes and warnings on stderr, unless quiet."""
+        from specmap_cli.cli.console import ConsoleProgress
+
+        return ConsoleProgress(self.quiet)
+
+    def show(self, result: Mapping[str, Any], lines: Sequence[str]) -> None:
+        """The result on stdout: one JSON object, or lines for a person."""
+        from specmap_cli.cli.streams import print_text
+        from specmap_cli.core.text import to_json
+
+        print_text(to_json(dict(result)) if self.as_json else "\n".join(lines) + "\n")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """The settings of a run: flags over the file over the preset over the defaults."""
+
+    preset: Annotated[
+        str | None,
+        typer.Option(help="default: what measures best; paper: the paper's own choices."),
+    ] = None
+    config: Annotated[
+        Path | None, typer.Option("--config", help="TOML file of settings (see `specmap config`).")
+    ] = None
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="One setting, such as grid.resolution_m=0.1; repeatable.",
+        ),
+    ] = None
+
+    def load(self, flags: Mapping[str, Any] | None = None) -> Config:
+        """The configuration in force; `flags` as for `overrides`. UsageError for a wrong one."""
+        from specmap_cli.core.config import load_config
+
+        return load_config(self.config, self.preset, self.overrides(flags))
+
+    def overrides(self, flags: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """The settings of `--set` and of the flags, nested.
+
+        `flags` has the values of a command's own flags by dotted key, None for one not given.
+        Raises UsageError for an assignment that is no KEY=VALUE.
+        """
+        nested: dict[str, Any] = {}
+        for assignment in self.assignments or []:
+            _put(nested, *_parse(assignment))
+        for key, value in {**self._flags(), **(flags or {})}.items():
+            if value is not None:
+                _put(nested, key, value)
+        return nested
+
+    def _flags(self) -> dict[str, Any]:
+        """The settings that have options of their own."""
+        return {}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogSettings(Settings):
+    """The settings of a run that reads a log: its topics and frames, too."""
+
+    scan_topic: Annotated[
+        str | None, typer.Option(help="Topic of the scans, when several fit.")
+    ] = None
+    odom_topic: Annotated[
+        str | None, typer.Option(help="Topic of the odometry, when several fit.")
+    ] = None
+    base_frame: Annotated[str | None, typer.Option(help="Frame of the robot's base.")] = None
+    no_odometry: Annotated[bool, typer.Option("--no-odometry", help="Do not use odometry.")] = False
+
+    def _flags(self) -> dict[str, Any]:
+        """The settings of section `log` that have options of their own."""
+        return {
+            "log.scan_topic": self.scan_topic,
+            "log.odom_topic": self.odom_topic,
+            "log.base_frame": self.base_frame,
+            "log.use_odometry": False if self.no_odometry else None,
+        }
+
+
+def _parse(assignment: str) -> tuple[str, Any]:
     """Key and value of KEY=VALUE; a value that is no TOML is a string."""
-    key, separator, text = (part.strip() for part in setting.partition("="))
+    key, separator, text = (part.strip() for part in assignment.partition("="))
     if not separator or not all(key.split(".")):
-        raise UsageError(f"--set {setting}: expected KEY=VALUE, such as grid.resolution_m=0.1")
+        raise UsageError(f"--set {assignment}: expected KEY=VALUE, such as grid.resolution_m=0.1")
     if key == "preset":
-        raise UsageError(f"--set {setting}: choose a preset with --preset {text}")
+        raise UsageError(f"--set {assignment}: choose a preset with --preset {text}")
     try:
         found = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):

@@ -7,16 +7,13 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli import options
+from specmap_cli.cli.options import Common, Overwrite, Resolution, Settings, output
 from specmap_cli.cli.targets import check_files, keep_inputs
 
 Grid = Annotated[
     Path, typer.Argument(metavar="MAP", help="map_server .yaml, or .png/.pgm with --resolution.")
 ]
-Out = Annotated[Path, typer.Option("--out", "-o", help="Directory to write.")]
-Resolution = Annotated[
-    float | None, typer.Option(help="Metres per pixel of a map without a .yaml.")
-]
+Out = Annotated[Path, output("Directory to write.")]
 Explain = Annotated[
     Path | None, typer.Option(help="PNG of the nodes, the sight lines and the eigenvalues.")
 ]
@@ -27,11 +24,10 @@ def segment(
     out: Out = Path("out"),
     resolution: Resolution = None,
     explain: Explain = None,
-    overwrite: options.Overwrite = False,
-    preset: options.Preset = None,
-    config: options.ConfigFile = None,
-    settings: options.Settings = None,
-    as_json: options.Json = False,
+    overwrite: Overwrite = False,
+    *,
+    settings: Settings,
+    common: Common,
 ) -> None:
     """Divide an existing occupancy grid into submaps.
 
@@ -42,14 +38,12 @@ def segment(
     specmap segment map.yaml -o rooms
     specmap segment plan.png --resolution 0.05 -o rooms
     """
-    from specmap_cli.cli.console import print_result
-    from specmap_cli.core.config import load_config
-    from specmap_cli.pipelines.segment import partition_map
+    from specmap_cli.pipelines.segment import segment_map
 
-    effective = load_config(config, preset, options.overrides(settings))
+    effective = settings.load()
     check_files([explain], [grid], overwrite=overwrite)
     keep_inputs([out], [grid])
-    report = partition_map(
+    report = segment_map(
         grid, out, effective, resolution=resolution, overwrite=overwrite, explain=explain
     )
-    print_result(report.as_dict(), report.lines(), as_json)
+    common.show(report.as_dict(), report.lines())

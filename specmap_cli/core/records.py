@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.tracks import path_length
 
 IntArray = NDArray[np.int64]
 
@@ -40,7 +41,7 @@ class PlanarScan:
         return np.column_stack([r * np.cos(b), r * np.sin(b)])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
     """One scan of a log, ready for registration.
 
@@ -58,7 +59,7 @@ class Sweep:
     cloud_times_s: FloatArray | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PosedScan:
     """A registered scan: its pose in the map and how far registration can be trusted.
 
@@ -85,7 +86,7 @@ class PosedScan:
         return self.map_from_base @ self.base_from_laser
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Closure:
     """One considered pair of submaps: the claims of eq. 4, xi of eq. 5, the geometric check.
 
@@ -118,7 +119,7 @@ class Trajectory:
     tilt: FloatArray | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Labels:
     """The keyframes of a map: `stamps_ns` (n,), `poses` (n, 3) in the map, `submaps` (n,) ids.
 
@@ -132,4 +133,4 @@ class Labels:
     @property
     def path_m(self) -> float:
         """Length of the way from keyframe to keyframe."""
-        return float(np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1).sum())
+        return path_length(self.poses)

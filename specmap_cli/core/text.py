@@ -13,6 +13,10 @@ _NS = 1_000_000_000
 _DECIMALS = 6
 # An innermost list of numbers over several lines; no string has a line break in JSON.
 _NUMBERS = re.compile(r"\[\n([-+.\deE,\s]+)\]")
+# Control characters (C0, DEL, C1), line and paragraph separators, marks and overrides of direction.
+_UNSHOWN = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u2028\u2029\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]"
+)
 
 
 def to_json(value: Any) -> str:
@@ -22,6 +26,31 @@ def to_json(value: Any) -> str:
     """
     text = json.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
     return _NUMBERS.sub(lambda match: f"[{' '.join(match[1].split())}]", text)
+
+
+def to_exact_json(value: Any, levels: int) -> str:
+    """JSON with sorted keys and exact numbers: a line an entry in the outer `levels`, dense below.
+
+    For plain types only: what is learned is read back to the last bit.
+    """
+    return _indented(value, levels, "") + "\n"
+
+
+def _indented(value: Any, levels: int, margin: str) -> str:
+    """`to_exact_json` of a part whose own line begins with `margin`."""
+    if not levels or not value or not isinstance(value, dict | list):
+        return json.dumps(value, sort_keys=True)
+    inner = margin + " "
+    if isinstance(value, dict):
+        entries = [
+            f"{json.dumps(key)}: {_indented(value[key], levels - 1, inner)}"
+            for key in sorted(value)
+        ]
+    else:
+        entries = [_indented(entry, levels - 1, inner) for entry in value]
+    brackets = "{}" if isinstance(value, dict) else "[]"
+    lines = f",\n{inner}".join(entries)
+    return f"{brackets[0]}\n{inner}{lines}\n{margin}{brackets[1]}"
 
 
 def plain(value: Any) -> Any:
@@ -38,7 +67,7 @@ def plain(value: Any) -> Any:
         return rounded(float(value))
     if isinstance(value, np.integer):
         return int(value)
-    return value if value is None or isinstance(value, int) else legible(str(value))
+    return value if value is None or isinstance(value, int) else _encodable(str(value))
 
 
 def rounded(value: float) -> float | None:
@@ -47,7 +76,16 @@ def rounded(value: float) -> float | None:
 
 
 def legible(text: str) -> str:
-    """`text` with escapes for what is no Unicode, as in a file name of any bytes."""
+    """`text` in one line that shows what it holds: a name may be of any bytes.
+
+    Escaped are line breaks and other control characters, which a terminal would obey, those that
+    turn the direction of writing, and what is no Unicode.
+    """
+    return _encodable(_UNSHOWN.sub(lambda match: ascii(match[0])[1:-1], text))
+
+
+def _encodable(text: str) -> str:
+    """`text` with escapes for what is no Unicode."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 

@@ -16,8 +16,11 @@ from specmap_cli.drawing.palette import INK, PAPER, Colour
 Image = NDArray[np.uint8]
 Anchor = Literal["left", "centre", "right"]
 
-_BITS = 4
+_BITS = 4  # after the binary point of OpenCV's positions: a sixteenth of a pixel
+_FARTHEST = 2**26  # in such steps; OpenCV's own sums overflow beyond
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
+_CAPITALS = 21.0  # height of this font's capitals at scale one, pixels
+_RIM = 2  # pixels
 
 
 class Canvas:
@@ -44,16 +47,18 @@ class Canvas:
     def disc(
         self, centre: NDArray[Any], radius: float, colour: Colour, rim: Colour | None = None
     ) -> None:
-        """A filled disc, with a rim of two pixels when a colour is given for it."""
+        """A filled disc, with a rim of two pixels when a colour is given for that."""
         (x, y), one = _fixed(np.asarray(centre)).tolist(), 1 << _BITS
         if rim is not None:
-            cv2.circle(self.image, (x, y), round((radius + 2) * one), rim, -1, cv2.LINE_AA, _BITS)
+            cv2.circle(
+                self.image, (x, y), round((radius + _RIM) * one), rim, -1, cv2.LINE_AA, _BITS
+            )
         cv2.circle(self.image, (x, y), round(radius * one), colour, -1, cv2.LINE_AA, _BITS)
 
     def box(self, corner: NDArray[Any], other: NDArray[Any], colour: Colour) -> None:
         """A filled rectangle between two corners."""
-        (x0, y0), (x1, y1) = np.round(corner).astype(int), np.round(other).astype(int)
-        cv2.rectangle(self.image, (int(x0), int(y0)), (int(x1), int(y1)), colour, -1)
+        start, end = ((_near(x), _near(y)) for x, y in (corner, other))
+        cv2.rectangle(self.image, start, end, colour, -1)
 
     def text(
         self,
@@ -68,19 +73,22 @@ class Canvas:
         """Words of capitals `height` pixels high, centred on `y`."""
         thickness = text_weight(height, bold)
         shift = {"left": 0.0, "centre": 0.5, "right": 1.0}[anchor] * text_width(words, height, bold)
-        place = (round(x - shift), round(y + height / 2))
+        place = _near(x - shift), _near(y + height / 2)
         cv2.putText(
             self.image, words, place, _FONT, _text_scale(height), colour, thickness, cv2.LINE_AA
         )
 
     def upright_text(self, x: float, y: float, words: str, height: float) -> None:
         """Words that read upwards, centred on `x`, their first letter at `y`."""
+        # room for what reaches above and below the capitals
         strip = Canvas(text_width(words, height) + 4, round(2.4 * height))
         strip.text(2, strip.image.shape[0] / 2, words, height)
         turned = np.rot90(strip.image)
-        top, left = round(y) - turned.shape[0], round(x - turned.shape[1] / 2)
-        window = self.image[max(0, top) : round(y), max(0, left) : left + turned.shape[1]]
-        np.minimum(window, turned[-window.shape[0] :, -window.shape[1] :], out=window)
+        top, left = _near(y) - turned.shape[0], _near(x - turned.shape[1] / 2)
+        rows, own_rows = _overlap(top, turned.shape[0], self.image.shape[0])
+        columns, own_columns = _overlap(left, turned.shape[1], self.image.shape[1])
+        window = self.image[rows, columns]
+        np.minimum(window, turned[own_rows, own_columns], out=window)
 
 
 def text_width(words: str, height: float, bold: bool = False) -> int:
@@ -90,18 +98,30 @@ def text_width(words: str, height: float, bold: bool = False) -> int:
 
 
 def text_weight(height: float, bold: bool) -> int:
-    """Stroke width for letters of that height."""
+    """Stroke width for letters of that height: a twelfth of it, or a seventh."""
     return max(2, round(height / 7.0)) if bold else max(1, round(height / 12.0))
 
 
 def _text_scale(height: float) -> float:
-    return height / 21.0  # capitals of this font are 21 pixels high at scale one
+    return height / _CAPITALS
+
+
+def _overlap(start: int, length: int, size: int) -> tuple[slice, slice]:
+    """What of start..start + length lies in 0..size: as a part of the size, and of the length."""
+    first, end = min(max(start, 0), size), min(max(start + length, 0), size)
+    return slice(first, end), slice(first - start, end - start)
 
 
 def _fixed(points: NDArray[Any]) -> NDArray[np.int32]:
-    """Pixel positions in the fixed-point numbers of OpenCV, inside what it can take."""
+    """Pixel positions (N, 2) in the fixed-point numbers of OpenCV, inside what it can take."""
     scaled = np.round(np.asarray(points, dtype=np.float64) * (1 << _BITS))
-    return np.clip(scaled, -(2**26), 2**26).astype(np.int32)
+    return np.clip(scaled, -_FARTHEST, _FARTHEST).astype(np.int32)
+
+
+def _near(place: float) -> int:
+    """The pixel nearest to a place, inside what OpenCV can take."""
+    farthest = _FARTHEST >> _BITS
+    return round(min(max(float(place), -farthest), farthest))
 
 
 def _pieces(points: FloatArray, dash: float, gap: float) -> list[tuple[FloatArray, FloatArray]]:

@@ -13,11 +13,13 @@ from specmap_cli.drawing import symbols
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import Sheet, extent_of
+from specmap_cli.drawing.strokes import strokes
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 
-_JUMP_M = 1.5
-_STRAY_M = 2.0
+_STRAY_M = 2.0  # a centroid farther from the robot's way lies behind glass, not in the room
+_UNREACHED = 0.005  # share of the free cells that must be nobody's to be worth a word
+_ROUNDS = 100  # of moving badges apart; a dense map settles within a dozen
 
 
 def render_overview(
@@ -61,14 +63,14 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
 def _much_unreached(regions: Regions) -> bool:
     """Whether the free cells that are nobody's are worth a word."""
     free = regions.grid.free
-    return bool(np.count_nonzero(free & (regions.owner == NOBODY)) > 0.005 * free.sum())
+    return bool(np.count_nonzero(free & (regions.owner == NOBODY)) > _UNREACHED * free.sum())
 
 
 def _draw_path(sheet: Sheet, places: FloatArray) -> None:
     """The trajectory, broken where the robot was lost and turned up elsewhere."""
-    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    for piece in np.split(places, np.flatnonzero(steps > _JUMP_M) + 1):
-        sheet.canvas.line(sheet.pixels(piece), symbols.PATH, 1)
+    for stroke in strokes(places):
+        way = sheet.pixels(places[stroke.first : stroke.drawn_to])
+        sheet.canvas.line(way, symbols.PATH, 1)
 
 
 def _nodes(topology: TopologicalMap, regions: Regions) -> dict[int, FloatArray]:
@@ -115,7 +117,7 @@ def _draw_graph(
 def spread(centres: FloatArray, gap: float) -> FloatArray:
     """`centres` (N, 2) moved apart, as little as it takes, until none are nearer than `gap`."""
     moved = centres.copy()
-    for _ in range(100):
+    for _ in range(_ROUNDS):
         apart = moved[:, None] - moved[None]
         distance = np.linalg.norm(apart, axis=-1)
         np.fill_diagonal(distance, np.inf)

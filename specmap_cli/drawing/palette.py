@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.labels import neighbours
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
 from specmap_cli.topology.topological_map import TopologicalMap
 
@@ -31,6 +32,7 @@ FILLS: tuple[Colour, ...] = tuple(
 )
 # Regions this near, across a wall, are neighbours; looked for on cells of this size.
 _NEAR_M, _THINNED_M = 0.6, 0.15
+_VIVID = (1.0, 2.2, 0.82)  # factors of hue, saturation and value, by eye
 # Two fills further apart than this in CIELAB are told apart at a glance.
 DISTINCT = 40.0
 
@@ -42,7 +44,7 @@ def darker(colour: Colour, share: float = 0.55) -> Colour:
 
 
 def paler(colour: Colour, share: float = 0.55) -> Colour:
-    """The colour mixed with paper."""
+    """The colour with a share of paper mixed in: 0 leaves it, 1 is paper."""
     blue, green, red = (
         round(channel + share * (paper - channel))
         for channel, paper in zip(colour, PAPER, strict=True)
@@ -53,7 +55,7 @@ def paler(colour: Colour, share: float = 0.55) -> Colour:
 def vivid(colour: Colour) -> Colour:
     """The same hue, saturated and darker: for lines on a pale ground."""
     hsv = cv2.cvtColor(np.array([[colour]], dtype=np.float32) / 255.0, cv2.COLOR_BGR2HSV)
-    hsv *= np.array([1.0, 2.2, 0.82], dtype=np.float32)
+    hsv *= np.array(_VIVID, dtype=np.float32)
     bgr = cv2.cvtColor(np.minimum(hsv, (360.0, 1.0, 1.0)).astype(np.float32), cv2.COLOR_HSV2BGR)
     blue, green, red = (round(float(channel) * 255.0) for channel in bgr[0, 0])
     return blue, green, red
@@ -71,15 +73,16 @@ def colours_of(topology: TopologicalMap, regions: Regions) -> dict[int, Colour]:
 
 
 def colour_graph(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> dict[int, Colour]:
-    """Greedy colouring in the order of `ids`, deterministic."""
-    neighbours: dict[int, set[int]] = {}
-    for a, b in pairs:
-        neighbours.setdefault(a, set()).add(b)
-        neighbours.setdefault(b, set()).add(a)
+    """A fill for each of the `ids`, in their order, greedily: the same one every time.
+
+    Pairs with an end that is none of the ids are left out.
+    """
+    order = list(ids)
+    near_to = neighbours(order, (pair for pair in pairs if set(pair) <= set(order)))
     chosen: dict[int, int] = {}
     uses = np.zeros(len(FILLS), dtype=np.int64)
-    for id_ in ids:
-        near = sorted({chosen[other] for other in neighbours.get(id_, ()) if other in chosen})
+    for id_ in order:
+        near = sorted({chosen[other] for other in near_to[id_] if other in chosen})
         gaps = _DISTANCES[:, near].min(axis=1) if near else np.full(len(FILLS), DISTINCT)
         rank = np.lexsort((uses, -np.minimum(gaps, DISTINCT)))
         chosen[id_] = int(rank[0])

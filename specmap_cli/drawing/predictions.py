@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -22,13 +21,14 @@ from specmap_cli.drawing.palette import (
     vivid,
 )
 from specmap_cli.drawing.sheet import Sheet, extent_of
+from specmap_cli.drawing.strokes import strokes
 from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import TopologicalMap
 
-_JUMP_M = 1.5
-_BORDER_M = 1.0
-_WIDTH = 6
+_BORDER_M = 1.0  # of paper round the trajectory
+_ID_LETTERS = 22.0  # pixels: the ids on the ground are larger than those on the badges
+_SAME_ID_GAP = 5.0  # badges of one submap are this many times farther apart than others
 
 
 def render_labels(
@@ -94,13 +94,16 @@ def _draw_ground(sheet: Sheet, regions: Regions, fills: Mapping[int, Colour]) ->
     for id_, outline in sorted(regions.outlines.items()):
         if outline.centroid is not None:
             x, y = sheet.pixels(outline.centroid[None])[0]
-            sheet.canvas.text(x, y, str(id_), 22.0, darker(fills[id_], 0.8), "centre", bold=True)
+            sheet.canvas.text(
+                x, y, str(id_), _ID_LETTERS, darker(fills[id_], 0.8), "centre", bold=True
+            )
 
 
 def _draw_wrong(sheet: Sheet, places: FloatArray, wrong: BoolArray) -> None:
-    for run in _runs(wrong.astype(np.int64), places):
-        if wrong[run.first]:
-            sheet.canvas.line(sheet.pixels(places[run.first : run.drawn_to]), WRONG, 2 * _WIDTH)
+    for stroke in strokes(places, wrong):
+        if wrong[stroke.first]:
+            way = sheet.pixels(places[stroke.first : stroke.drawn_to])
+            sheet.canvas.line(way, WRONG, 2 * symbols.PREDICTED)
 
 
 def _draw_predicted(
@@ -108,16 +111,17 @@ def _draw_predicted(
 ) -> None:
     """Runs of one prediction in its colour, each with a badge where there is room for one."""
     pixels = sheet.pixels(places)
-    runs = list(_runs(submaps, places))
-    for run in runs:
-        id_ = int(submaps[run.first])
+    drawn = strokes(places, submaps)
+    for stroke in drawn:
+        id_ = int(submaps[stroke.first])
         if id_ != NO_SUBMAP:
-            sheet.canvas.line(pixels[run.first : run.drawn_to], vivid(fills[id_]), _WIDTH)
+            way = pixels[stroke.first : stroke.drawn_to]
+            sheet.canvas.line(way, vivid(fills[id_]), symbols.PREDICTED)
     for pixel in pixels[submaps == NO_SUBMAP]:
         symbols.unknown(sheet.canvas, pixel)
     taken: list[tuple[int, FloatArray]] = []
-    for run in sorted(runs, key=lambda run: run.first - run.end):
-        id_, middle = int(submaps[run.first]), pixels[(run.first + run.end) // 2]
+    for stroke in sorted(drawn, key=lambda stroke: stroke.first - stroke.end):  # longest first
+        id_, middle = int(submaps[stroke.first]), pixels[(stroke.first + stroke.end) // 2]
         if id_ != NO_SUBMAP and _has_room(id_, middle, taken):
             symbols.badge(sheet.canvas, middle, str(id_), fills[id_])
             taken.append((id_, middle))
@@ -128,24 +132,7 @@ def _draw_predicted(
 def _has_room(id_: int, middle: FloatArray, taken: list[tuple[int, FloatArray]]) -> bool:
     """Whether a badge fits: clear of all others, and well away from one of the same id."""
     return all(
-        np.linalg.norm(middle - other) > symbols.BADGE_GAP * (5.0 if id_ == other_id else 1.0)
+        np.linalg.norm(middle - other)
+        > symbols.BADGE_GAP * (_SAME_ID_GAP if id_ == other_id else 1.0)
         for other_id, other in taken
     )
-
-
-class _Run(NamedTuple):
-    """Scans first..end - 1 share one value; their line is drawn up to scan drawn_to - 1."""
-
-    first: int
-    end: int
-    drawn_to: int
-
-
-def _runs(values: IntArray, places: FloatArray) -> Iterator[_Run]:
-    """Stretches of one value, broken where the robot jumps; lines of neighbours meet."""
-    jumps = np.linalg.norm(np.diff(places, axis=0), axis=1) > _JUMP_M
-    cuts = np.flatnonzero((np.diff(values) != 0) | jumps) + 1
-    ends = [*cuts.tolist(), len(values)] if len(values) else []
-    for first, end in itertools.pairwise([0, *ends]):
-        goes_on = end < len(values) and not jumps[end - 1]
-        yield _Run(first, end, end + 1 if goes_on else end)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -13,20 +13,23 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.drawing.canvas import Canvas, text_width
 from specmap_cli.drawing.palette import INK, PAPER, QUIET, SHADE, Colour
+from specmap_cli.drawing.symbols import Legend, Symbol
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
 
-LONG_SIDE = 1800
-NARROWEST = 1100
+# Pixels, chosen by eye for a picture that fills a page or a screen.
+LONG_SIDE = 1800  # of the map
+NARROWEST = 1100  # of what is between the margins: the legend needs room, too
 MARGIN = 56
-TITLE = 122
-_ROW = 44
+TITLE = 122  # of paper above the map
+_BELOW = 44.0  # from the map to the scale bar
+_ROW = 44  # of the legend
 _LETTERS = 14.0
-_SCALE_BAR = 360.0  # pixels at the most
-# A wall of one cell is drawn as if it were at least this many pixels wide.
-_WALL_STRENGTH = 1.6
-
-Symbol = Callable[[Canvas, float, float], None]
+_SYMBOL_AT, _WORDS_AT, _ENTRY_GAP = 22, 52.0, 38.0  # inside and after an entry of the legend
+_SCALE_BAR = 360.0  # at the most
+_WALL_STRENGTH = 1.6  # a wall of one cell is drawn as if it were at least this wide
+_SQUARES_FROM = 16.0  # larger cells have sharp edges: smooth ones would blur over the margin
+_LEAST_EXTENT_M = 0.5  # a map of a few cells, or of none, is drawn as if it were this large
 
 
 class Sheet:
@@ -35,10 +38,8 @@ class Sheet:
     `pixels_per_m` is chosen so that the longer side of the map is LONG_SIDE pixels.
     """
 
-    def __init__(
-        self, low: NDArray[Any], high: NDArray[Any], legend: Sequence[tuple[str, Symbol]]
-    ) -> None:
-        extent = np.maximum(np.asarray(high) - low, 0.5)
+    def __init__(self, low: NDArray[Any], high: NDArray[Any], legend: Legend) -> None:
+        extent = np.maximum(np.asarray(high) - low, _LEAST_EXTENT_M)
         self.pixels_per_m = LONG_SIDE / float(extent.max())
         self.low = np.asarray(low, dtype=np.float64)
         width, self.map_height = (math.ceil(side) for side in extent * self.pixels_per_m)
@@ -84,8 +85,9 @@ class Sheet:
             ]
         )
         size = (self.canvas.image.shape[1], self.canvas.image.shape[0])
-        painted = cv2.warpAffine(colours, to_pixels, size, borderValue=PAPER)
-        cover = cv2.warpAffine(walls.astype(np.float32), to_pixels, size)[..., None]
+        edges = cv2.INTER_NEAREST if scale > _SQUARES_FROM else cv2.INTER_LINEAR
+        painted = cv2.warpAffine(colours, to_pixels, size, flags=edges, borderValue=PAPER)
+        cover = cv2.warpAffine(walls.astype(np.float32), to_pixels, size, flags=edges)[..., None]
         cover = np.minimum(cover * max(1.0, _WALL_STRENGTH / scale), 1.0)
         inked = painted * (1.0 - cover) + np.array(INK, dtype=np.float32) * cover
         inside = slice(TITLE, TITLE + self.map_height)
@@ -94,7 +96,7 @@ class Sheet:
     def _draw_scale_bar(self) -> None:
         """A bar of a round length, alternately dark and light."""
         length = _round_length(_SCALE_BAR / self.pixels_per_m)
-        y = TITLE + self.map_height + 44.0
+        y = TITLE + self.map_height + _BELOW
         step = length * self.pixels_per_m / 4
         for i in range(4):
             x = MARGIN + i * step
@@ -104,12 +106,12 @@ class Sheet:
         end = MARGIN + 4 * step
         self.canvas.text(end + 12, y + 4, f"{length:g} m", _LETTERS)
 
-    def _draw_legend(self, rows: list[list[tuple[str, Symbol]]]) -> None:
+    def _draw_legend(self, rows: Sequence[Legend]) -> None:
         for number, row in enumerate(rows):
-            x, y = float(MARGIN), TITLE + self.map_height + 44.0 + _ROW * (number + 1)
+            x, y = float(MARGIN), TITLE + self.map_height + _BELOW + _ROW * (number + 1)
             for words, symbol in row:
-                symbol(self.canvas, x + 22, y)
-                self.canvas.text(x + 52, y, words, _LETTERS)
+                symbol(self.canvas, x + _SYMBOL_AT, y)
+                self.canvas.text(x + _WORDS_AT, y, words, _LETTERS)
                 x += _entry_width(words)
 
 
@@ -140,19 +142,17 @@ def extent_of(regions: Regions) -> tuple[FloatArray, FloatArray]:
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     if not len(rows):
         low = np.array(grid.origin, dtype=np.float64)
-        return low, low + 0.5
+        return low, low + _LEAST_EXTENT_M
     low = np.array([columns[0], rows[0]]) * grid.resolution + grid.origin
     high = np.array([columns[-1] + 1, rows[-1] + 1]) * grid.resolution + grid.origin
     return low, high
 
 
 def _entry_width(words: str) -> float:
-    return 52.0 + text_width(words, _LETTERS) + 38.0
+    return _WORDS_AT + text_width(words, _LETTERS) + _ENTRY_GAP
 
 
-def _legend_rows(
-    legend: Sequence[tuple[str, Symbol]], width: int
-) -> list[list[tuple[str, Symbol]]]:
+def _legend_rows(legend: Legend, width: int) -> list[Legend]:
     """Break the entries into rows that fit."""
     rows: list[list[tuple[str, Symbol]]] = []
     used = math.inf
@@ -163,7 +163,7 @@ def _legend_rows(
             used = 0.0
         rows[-1].append(entry)
         used += needed
-    return rows
+    return [tuple(row) for row in rows]
 
 
 def _round_length(length: float) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.drawing.canvas import Canvas
 from specmap_cli.drawing.palette import (
     CLOSURE,
@@ -25,11 +26,17 @@ from specmap_cli.drawing.palette import (
 from specmap_cli.topology.topological_map import EdgeKind
 
 Symbol = Callable[[Canvas, float, float], None]
-Legend = list[tuple[str, Symbol]]
+Legend = tuple[tuple[str, Symbol], ...]
 
 PATH: Colour = (88, 82, 76)
+# Pixels, chosen by eye for a sheet of some 1800 pixels.
 BADGE_RADIUS = 17.0
 BADGE_GAP = 2.0 * BADGE_RADIUS + 6.0
+PREDICTED = 6  # width of the line of predictions; the mark of wrong ones shows on both sides
+_LINK, _LINK_HALO = 4, 7  # width of a link, and of the paper under it
+_DASH, _DASH_GAP = 16.0, 10.0  # of a closure
+_DOT, _DOT_GAP = 5, 12.0  # of a guess
+_REACH = 20  # half the width of a line in the legend
 _EDGE_WORDS: dict[EdgeKind, str] = {
     "traversed": "crossed by the robot",
     "closure": "loop closure",
@@ -41,13 +48,13 @@ _EDGE_WORDS: dict[EdgeKind, str] = {
 def edge(canvas: Canvas, points: NDArray[Any], kind: EdgeKind) -> None:
     """A link of the graph: solid when driven or open, dashed for a closure, dotted for a guess."""
     if kind == "closure":
-        canvas.dashes(points, PAPER, 7, 16.0, 10.0)
-        canvas.dashes(points, CLOSURE, 4, 16.0, 10.0)
+        canvas.dashes(points, PAPER, _LINK_HALO, _DASH, _DASH_GAP)
+        canvas.dashes(points, CLOSURE, _LINK, _DASH, _DASH_GAP)
     elif kind == "loose":
-        canvas.dashes(points, LOOSE, 5, 0.0, 12.0)
+        canvas.dashes(points, LOOSE, _DOT, 0.0, _DOT_GAP)
     else:
-        canvas.line(points, PAPER, 7)
-        canvas.line(points, TRAVERSED, 4)
+        canvas.line(points, PAPER, _LINK_HALO)
+        canvas.line(points, TRAVERSED, _LINK)
 
 
 def badge(canvas: Canvas, centre: NDArray[Any], name: str, fill: Colour) -> None:
@@ -71,15 +78,16 @@ def end(canvas: Canvas, centre: NDArray[Any]) -> None:
 
 def overview_legend(kinds: Collection[EdgeKind], with_unreached: bool) -> Legend:
     """What the overview of a build shows; of the links only the kinds that occur."""
-    return [
-        ("submap", lambda c, x, y: badge(c, np.array([x, y]), "7", FILLS[0])),
+    unreached: Legend = (("seen, not reached", _unreached),) if with_unreached else ()
+    return (
+        ("submap", _badge),
         ("wall", _wall),
-        *([("seen, not reached", _unreached)] if with_unreached else []),
-        ("trajectory", lambda c, x, y: c.line(np.array([[x - 20, y], [x + 20, y]]), PATH, 2)),
-        ("start", lambda c, x, y: start(c, np.array([x, y]))),
+        *unreached,
+        ("trajectory", lambda c, x, y: c.line(_level(x, y), PATH, 2)),
+        ("start", _start),
         ("end", lambda c, x, y: end(c, np.array([x, y]))),
         *links_legend(kinds),
-    ]
+    )
 
 
 def unknown(canvas: Canvas, centre: NDArray[Any]) -> None:
@@ -89,50 +97,60 @@ def unknown(canvas: Canvas, centre: NDArray[Any]) -> None:
 
 def labels_legend(with_map: bool, with_unknown: bool, with_truth: bool) -> Legend:
     """What the picture of predicted submaps shows."""
-    legend: Legend = [("predicted submap, with its id", _predicted)]
+    legend: Legend = (("predicted submap, with its id", _predicted),)
     if with_unknown:
-        legend.append(("unknown", lambda c, x, y: unknown(c, np.array([x, y]))))
+        legend = (*legend, ("unknown", lambda c, x, y: unknown(c, np.array([x, y]))))
     if with_truth:
-        legend.append(("wrong", _wrong))
+        legend = (*legend, ("wrong", _wrong))
     if with_map:
-        legend.append(("wall", _wall))
-    return [*legend, ("start", lambda c, x, y: start(c, np.array([x, y])))]
+        legend = (*legend, ("wall", _wall))
+    return (*legend, ("start", _start))
 
 
 def regions_legend(kinds: Collection[EdgeKind]) -> Legend:
     """What the picture of a finished map shows."""
-    return [
-        ("submap", lambda c, x, y: badge(c, np.array([x, y]), "7", FILLS[0])),
-        ("wall", _wall),
-        *links_legend(kinds),
-    ]
+    return (("submap", _badge), ("wall", _wall), *links_legend(kinds))
 
 
 def links_legend(kinds: Collection[EdgeKind]) -> Legend:
     """The kinds of links that occur."""
-    return [(words, _link(kind)) for kind, words in _EDGE_WORDS.items() if kind in kinds]
+    return tuple((words, _link(kind)) for kind, words in _EDGE_WORDS.items() if kind in kinds)
 
 
 def _link(kind: EdgeKind) -> Symbol:
     def draw(canvas: Canvas, x: float, y: float) -> None:
+        # two dashes of a closure with the gap between them
         edge(canvas, np.array([[x - 21, y], [x + 21, y]]), kind)
 
     return draw
 
 
+def _level(x: float, y: float) -> FloatArray:
+    """The ends (2, 2) of a line of the legend."""
+    return np.array([[x - _REACH, y], [x + _REACH, y]], dtype=np.float64)
+
+
+def _badge(canvas: Canvas, x: float, y: float) -> None:
+    badge(canvas, np.array([x, y]), "7", FILLS[0])
+
+
+def _start(canvas: Canvas, x: float, y: float) -> None:
+    start(canvas, np.array([x, y]))
+
+
 def _predicted(canvas: Canvas, x: float, y: float) -> None:
-    canvas.line(np.array([[x - 20, y], [x, y]]), vivid(FILLS[0]), 6)
-    canvas.line(np.array([[x, y], [x + 20, y]]), vivid(FILLS[1]), 6)
+    canvas.line(np.array([[x - _REACH, y], [x, y]]), vivid(FILLS[0]), PREDICTED)
+    canvas.line(np.array([[x, y], [x + _REACH, y]]), vivid(FILLS[1]), PREDICTED)
 
 
 def _wrong(canvas: Canvas, x: float, y: float) -> None:
-    canvas.line(np.array([[x - 20, y], [x + 20, y]]), WRONG, 12)
-    canvas.line(np.array([[x - 20, y], [x + 20, y]]), vivid(FILLS[0]), 6)
+    canvas.line(_level(x, y), WRONG, 2 * PREDICTED)
+    canvas.line(_level(x, y), vivid(FILLS[0]), PREDICTED)
 
 
 def _unreached(canvas: Canvas, x: float, y: float) -> None:
-    canvas.box(np.array([x - 20, y - 10]), np.array([x + 20, y + 10]), SHADE)
+    canvas.box(np.array([x - _REACH, y - 10]), np.array([x + _REACH, y + 10]), SHADE)
 
 
 def _wall(canvas: Canvas, x: float, y: float) -> None:
-    canvas.box(np.array([x - 20, y - 3]), np.array([x + 20, y + 3]), INK)
+    canvas.box(np.array([x - _REACH, y - 3]), np.array([x + _REACH, y + 3]), INK)

@@ -11,18 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.config import Config
 from specmap_cli.core.errors import LogError, NoResultError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.labels import neighbours
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, PosedScan, Trajectory
+from specmap_cli.core.settings import Config, KeyframeConfig
 from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
 from specmap_cli.evaluation.trajectories import associate
-from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.pipelines.finishing import FinishedMap, finish_map
-from specmap_cli.pipelines.mapper import Mapper
+from specmap_cli.pipelines.build import map_log
+from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Label, Localizer
@@ -98,37 +99,50 @@ def hold_out(
     Raises LogError and NoResultError as `build` does, NoResultError when nothing was held out.
     """
     progress = progress or Silent()
-    with KeyframeStore() as store, KeyframeStore() as held_out:
-        mapper = Mapper(config, store, progress, hold_out=options.chooser(), held_out=held_out)
-        map_log(logs, mapper, progress)
-        finished = finish_map(mapper, progress)
+    with (
+        open_log(logs, config.log) as log,
+        KeyframeStore() as store,
+        KeyframeStore() as held_out,
+    ):
+        selector = _HoldingOut(config.keyframes, options.chooser(), held_out)
+        stream = SweepStream(log, config.log)
+        finished = map_log(stream, config, store, progress, accepts=selector.accepts)
         if not len(held_out):
             raise NoResultError("no keyframe was held out: the log is too short for this share")
         return score_hold_out(finished, store, held_out, config)
 
 
-def map_log(logs: Sequence[Path], mapper: Mapper, progress: Progress) -> None:
-    """Take a recording through Algorithm 1, to its end."""
-    with open_log(logs) as log:
-        stream = SweepStream(log, mapper.config.log)
-        progress.start("mapping", stream.expected)
-        for sweep in stream:
-            mapper.add(sweep)
-            progress.advance()
-    mapper.finish()
+class _HoldingOut:
+    """A selector of keyframes that lays some of them aside: these are for evaluation only."""
+
+    def __init__(
+        self, config: KeyframeConfig, chooser: Callable[[int], bool], held_out: KeyframeStore
+    ) -> None:
+        self._selector, self._chooser, self._held_out = KeyframeSelector(config), chooser, held_out
+        self._seen = 0
+
+    def accepts(self, scan: PosedScan) -> bool:
+        """Whether `scan` is a keyframe of the map."""
+        if not self._selector.accepts(scan):
+            return False
+        held_out = self._chooser(self._seen)
+        self._seen += 1
+        if held_out:
+            self._held_out.append(scan)
+        return not held_out
 
 
 def score_hold_out(
     finished: FinishedMap, store: KeyframeStore, held_out: KeyframeStore, config: Config
 ) -> HoldOutResult:
     """Label the keyframes of a finished map and those held out."""
-    classifiers = ClassifierSet.from_json(finished.classifiers)
+    classifiers = finished.classifiers
     ids = classifiers.ids
     poses = _poses_at(finished, held_out.stamps_ns)
     truth = nearest_labels(poses, finished.labels.poses, finished.labels.submaps)
     train = raw_labels(classifiers, store)
     test = raw_labels(classifiers, held_out)
-    filtered = _filtered_labels(finished, classifiers, held_out, poses, config)
+    filtered = _filtered_labels(finished, held_out, poses, config)
     return HoldOutResult(
         classification_scores(finished.labels.submaps, train, ids),
         classification_scores(truth, test, ids),
@@ -200,16 +214,13 @@ def _poses_at(finished: FinishedMap, stamps_ns: Sequence[int]) -> FloatArray:
 
 def _filtered_labels(
     finished: FinishedMap,
-    classifiers: ClassifierSet,
     held_out: KeyframeStore,
     poses: FloatArray,
     config: Config,
 ) -> list[int | None]:
     """Filtered labels of the held-out scans in turn, started afresh after every gap."""
-    adjacency: dict[int, set[int]] = {i: set() for i in classifiers.ids}
-    for source, target in finished.topology.edges:
-        adjacency[source].add(target)
-        adjacency[target].add(source)
+    classifiers = finished.classifiers
+    adjacency = neighbours(classifiers.ids, finished.topology.edges)
     grids = {i: submap.grid for i, submap in finished.topology.submaps.items()}
     localizer = Localizer(classifiers, adjacency, grids, config.localization)
     labels: list[int | None] = []
@@ -217,11 +228,11 @@ def _filtered_labels(
         place = Pose2(*poses[k].tolist())
         gap = k > 0 and float(np.hypot(*(poses[k, :2] - poses[k - 1, :2]))) > 1.0
         scan = PosedScan(
-            k,
-            held_out.stamps_ns[k],
-            place,
-            held_out.scan(k),
-            held_out.base_from_laser(k),
+            index=k,
+            stamp_ns=held_out.stamps_ns[k],
+            map_from_base=place,
+            planar=held_out.scan(k),
+            base_from_laser=held_out.base_from_laser(k),
             restarted=gap,
         )
         labels.append(localizer.update(scan).filtered_submap)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.config import Config
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Progress
+from specmap_cli.core.settings import Config
 from specmap_cli.evaluation.classification import score_lines
 from specmap_cli.evaluation.protocols import (
     STAMP_REACH_NS,
@@ -27,17 +27,20 @@ from specmap_cli.evaluation.trajectories import (
     best_motion,
     read_tum,
 )
+from specmap_cli.maps.filenames import TOPOLOGY
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.localize import localize_log
 
-_FITTING_M = 0.5  # mean distance between true poses and those of the map; a tenth of it is usual
+# Mean distance between the true poses and those of the map from which they hardly belong together;
+# a tenth of it is usual.
+_FITTING_M = 0.5
 
 
 def revisit_logs(
-    first: Path,
-    second: Path,
-    references: tuple[Path, Path],
+    first: str | Path,
+    second: str | Path,
+    references: tuple[str | Path, str | Path],
     config: Config,
     progress: Progress,
 ) -> RevisitResult:
@@ -46,7 +49,8 @@ def revisit_logs(
     `first` is a log, of which a map is built for the purpose, or a map directory. `references` are
     TUM files of both logs in one frame. Raises what `build_map` and `localize_log` raise.
     """
-    if (first / "topology.json").is_file():
+    first, second = Path(first), Path(second)
+    if (first / TOPOLOGY).is_file():
         return _revisit_map(read_map(first), second, references, config, progress)
     with tempfile.TemporaryDirectory(prefix="specmap-") as folder:
         build_map([first], Path(folder) / "map", config, progress=progress)
@@ -57,7 +61,7 @@ def revisit_logs(
 def _revisit_map(
     stored: StoredMap,
     second: Path,
-    references: tuple[Path, Path],
+    references: tuple[str | Path, str | Path],
     config: Config,
     progress: Progress,
 ) -> RevisitResult:
@@ -72,7 +76,7 @@ def _revisit_map(
     )
 
 
-def _alignment(stored: StoredMap, reference: Path, progress: Progress) -> Pose2:
+def _alignment(stored: StoredMap, reference: str | Path, progress: Progress) -> Pose2:
     """The motion that takes the reference poses of the map's own log to the map."""
     given = read_tum(reference)
     joined, rows = associate(given.stamps_ns, stored.labels.stamps_ns, STAMP_REACH_NS)

@@ -1,19 +1,20 @@
-"""Scores of a segmentation against rooms drawn by hand."""
+"""Scores of a segmentation against rooms drawn by hand: of a plan, and of the robot's way."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.labels import runs
+
 Labels = NDArray[np.integer]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RoomScores:
-    """Recall, precision and mean best IoU in [0, 1]; segments over rooms."""
+    """Recall, precision and mean best IoU in [0, 1]; the number of segments over that of rooms."""
 
     recall: float
     precision: float
@@ -44,7 +45,7 @@ def room_scores(rooms: Labels, segments: Labels) -> RoomScores:
     present = room_size > 0
     table, room_size = table[present], room_size[present]
     if not table.size:
-        return RoomScores(0.0, 0.0, 0.0, 0.0)
+        return RoomScores(recall=0.0, precision=0.0, iou=0.0, segments_per_room=0.0)
     segment_size = table.sum(axis=0)
     union = room_size[:, None] + segment_size[None, :] - table
     return RoomScores(
@@ -55,9 +56,9 @@ def room_scores(rooms: Labels, segments: Labels) -> RoomScores:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class StayScores:
-    """Homogeneity and completeness in [0, 1]; regions left over stays in a room."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VisitScores:
+    """Homogeneity and completeness in [0, 1]; the regions split off over the visits of rooms."""
 
     homogeneity: float
     completeness: float
@@ -80,14 +81,14 @@ def homogeneity(truth: Labels, found: Labels) -> float:
     return 1.0 - (both - alone) / whole
 
 
-def stay_scores(rooms: Labels, visits: Labels, submaps: Labels, regions: Labels) -> StayScores:
+def visit_scores(*, rooms: Labels, visits: Labels, submaps: Labels, regions: Labels) -> VisitScores:
     """Compare an online segmentation of n keyframes with the rooms they were taken in.
 
-    All (n,): the true room, the true visit (`visits_of`), the submap each keyframe ended in and the
-    region it was split off with. Homogeneity asks whether submaps lie within rooms, completeness
-    whether one visit stays in one submap.
+    All (n,), n >= 1: the true room, the true visit (`visits_of`), the submap each keyframe ended in
+    and the region it was split off with. Homogeneity asks whether submaps lie within rooms,
+    completeness whether one visit lies within one submap.
     """
-    return StayScores(
+    return VisitScores(
         homogeneity=homogeneity(rooms, submaps),
         completeness=homogeneity(submaps, visits),
         segments_per_visit=len(np.unique(regions)) / len(np.unique(visits)),
@@ -95,17 +96,17 @@ def stay_scores(rooms: Labels, visits: Labels, submaps: Labels, regions: Labels)
 
 
 def visits_of(rooms: Labels, steps_m: NDArray[np.floating], least_m: float = 1.0) -> Labels:
-    """(n,) the number of the stay in a room, 0, 1, ..., for keyframes in order.
+    """(n,) the number 0, 1, ... of the visit of a room, for keyframes in order.
 
-    `rooms` (n,) is the true room and `steps_m` (n,) the way since the keyframe before. A stay of
-    less than `least_m` belongs to the stay before it.
+    `rooms` (n,) is the true room and `steps_m` (n,) the way since the keyframe before. A run of
+    less than `least_m` in a room, such as a step through a door and back, is part of the visit
+    before it.
     """
-    travelled = np.cumsum(steps_m)
-    starts = [0, *(np.flatnonzero(np.diff(rooms)) + 1).tolist(), len(rooms)]
+    way = np.cumsum(steps_m)
     visits = np.zeros(len(rooms), dtype=np.int64)
     number, here = -1, -1
-    for first, end in pairwise(starts):
-        short = travelled[end - 1] - travelled[first] < least_m
+    for first, end in runs(rooms):
+        short = way[end - 1] - way[first] < least_m
         if number < 0 or not (short or rooms[first] == here):
             number, here = number + 1, int(rooms[first])
         visits[first:end] = number
@@ -113,5 +114,6 @@ def visits_of(rooms: Labels, steps_m: NDArray[np.floating], least_m: float = 1.0
 
 
 def _entropy(counts: NDArray[np.integer]) -> float:
+    """Of labels that occur so many times, in nats."""
     share = counts[counts > 0] / counts.sum()
     return float(-(share * np.log(share)).sum())

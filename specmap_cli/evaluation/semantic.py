@@ -16,22 +16,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.config import Config
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray, PlanarScan
+from specmap_cli.core.settings import Config
 from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
-from specmap_cli.evaluation.protocols import STAMP_REACH_NS, map_log
+from specmap_cli.evaluation.protocols import STAMP_REACH_NS
 from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.pipelines.finishing import finish_map
-from specmap_cli.pipelines.mapper import Mapper
-from specmap_cli.recognition.features.sets import FEATURE_SETS, scans_features
+from specmap_cli.pipelines.build import map_log
+from specmap_cli.recognition.features.sets import feature_names, scans_features
 from specmap_cli.recognition.learning.boosting import StumpBoost
-from specmap_cli.simulation.worlds import RoomTruth
+from specmap_cli.simulation.room_truth import RoomTruth
 
 ROOM, HALLWAY = 0, 1
 _FEATURES = "table1"
@@ -59,7 +58,7 @@ class RoomHallway:
     """AdaBoost on stumps over Table I: positive margins are hallways."""
 
     def __init__(self, rounds: int = 100) -> None:
-        self.booster_ = StumpBoost(FEATURE_SETS[_FEATURES], rounds)
+        self.booster_ = StumpBoost(feature_names(_FEATURES), rounds)
 
     def fit(self, scans: Iterable[PlanarScan], kinds: IntArray) -> RoomHallway:
         """Learn from scans of known kind (n,), ROOM or HALLWAY; returns self."""
@@ -141,10 +140,8 @@ def room_hallway(
     the first shows not both kinds, and what `build` raises.
     """
     model = _trained(learned, config, progress)
-    with KeyframeStore() as store:
-        mapper = Mapper(config, store, progress)
-        map_log([asked.log], mapper, progress)
-        finished = finish_map(mapper, progress)
+    with open_log(asked.log, config.log) as log, KeyframeStore() as store:
+        finished = map_log(SweepStream(log, config.log), config, store, progress)
         predicted = model.predict(store.scan(k) for k in range(len(store)))
         truth = asked.kinds(np.array(store.stamps_ns, dtype=np.int64))
     return semantic_scores(predicted, truth, finished.labels.submaps, finished.topology.edges)
@@ -166,7 +163,7 @@ def _scans_of(
     path: Path, config: Config, progress: Progress, stamps: list[int]
 ) -> Iterator[PlanarScan]:
     """The scans of a recording in turn; `stamps` gets theirs."""
-    with open_log([path]) as log:
+    with open_log([path], config.log) as log:
         stream = SweepStream(log, config.log)
         progress.start("learning", stream.expected)
         for sweep in stream:

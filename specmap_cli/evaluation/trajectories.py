@@ -9,7 +9,8 @@ and the absolute error after the best rigid motion follow Sturm et al. (IROS 201
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -26,12 +27,16 @@ from specmap_cli.core.geometry import (
     yaw_of,
 )
 from specmap_cli.core.records import IntArray, Trajectory
+from specmap_cli.core.text import stamp_ns
+from specmap_cli.core.tracks import travelled
 
-PATH_LENGTHS_M = (1.0, 5.0, 20.0)
+PATH_LENGTHS_M = (1.0, 5.0, 20.0)  # a room's details, a room, a wing of a building
+_LATEST_S = 9.2e9  # the year 2261: later stamps in nanoseconds overflow 64 bits
+_DECIMAL = re.compile(r"[0-9]+(\.[0-9]*)?")  # seconds without a sign or an exponent
 _TOLERANCE_NS = 2_000_000  # stamps in text files are rounded to microseconds at the worst
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Spread:
     """Mean, standard deviation, median, 95th percentile and maximum of errors."""
 
@@ -45,15 +50,15 @@ class Spread:
     def of(cls, values: FloatArray) -> Spread:
         """Of values (n,), n >= 1."""
         return cls(
-            float(values.mean()),
-            float(values.std()),
-            float(np.median(values)),
-            float(np.percentile(values, 95)),
-            float(values.max()),
+            mean=float(values.mean()),
+            std=float(values.std()),
+            median=float(np.median(values)),
+            p95=float(np.percentile(values, 95)),
+            max=float(values.max()),
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RelativeErrors:
     """Errors of relative poses: translations in metres, rotations in degrees.
 
@@ -66,7 +71,7 @@ class RelativeErrors:
     total: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceErrors:
     """Errors against reference poses: per metres of path, absolute, and from end to end.
 
@@ -74,7 +79,7 @@ class ReferenceErrors:
     after the best rigid motion; `end_m` and `end_deg` compare the motion from first to last pose.
     """
 
-    relative: dict[float, RelativeErrors]
+    relative: Mapping[float, RelativeErrors]
     ate_m: float
     end_m: float
     end_deg: float
@@ -83,7 +88,15 @@ class ReferenceErrors:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, lengths as text."""
-        return {**asdict(self), "relative": {f"{k:g}": asdict(v) for k, v in self.relative.items()}}
+        relative = {f"{length:g}": asdict(errors) for length, errors in self.relative.items()}
+        return {
+            "relative": relative,
+            "ate_m": self.ate_m,
+            "end_m": self.end_m,
+            "end_deg": self.end_deg,
+            "matched": self.matched,
+            "total": self.total,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +108,12 @@ class Relations:
     poses: FloatArray
 
 
-def read_tum(path: Path) -> Trajectory:
+def read_tum(path: str | Path) -> Trajectory:
     """A trajectory in TUM format: `t x y z qx qy qz qw` a line, seconds and metres.
 
     Raises InputError naming the line that is not so.
     """
+    path = Path(path)
     stamps, poses = [], []
     for number, words in _lines(path):
         if len(words) != 8:
@@ -112,11 +126,12 @@ def read_tum(path: Path) -> Trajectory:
     return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses, dtype=np.float64))
 
 
-def read_relations(path: Path) -> Relations:
+def read_relations(path: str | Path) -> Relations:
     """Ground-truth relations: `t1 t2 x y z roll pitch yaw` a line, seconds, metres, radians.
 
     Raises InputError naming the line that is not so.
     """
+    path = Path(path)
     earlier, later, poses = [], [], []
     for number, words in _lines(path):
         if len(words) != 8:
@@ -174,22 +189,27 @@ def reference_errors(trajectory: Trajectory, reference: Trajectory) -> Reference
     """
     rows, found = associate(trajectory.stamps_ns, reference.stamps_ns)
     if len(rows) < 2:
-        raise InputError(_NO_COMMON.format(len(reference.stamps_ns)))
+        raise _too_few(len(rows), len(reference.stamps_ns))
     truth, poses = reference.poses[rows], trajectory.poses[found]
-    path = np.r_[0.0, np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))]
+    way = travelled(truth)
     relative = {}
     for length in PATH_LENGTHS_M:
-        ends = np.searchsorted(path, path + length)
-        starts = np.flatnonzero(ends < len(path))
+        ends = np.searchsorted(way, way + length)
+        starts = np.flatnonzero(ends < len(way))
         if len(starts):
             want = compose(invert(truth[starts]), truth[ends[starts]])
             have = compose(invert(poses[starts]), poses[ends[starts]])
             relative[length] = _relative_errors(want, have, len(starts))
     whole = _difference(compose(invert(truth[0]), truth[-1]), compose(invert(poses[0]), poses[-1]))
     moved = best_motion(poses[:, :2], truth[:, :2]).apply(poses[:, :2])
-    ate = math.sqrt(float(((moved - truth[:, :2]) ** 2).sum(axis=1).mean()))
-    end_m, end_deg = float(np.hypot(*whole[:2])), float(np.degrees(abs(whole[2])))
-    return ReferenceErrors(relative, ate, end_m, end_deg, len(rows), len(reference.stamps_ns))
+    return ReferenceErrors(
+        relative=relative,
+        ate_m=math.sqrt(float(((moved - truth[:, :2]) ** 2).sum(axis=1).mean())),
+        end_m=float(np.hypot(*whole[:2])),
+        end_deg=float(np.degrees(abs(whole[2]))),
+        matched=len(rows),
+        total=len(reference.stamps_ns),
+    )
 
 
 def best_motion(points: FloatArray, targets: FloatArray) -> Pose2:
@@ -201,10 +221,12 @@ def best_motion(points: FloatArray, targets: FloatArray) -> Pose2:
     return Pose2(float(shift[0]), float(shift[1]), turn.theta)
 
 
-_NO_COMMON = (
-    "trajectory and truth have no stamps in common ({} in the truth): are they of the same log, "
-    "in seconds of the same clock?"
-)
+def _too_few(common: int, total: int) -> InputError:
+    """The error for a truth of which too few stamps are found."""
+    return InputError(
+        f"trajectory and truth have {'one stamp' if common else 'no stamps'} in common "
+        f"({total} in the truth): are they of the same log, in seconds of the same clock?"
+    )
 
 
 def _difference(want: FloatArray, have: FloatArray) -> FloatArray:
@@ -215,13 +237,13 @@ def _difference(want: FloatArray, have: FloatArray) -> FloatArray:
 def _relative_errors(want: FloatArray, have: FloatArray, total: int) -> RelativeErrors:
     """The errors of poses (n, 3) against those wanted."""
     if not len(want):
-        raise InputError(_NO_COMMON.format(total))
+        raise _too_few(0, total)
     error = _difference(want, have)
     return RelativeErrors(
-        Spread.of(np.hypot(error[:, 0], error[:, 1])),
-        Spread.of(np.degrees(np.abs(error[:, 2]))),
-        len(want),
-        total,
+        translation_m=Spread.of(np.hypot(error[:, 0], error[:, 1])),
+        rotation_deg=Spread.of(np.degrees(np.abs(error[:, 2]))),
+        matched=len(want),
+        total=total,
     )
 
 
@@ -240,14 +262,10 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 def _stamp(path: Path, number: int, word: str) -> int:
     """Seconds in decimal to nanoseconds, without the rounding of floats."""
-    whole, _, fraction = word.partition(".")
-    plain = whole.isdecimal() and whole.isascii() and (fraction + "0").isdecimal()
-    if plain and fraction.isascii():
-        return int(whole) * 10**9 + int((fraction + "0" * 9)[:9])
     value = _numbers(path, number, [word])[0]
-    if not abs(value) < 9e9:
+    if not abs(value) < _LATEST_S:
         raise _malformed(path, number, f"{word!r} is no time in seconds")
-    return round(value * 1e9)
+    return stamp_ns(word) if _DECIMAL.fullmatch(word) else round(value * 1e9)
 
 
 def _numbers(path: Path, number: int, words: list[str]) -> list[float]:

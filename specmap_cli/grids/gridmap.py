@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
+NO_OBSTACLE_M = 1e3  # the distance to an obstacle where there is none: beyond any laser's range
 CellArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
 
@@ -69,10 +70,23 @@ class GridMap:
         values[inside] = self.cells[cells[inside, 0], cells[inside, 1]]
         return values
 
+    def window(self, rows: slice, columns: slice) -> GridMap:
+        """The part of the map in some rows and columns, both with a start and an end on the grid.
+
+        Its cells are a copy, so that it does not keep the whole grid in memory.
+        """
+        x, y = self.origin
+        left, low = int(columns.start), int(rows.start)
+        corner = (x + left * self.resolution, y + low * self.resolution)
+        return GridMap(self.cells[rows, columns].copy(), self.resolution, corner)
+
     def obstacle_distance(self) -> FloatArray:
-        """(H, W) metres from each cell's centre to the nearest occupied one's; 1 km without any."""
+        """(H, W) metres from a cell's centre to the nearest occupied one's.
+
+        NO_OBSTACLE_M everywhere when no cell is occupied.
+        """
         if not self.occupied.any():
-            return np.full(self.cells.shape, 1e3)
+            return np.full(self.cells.shape, NO_OBSTACLE_M)
         return cell_distances((self.cells != OCCUPIED).astype(np.uint8)) * self.resolution
 
     def clearance(self) -> FloatArray:

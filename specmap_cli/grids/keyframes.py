@@ -1,8 +1,8 @@
 """Keyframes: which scans go on to mapping, and their store on disk.
 
-Every scan is registered; only those taken after the robot moved or turned are kept, and these are
-spooled to a temporary file, so that memory does not grow with the scans of a log: only the poses
-(some 300 bytes a keyframe) stay in memory.
+Every scan is registered. Only those taken after the robot moved or turned are kept, and their
+readings go to a temporary file: in memory a keyframe takes some 300 bytes, however many beams its
+scan has.
 """
 
 from __future__ import annotations
@@ -10,14 +10,19 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from types import TracebackType
+from typing import IO
 
 import numpy as np
 
-from specmap_cli.core.config import GridConfig, KeyframeConfig
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.settings import GridConfig, KeyframeConfig
+from specmap_cli.core.tracks import moved
 from specmap_cli.grids.occupancy import OccupancyGrid
+
+_READING = np.dtype(np.float32)  # a bearing or a range on disk: good to a micrometre in 10 m
 
 
 class KeyframeSelector:
@@ -28,14 +33,12 @@ class KeyframeSelector:
         self._last: Pose2 | None = None
 
     def accepts(self, scan: PosedScan) -> bool:
-        """Whether `scan` is a keyframe; lost scans never are."""
+        """Whether `scan` is a keyframe; lost scans never are, the first after them always is."""
         if scan.lost:
             return False
-        if self._last is not None and not scan.restarted:
-            step = self._last.inverse() @ scan.map_from_base
-            moved = step.distance >= self.config.distance_m
-            if not moved and abs(wrap_angle(step.theta)) < self.config.angle_rad:
-                return False
+        last = None if scan.restarted else self._last
+        if not moved(last, scan.map_from_base, self.config.distance_m, self.config.angle_rad):
+            return False
         self._last = scan.map_from_base
         return True
 
@@ -43,7 +46,10 @@ class KeyframeSelector:
 def integrate_keyframes(
     store: KeyframeStore, numbers: Iterable[int], poses: FloatArray, config: GridConfig
 ) -> OccupancyGrid:
-    """A grid of keyframes `numbers` of the store taken at `poses` (n, 3), grid frame from base."""
+    """A grid of keyframes `numbers` of the store taken at `poses` (n, 3), grid frame from base.
+
+    `refused` of the result counts the scans that reach beyond the largest grid allowed.
+    """
     grid = OccupancyGrid(config)
     for number, pose in zip(numbers, poses, strict=True):
         grid_from_base = Pose2(*pose.tolist())
@@ -52,66 +58,91 @@ def integrate_keyframes(
     return grid
 
 
+@dataclass(frozen=True, slots=True)
+class _Laser:
+    """What the scans of one laser have in common."""
+
+    range_max: float
+    full_circle: bool
+    base_from_laser: Pose2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Keyframe:
+    """A keyframe in memory; its `beams` bearings, then ranges, stand at `offset` in the file."""
+
+    stamp_ns: int
+    map_from_base: Pose2
+    laser: _Laser
+    offset: int
+    beams: int
+
+
 class KeyframeStore:
-    """Keyframes by number 0, 1, ...: scans on disk, poses in memory. Close it, or use `with`."""
+    """Keyframes by number 0, 1, ...: scans on disk, poses in memory. Close it, or use `with`.
+
+    Memory grows by some 300 bytes a keyframe, not by its beams.
+    """
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile(prefix="specmap-")  # noqa: SIM115 (closed by close)
-        self._spans: list[tuple[int, int, int]] = []  # offset, beams, number of the sensor
-        self._sensors: list[tuple[float, bool, Pose2]] = []
-        self._poses: list[Pose2] = []
-        self._stamps: list[int] = []
+        self._keyframes: list[_Keyframe] = []
+        self._lasers: dict[_Laser, _Laser] = {}  # one object for all scans of a laser
         self._end = 0
 
     def append(self, scan: PosedScan) -> int:
         """Store one keyframe and return its number."""
         planar = scan.planar
-        sensor = (planar.range_max, planar.full_circle, scan.base_from_laser)
-        if sensor not in self._sensors:
-            self._sensors.append(sensor)
-        record = np.stack([planar.bearings, planar.ranges]).astype(np.float32)
-        self._file.write(record.tobytes())
+        laser = _Laser(planar.range_max, planar.full_circle, scan.base_from_laser)
+        readings = np.stack([planar.bearings, planar.ranges]).astype(_READING)
+        self._file.write(readings.tobytes())
         self._file.flush()  # a process forked from this one must not write it again
-        self._spans.append((self._end, record.shape[1], self._sensors.index(sensor)))
-        self._end += record.nbytes
-        self._poses.append(scan.map_from_base)
-        self._stamps.append(scan.stamp_ns)
-        return len(self._poses) - 1
+        self._keyframes.append(
+            _Keyframe(
+                stamp_ns=scan.stamp_ns,
+                map_from_base=scan.map_from_base,
+                laser=self._lasers.setdefault(laser, laser),
+                offset=self._end,
+                beams=readings.shape[1],
+            )
+        )
+        self._end += readings.nbytes
+        return len(self._keyframes) - 1
 
     def __len__(self) -> int:
-        return len(self._poses)
+        return len(self._keyframes)
 
     @property
     def poses(self) -> FloatArray:
         """(n, 3) map_from_base as registered, metres and radians."""
-        return np.array(self._poses, dtype=np.float64).reshape(-1, 3)
+        return self.poses_of(range(len(self)))
 
     @property
-    def stamps_ns(self) -> list[int]:
+    def stamps_ns(self) -> tuple[int, ...]:
         """Header stamp of each keyframe."""
-        return self._stamps
+        return tuple(keyframe.stamp_ns for keyframe in self._keyframes)
 
     def poses_of(self, numbers: Sequence[int]) -> FloatArray:
         """(n, 3) map_from_base of some keyframes as registered."""
-        return np.array([self._poses[number] for number in numbers]).reshape(-1, 3)
+        poses = [self._keyframes[number].map_from_base for number in numbers]
+        return np.array(poses, dtype=np.float64).reshape(-1, 3)
 
     def pose(self, number: int) -> Pose2:
         """map_from_base of one keyframe as registered."""
-        return self._poses[number]
+        return self._keyframes[number].map_from_base
 
     def scan(self, number: int) -> PlanarScan:
-        """The planar scan of one keyframe, read from disk."""
-        offset, beams, sensor = self._spans[number]
-        range_max, full_circle, _ = self._sensors[sensor]
-        # without moving the place in the file, which forked processes share
-        read = os.pread(self._file.fileno(), 8 * beams, offset)
-        record = np.frombuffer(read, dtype=np.float32).astype(np.float64)
-        bearings, ranges = record.reshape(2, beams)
-        return PlanarScan(self._stamps[number], bearings, ranges, range_max, full_circle)
+        """The planar scan of one keyframe, read from disk, without the times of its beams."""
+        keyframe = self._keyframes[number]
+        size = 2 * keyframe.beams * _READING.itemsize
+        readings = np.frombuffer(_read_at(self._file, keyframe.offset, size), dtype=_READING)
+        bearings, ranges = readings.astype(np.float64).reshape(2, keyframe.beams)
+        laser = keyframe.laser
+        return PlanarScan(keyframe.stamp_ns, bearings, ranges, laser.range_max, laser.full_circle)
 
     def base_from_laser(self, number: int) -> Pose2:
         """Mounting of the laser of one keyframe."""
-        return self._sensors[self._spans[number][2]][2]
+        return self._keyframes[number].laser.base_from_laser
 
     def points(self, number: int, max_range: float = np.inf) -> FloatArray:
         """Returns (N, 2) of one keyframe in the base frame."""
@@ -131,3 +162,13 @@ class KeyframeStore:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _read_at(file: IO[bytes], offset: int, size: int) -> bytes:
+    """Bytes of a file; its place, which forked processes share, stays where it is."""
+    if hasattr(os, "pread"):
+        return os.pread(file.fileno(), size, offset)
+    file.seek(offset)  # no such call on this system, which does not fork either
+    data = file.read(size)
+    file.seek(0, os.SEEK_END)
+    return data

@@ -6,6 +6,7 @@ row of the image is the highest y.
 
 from __future__ import annotations
 
+import errno
 import math
 import re
 from pathlib import Path
@@ -16,30 +17,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.files import write_bytes
+from specmap_cli.core.files import read_bytes, write_bytes, write_text
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
+from specmap_cli.grids.pictures import read_picture
 
 # What map_server and Nav2 read the greys 0, 254 and 205 back with as they are; a free threshold
 # above 0.196, such as the often seen 0.25, would make the unknown 205 free.
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 
 # In a bare picture only white (above 250) is free: light greys are edges of lines drawn smoothly,
-# or furniture and hatching in a floor plan.
+# or furniture and hatching in a floor plan. A YAML beside the picture can say otherwise.
 PICTURE_FREE_THRESHOLD = 0.0196
 
+_QUOTED, _COMMENT = re.compile(r"(['\"])(.*?)\1"), re.compile(r"\s#")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_LARGEST_YAML = 1 << 16
+_LARGEST_YAML = 1 << 16  # bytes; such a file has some hundred: anything larger is something else
+_DECIMALS = 6  # of lengths written: a micrometre
+_FARTHEST_M = 1e8  # twice around the earth: no place of a map is farther off
+_LARGEST_TURN = 1e-9  # rad; more than rounding, so meant
 _MODES = ("trinary", "scale", "raw")
 
 Entries = dict[str, str]
 
 _GREY = np.zeros(256, dtype=np.uint8)
 _GREY[[FREE, OCCUPIED, UNKNOWN]] = (254, 0, 205)
+# the defaults of zlib, written down: those of OpenCV have changed between its versions
 _PNG_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 6, cv2.IMWRITE_PNG_STRATEGY, 0]
 
 
-def write_png(path: Path, image: NDArray[Any]) -> None:
+def write_png(path: str | Path, image: NDArray[Any]) -> None:
     """Write an image, 8 or 16 bit, grey (H, W) or BGR (H, W, 3): the same bytes every time.
 
     The file appears complete or not at all. UsageError when it cannot be written.
@@ -48,8 +55,12 @@ def write_png(path: Path, image: NDArray[Any]) -> None:
     write_bytes(path, encoded.tobytes())
 
 
-def write_grid(stem: Path, grid: GridMap) -> None:
-    """Write `stem`.png and `stem`.yaml."""
+def write_grid(stem: str | Path, grid: GridMap) -> None:
+    """Write `stem`.png and `stem`.yaml, the image first. UsageError when they cannot be written.
+
+    A grid without cells becomes one unknown cell: no image is empty.
+    """
+    stem = Path(stem)
     image = stem.with_name(stem.name + ".png")
     cells = grid.cells if grid.cells.size else np.full((1, 1), UNKNOWN, dtype=np.uint8)
     write_png(image, _GREY[cells[::-1]])
@@ -62,29 +73,29 @@ def write_grid(stem: Path, grid: GridMap) -> None:
         f"occupied_thresh: {OCCUPIED_THRESHOLD}",
         f"free_thresh: {FREE_THRESHOLD}",
     ]
-    text = "\n".join(lines) + "\n"
-    stem.with_name(stem.name + ".yaml").write_text(text, encoding="utf-8")
+    write_text(stem.with_name(stem.name + ".yaml"), "\n".join(lines) + "\n")
 
 
 def _number(value: float) -> str:
-    """Six decimals at the most, and a point, without which YAML reads an integer."""
-    return repr(round(float(value), 6) + 0.0)
+    """Six decimals at the most, and a point, without which YAML reads an integer or a text."""
+    return np.format_float_positional(round(float(value), _DECIMALS) + 0.0, trim="0")
 
 
-def read_grid(path: Path, resolution: float | None = None) -> GridMap:
+def read_grid(path: str | Path, resolution: float | None = None) -> GridMap:
     """The grid of a map_server YAML file, or of a picture of `resolution` metres a pixel.
 
-    Modes, thresholds and `negate` are honoured, so that maps of other tools read right; cells that
-    are transparent are unknown. Of a bare picture, white is free and dark is occupied, and its
-    lower left corner is at (0, 0); given with a YAML file, `resolution` overrides the file's.
-    Raises MapError naming the file and the key at fault.
+    The modes, thresholds and `negate` of map_server count, so that maps of other tools read right;
+    cells that are transparent are unknown. Of a bare picture, white is free and dark is occupied,
+    and its lower left corner is at (0, 0). Given with a YAML file, `resolution` overrides the
+    file's. Raises MapError naming the file and the key at fault.
     """
+    path = Path(path)
     if path.suffix.lower() in (".yaml", ".yml"):
         return _read_map_server(path, resolution)
     if resolution is None:
         raise MapError(f"{path}: a picture has no scale: give metres a pixel with --resolution")
     reading = _Reading("trinary", False, OCCUPIED_THRESHOLD, PICTURE_FREE_THRESHOLD)
-    return GridMap(reading.cells(_read_picture(path)), _length(path, resolution))
+    return GridMap(reading.cells(read_picture(path)), _length(path, resolution))
 
 
 def _read_map_server(path: Path, resolution: float | None) -> GridMap:
@@ -103,7 +114,7 @@ def _read_map_server(path: Path, resolution: float | None) -> GridMap:
     origin = _origin(path, entries)
     negate = entries.get("negate", "0").lower() in ("1", "true", "yes")
     reading = _Reading(mode, negate, occupied, free)
-    return GridMap(reading.cells(_read_picture(path.parent / image)), scale, origin)
+    return GridMap(reading.cells(read_picture(path.parent / image)), scale, origin)
 
 
 class _Reading(NamedTuple):
@@ -130,21 +141,6 @@ class _Reading(NamedTuple):
         return cells
 
 
-def _read_picture(path: Path) -> NDArray[Any]:
-    """(H, W, C) 8 or 16 bit, lowest row first."""
-    try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    except OSError as error:
-        raise MapError(f"{path}: cannot read the image: {error.strerror}") from None
-    try:
-        picture: NDArray[Any] | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error:  # no bytes at all, or more pixels than OpenCV takes
-        picture = None
-    if picture is None:
-        raise MapError(f"{path}: not an image that can be read: expected PNG, PGM or BMP")
-    return np.atleast_3d(picture)[::-1]
-
-
 def _occupancy(picture: FloatArray, negate: bool) -> FloatArray:
     """(H, W) 0 to 1, the darker the more (`negate`: the lighter), NaN where it is transparent."""
     channels = picture.shape[2]
@@ -163,24 +159,32 @@ def _percent(picture: FloatArray) -> FloatArray:
 def _read_entries(path: Path) -> Entries:
     """The entries of a YAML without nesting, as text; a list is the text of its lines."""
     try:
-        with path.open("rb") as file:
-            text = file.read(_LARGEST_YAML + 1).decode("utf-8")
+        text = read_bytes(path, _LARGEST_YAML).decode("utf-8")
     except OSError as error:
+        if error.errno == errno.EFBIG:
+            expected = "expected a map_server YAML"
+            raise MapError(f"{path}: larger than {_LARGEST_YAML} bytes: {expected}") from None
         raise MapError(f"{path}: cannot read the map: {error.strerror}") from None
     except UnicodeDecodeError:
         raise MapError(f"{path}: not a text file: expected a map_server YAML") from None
-    if len(text) > _LARGEST_YAML:
-        raise MapError(f"{path}: larger than {_LARGEST_YAML} bytes: expected a map_server YAML")
     entries: Entries = {}
     key = ""
     for line in text.splitlines():
-        content = "" if line.lstrip().startswith("#") else line.split(" #")[0].rstrip()
-        if content[:1] in (" ", "-") and key and not content.startswith("---"):  # a list goes on
-            entries[key] += " " + content.strip()
-        elif ":" in content:
-            key, _, value = content.partition(":")
-            entries[key] = value.strip().strip("\"'")
+        if line.lstrip().startswith("#"):
+            continue
+        if line[:1] in (" ", "-") and key and not line.startswith("---"):  # a list goes on
+            entries[key] = f"{entries[key]} {_scalar(line)}".strip()
+        elif ":" in line:
+            key, _, value = line.partition(":")
+            entries[key] = _scalar(value)
     return entries
+
+
+def _scalar(text: str) -> str:
+    """The value in the text after a key, without its quotes and without a comment behind it."""
+    text = text.strip()
+    quoted = _QUOTED.match(text)
+    return quoted[2] if quoted else _COMMENT.split(f" {text}")[0].strip()
 
 
 def _numbers(path: Path, entries: Entries, key: str) -> list[float]:
@@ -199,6 +203,8 @@ def _resolution(path: Path, entries: Entries) -> float:
 def _length(path: Path, resolution: float) -> float:
     if not 0.0 < resolution < math.inf:
         raise MapError(f"{path}: resolution is {resolution:g}: expected metres a cell, above 0")
+    if resolution > _FARTHEST_M:
+        raise MapError(f"{path}: resolution is {resolution:g}: a cell larger than the earth")
     return float(resolution)
 
 
@@ -206,9 +212,9 @@ def _origin(path: Path, entries: Entries) -> tuple[float, float]:
     if "origin" not in entries:
         return 0.0, 0.0
     numbers = _numbers(path, entries, "origin")
-    if len(numbers) not in (2, 3) or not all(math.isfinite(number) for number in numbers):
+    if len(numbers) not in (2, 3) or not all(abs(n) <= _FARTHEST_M for n in numbers):
         raise MapError(f"{path}: origin is {entries['origin']!r}: expected [x, y, 0]")
-    if len(numbers) == 3 and abs(numbers[2]) > 1e-9:
+    if len(numbers) == 3 and abs(numbers[2]) > _LARGEST_TURN:
         raise MapError(f"{path}: origin is turned by {numbers[2]:g} rad: turn the image, write 0")
     return numbers[0], numbers[1]
 

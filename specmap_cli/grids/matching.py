@@ -7,7 +7,8 @@ score of points at a pose is in [0, 1] and needs one lookup a point. Poses are `
 Typical use, when the pose is known roughly (`search`) or not at all (`search_everywhere`)::
 
     field = ScoreField.from_grid(grid)
-    match = refine(field, points, search(field, points, guess, Window(1.0, 0.3, 0.1)).pose)
+    window = Window(distance_m=1.0, angle_rad=0.3, step_m=0.1)
+    match = refine(field, points, search(field, points, guess, window).pose)
 
 The search is the correlative scan matching of Olson (ICRA 2009), the refinement the Gauss-Newton
 step on an interpolated field of Kohlbrecher et al. (SSRR 2011).
@@ -22,10 +23,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.grids.correlation import Target, cell_counts, local_maxima, peaks
+from specmap_cli.grids.gauss_newton import descend
 from specmap_cli.grids.score_field import ScoreField, thinned
 
 __all__ = [
@@ -39,22 +41,38 @@ __all__ = [
     "thinned",
 ]
 
+REFINE_ITERATIONS = 20  # of Gauss-Newton, which ends by itself after some five near the truth
+REFINE_SHIFT_M = 0.3  # three sigma of the usual field: it pulls from no farther
 
-@dataclass(frozen=True, slots=True)
+# the score surface round a match: 2 % of the score is what a change of a few points makes
+SPREAD_TEMPERATURE = 0.02
+SPREAD_M, SPREAD_RAD = 0.3, 0.09  # looked at: beyond the errors of a match that is right
+_SPREAD_STEPS = 6  # of the lattice, from the match to either end
+
+PLACES, PLACES_STEP_M = 5, 0.2  # looked for everywhere: a wall is still seen in cells of 0.2 m
+APART_M = 1.0  # of two places found: nearer ones lead `refine` to the same pose
+_APART_RAD = 0.3  # likewise of two headings
+
+_FAR_PERCENTILE = 80.0  # of the ranges: the few farthest points may move by more than a step
+_LEAST_TURN_RAD, _MOST_TURN_RAD = 0.01, 0.05  # between two angles that are tried
+_SLACK = 1e-9  # scores and lengths this close are equal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Window:
-    """Where to search around a guess: +-`distance` metres in x and y, +-`angle` radians.
+    """Where to search round a guess: +-`distance_m` in x and y, +-`angle_rad`.
 
-    Shifts are tried every `step` metres, angles every `angle_step` (None: the angle that moves the
-    farther points by one step). A penalty of `distance_penalty` d^2 + `angle_penalty` a^2 for a
-    pose d metres and a radians from the guess decides between places that fit alike.
+    Shifts are tried every `step_m`, angles every `angle_step_rad` (None: the angle that moves the
+    farther points by one step). `penalty_per_m2` d^2 + `penalty_per_rad2` a^2, for a pose d metres
+    and a radians from the guess, decides between places that fit alike.
     """
 
-    distance: float
-    angle: float
-    step: float
-    angle_step: float | None = None
-    distance_penalty: float = 0.0
-    angle_penalty: float = 0.0
+    distance_m: float
+    angle_rad: float
+    step_m: float
+    angle_step_rad: float | None = None
+    penalty_per_m2: float = 0.0
+    penalty_per_rad2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +92,12 @@ def search(field: ScoreField, points: NDArray[Any], guess: Pose2, window: Window
     if not len(points):
         return Match(guess, 0.0)
     shifts, angles = _lattice(points, window, field.resolution)
-    penalty = window.distance_penalty * (shifts**2).sum(axis=1)
+    penalty = window.penalty_per_m2 * (shifts**2).sum(axis=1)
     best, best_value, best_score = guess, -np.inf, 0.0
     for angle, scores in _lattice_scores(field, points, guess, shifts, angles):
-        values = scores - penalty - window.angle_penalty * angle**2
+        values = scores - penalty - window.penalty_per_rad2 * angle**2
         k = int(values.argmax())
-        if values[k] > best_value + 1e-9:
+        if values[k] > best_value + _SLACK:
             best_value, best_score = float(values[k]), float(scores[k])
             x, y = guess.x + float(shifts[k, 0]), guess.y + float(shifts[k, 1])
             best = Pose2(x, y, wrap_angle(guess.theta + angle))
@@ -89,10 +107,10 @@ def search(field: ScoreField, points: NDArray[Any], guess: Pose2, window: Window
 def search_everywhere(
     field: ScoreField,
     points: NDArray[Any],
-    count: int = 5,
-    step: float = 0.2,
+    count: int = PLACES,
+    step: float = PLACES_STEP_M,
     angle_step: float | None = None,
-    apart: float = 1.0,
+    apart: float = APART_M,
 ) -> list[Match]:
     """The best `count` poses of points (N, 2) anywhere on the field at any angle, best first.
 
@@ -107,7 +125,7 @@ def search_everywhere(
     middle = np.asarray(points).mean(axis=0)
     local = points - middle
     turn = angle_step or _angle_step(local, coarse.resolution)
-    found = _correlate(coarse, local, np.arange(0.0, 2 * np.pi, turn), count)
+    found = _everywhere(coarse, local, np.arange(0.0, 2 * np.pi, turn), count)
     kept: list[Match] = []
     centres: list[Pose2] = []
     for score, x, y, angle in found:
@@ -126,56 +144,38 @@ def refine(
     field: ScoreField,
     points: NDArray[Any],
     guess: Pose2,
-    iterations: int = 20,
-    max_shift: float = 0.3,
+    iterations: int = REFINE_ITERATIONS,
+    max_shift_m: float = REFINE_SHIFT_M,
 ) -> Match:
     """The pose near `guess` at which the interpolated field fits points (N, 2) best.
 
-    Gauss-Newton on sum (1 - M(p))^2 with step halving; stops at steps below 0.1 mm. Never farther
-    than `max_shift` metres from the guess, never a worse score than the guess's.
+    Gauss-Newton on sum (1 - M(p))^2. Never farther than `max_shift_m` from the guess, never
+    with a larger sum than there. With fewer than three points it is the guess.
     """
-    if len(points) < 3:
-        return Match(guess, field.score(points, guess))
-    pose, cost = guess, _cost(field, points, guess)
-    for _ in range(iterations):
-        values, jacobian = _interpolate(field, points, pose)
-        normal = jacobian.T @ jacobian + 1e-6 * len(points) * np.eye(3)
-        step = np.linalg.solve(normal, jacobian.T @ (1.0 - values))
-        step *= min(1.0, 0.1 / max(float(np.abs(step).max()), 1e-12))
-        for _ in range(4):
-            trial = Pose2(
-                pose.x + float(step[0]), pose.y + float(step[1]), pose.theta + float(step[2])
-            )
-            trial_cost = _cost(field, points, trial)
-            if trial_cost < cost:
-                break
-            step = step / 2
-        else:
-            break
-        if math.hypot(trial.x - guess.x, trial.y - guess.y) > max_shift:
-            break
-        pose, cost = trial, trial_cost
-        if float(np.abs(step).max()) < 1e-4:
-            break
-    best = Pose2(pose.x, pose.y, wrap_angle(pose.theta))
-    return Match(best, field.score(points, best))
+    pose = descend(field, points, guess, iterations, max_shift_m)
+    return Match(pose, field.score(points, pose))
 
 
 def covariance(
     field: ScoreField,
     points: NDArray[Any],
     pose: Pose2,
-    temperature: float = 0.02,
-    distance: float = 0.3,
-    angle: float = 0.09,
+    temperature: float = SPREAD_TEMPERATURE,
+    distance_m: float = SPREAD_M,
+    angle_rad: float = SPREAD_RAD,
 ) -> FloatArray:
     """Covariance (3, 3) of a match, of the score surface around `pose` (Olson 2009, section III).
 
-    Poses on a lattice of +-`distance` metres and +-`angle` radians are weighted by
+    Poses on a lattice of +-`distance_m` and +-`angle_rad` are weighted by
     exp((score - best) / `temperature`): a corridor comes out long along its axis. Coordinates are
     x, y and theta of the pose in the field's frame.
     """
-    window = Window(distance, angle, max(distance / 6, field.resolution), angle / 6)
+    window = Window(
+        distance_m=distance_m,
+        angle_rad=angle_rad,
+        step_m=max(distance_m / _SPREAD_STEPS, field.resolution),
+        angle_step_rad=angle_rad / _SPREAD_STEPS,
+    )
     shifts, angles = _lattice(points, window, field.resolution)
     poses = np.concatenate([np.column_stack([shifts, np.full(len(shifts), a)]) for a in angles])
     lattice = _lattice_scores(field, points, pose, shifts, angles)
@@ -191,23 +191,23 @@ def _lattice(
     points: NDArray[Any], window: Window, resolution: float
 ) -> tuple[FloatArray, FloatArray]:
     """Shifts (S, 2), whole cells, and angles (A,) of a window, those nearest the guess first."""
-    stride = max(1, round(window.step / resolution))
-    n = math.ceil(window.distance / (stride * resolution) - 1e-9)
+    stride = max(1, round(window.step_m / resolution))
+    n = math.ceil(window.distance_m / (stride * resolution) - _SLACK)
     x, y = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
     cells = np.column_stack([x.ravel(), y.ravel()])
     cells = cells[np.argsort((cells**2).sum(axis=1), kind="stable")]
     shifts = np.asarray(cells * (stride * resolution), dtype=np.float64)
-    turn = window.angle_step or _angle_step(points, window.step)
-    m = math.ceil(window.angle / turn - 1e-9)
-    spacing = window.angle / max(m, 1)
+    turn = window.angle_step_rad or _angle_step(points, window.step_m)
+    m = math.ceil(window.angle_rad / turn - _SLACK)
+    spacing = window.angle_rad / max(m, 1)
     angles = np.array([0.0] + [s * k * spacing for k in range(1, m + 1) for s in (-1, 1)])
     return shifts, angles
 
 
 def _angle_step(points: NDArray[Any], step: float) -> float:
-    """The angle that moves the point at four fifths of the ranges by one step."""
-    far = float(np.percentile(np.sqrt((np.asarray(points) ** 2).sum(axis=1)), 80))
-    return min(0.05, max(0.01, step / max(far, 1e-6)))
+    """The angle that moves the point at four fifths of the ranges by one step, within limits."""
+    far = float(np.percentile(np.sqrt((np.asarray(points) ** 2).sum(axis=1)), _FAR_PERCENTILE))
+    return min(_MOST_TURN_RAD, max(_LEAST_TURN_RAD, step / max(far, _SLACK)))
 
 
 def _lattice_scores(
@@ -233,79 +233,25 @@ def _lattice_scores(
         yield angle, flat.take(cells).sum(axis=1, dtype=np.float64) / len(points)
 
 
-def _correlate(
+def _everywhere(
     coarse: ScoreField, local: FloatArray, angles: FloatArray, count: int
 ) -> list[tuple[float, float, float, float]]:
     """(score, x, y, angle) of the best places of centred points (N, 2), best first."""
-    step = coarse.resolution
-    cells = math.ceil(float(np.sqrt((local**2).sum(axis=1)).max()) / step) + 1
-    shape = [scipy.fft.next_fast_len(n + 2 * cells, real=True) for n in coarse.values.shape]
-    spectrum = scipy.fft.rfft2(coarse.values.astype(np.float64), shape)
+    cell = coarse.resolution
+    reach = math.ceil(float(np.sqrt((local**2).sum(axis=1)).max()) / cell) + 1
+    target = Target.of(coarse.values.astype(np.float64)[None], (2 * reach, 2 * reach))
+    x, y = coarse.origin
     found: list[tuple[float, float, float, float]] = []
     for angle in angles.tolist():
         turned = Pose2(0.0, 0.0, angle).apply(local)
-        columns, rows = np.floor(turned / step + 0.5).astype(np.intp).T
-        picture = np.zeros(shape)
-        np.add.at(picture, (rows % shape[0], columns % shape[1]), 1.0 / len(local))
-        product = spectrum * np.conj(scipy.fft.rfft2(picture))
-        found.extend(_peaks(scipy.fft.irfft2(product, shape), coarse, count, angle))
-    return sorted(found, key=lambda peak: (-peak[0], peak[1:]))
+        picture = cell_counts(turned, cell, target.shape) / len(local)
+        maxima = local_maxima(target.correlate(picture[None]))
+        best = peaks(maxima, target.size, cell, count)
+        found.extend((peak.value, peak.x + x, peak.y + y, angle) for peak in best)
+    return sorted(found, key=lambda place: (-place[0], place[1:]))
 
 
 def _differ(a: Pose2, b: Pose2, apart: float) -> bool:
     """Whether two poses are two different answers."""
     turn = abs(wrap_angle(a.theta - b.theta))
-    return math.hypot(a.x - b.x, a.y - b.y) >= apart or turn >= 0.3
-
-
-def _cost(field: ScoreField, points: NDArray[Any], pose: Pose2) -> float:
-    """Sum over the points of (1 - interpolated value)^2."""
-    values, _ = _interpolate(field, points, pose)
-    return float(((1.0 - values) ** 2).sum())
-
-
-def _peaks(
-    correlation: FloatArray, coarse: ScoreField, count: int, angle: float
-) -> list[tuple[float, float, float, float]]:
-    """(score, x, y, angle) of the highest local maxima of one correlation, highest first."""
-    picture = correlation.astype(np.float32)
-    highest = cv2.dilate(picture, np.ones((3, 3), dtype=np.uint8))
-    places = np.flatnonzero(picture.ravel() >= highest.ravel())
-    values = correlation.ravel()[places]
-    order = np.lexsort((places, -values))[:count]
-    rows, columns = np.divmod(places[order], picture.shape[1])
-    height, width = coarse.values.shape
-    rows = np.where(rows > (picture.shape[0] + height) // 2, rows - picture.shape[0], rows)
-    columns = np.where(
-        columns > (picture.shape[1] + width) // 2, columns - picture.shape[1], columns
-    )
-    x = (columns + 0.5) * coarse.resolution + coarse.origin[0]
-    y = (rows + 0.5) * coarse.resolution + coarse.origin[1]
-    return [
-        (float(v), float(px), float(py), angle)
-        for v, px, py in zip(values[order], x, y, strict=True)
-    ]
-
-
-def _interpolate(
-    field: ScoreField, points: NDArray[Any], pose: Pose2
-) -> tuple[FloatArray, FloatArray]:
-    """Bilinear values (N,) under points (N, 2) at `pose`, and their derivative (N, 3) by it."""
-    placed = pose.apply(points)
-    u = (placed - field.origin) / field.resolution - 0.5
-    height, width = field.values.shape
-    if min(height, width) < 2:
-        return np.zeros(len(u)), np.zeros((len(u), 3))
-    inside = np.all((u >= 0) & (u < (width - 1, height - 1)), axis=1)
-    base = np.clip(np.floor(u).astype(np.intp), 0, (width - 2, height - 2))
-    fx, fy = np.clip(u - base, 0.0, 1.0).T
-    start = base[:, 1] * width + base[:, 0]
-    flat = field.values.ravel()
-    v00, v01 = flat.take(start), flat.take(start + 1)
-    v10, v11 = flat.take(start + width), flat.take(start + width + 1)
-    low, high = v00 + (v01 - v00) * fx, v10 + (v11 - v10) * fx
-    dx = ((v01 - v00) * (1 - fy) + (v11 - v10) * fy) / field.resolution
-    dy = (high - low) / field.resolution
-    turned = placed - (pose.x, pose.y)
-    jacobian = np.column_stack([dx, dy, dy * turned[:, 0] - dx * turned[:, 1]])
-    return (low + (high - low) * fy) * inside, jacobian * inside[:, None]
+    return math.hypot(a.x - b.x, a.y - b.y) >= apart or turn >= _APART_RAD

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.config import GridConfig
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
 
-_SUBPIXEL_BITS = 4
-_GROWTH_CELLS = 128
+_SUBPIXEL_BITS = 4  # OpenCV draws on a lattice of 1/16 cell, finer than a laser's noise
+_GROWTH_CELLS = 128  # added on a side that grows: some 6 m at once, so that it seldom does
 
 
 class OccupancyGrid:
@@ -23,12 +23,14 @@ class OccupancyGrid:
 
     A cell is occupied when at least `occupied_share` of the scans that saw it ended in it, free
     when some beam passed through and it is not occupied, and unknown otherwise. A beam without a
-    return proves nothing and carves nothing.
+    return proves nothing and carves nothing. A scan for which the grid would grow past
+    `max_extent_m` or `max_area_m2` is left out and counted in `refused`.
     """
 
     def __init__(self, config: GridConfig) -> None:
         self.config = config
         self.resolution = config.resolution_m
+        self.refused = 0
         self._corner = (0, 0)  # cell coordinates (column, row) of element [0, 0]
         self._hits: NDArray[np.int32] = np.zeros((0, 0), dtype=np.int32)
         self._misses: NDArray[np.int32] = np.zeros((0, 0), dtype=np.int32)
@@ -48,6 +50,7 @@ class OccupancyGrid:
         low = np.floor(np.minimum(seen.min(axis=0), start)).astype(int) - 1
         high = np.floor(np.maximum(seen.max(axis=0), start)).astype(int) + 2
         if not self._cover(low, high):
+            self.refused += 1
             return
         width, height = (high - low).tolist()
         passed = _carved(cells - low, start - low, returned, width, height, self.config)
@@ -60,7 +63,10 @@ class OccupancyGrid:
         hits[rows, columns] += 1  # once for a cell that several beams hit
 
     def mark_free_disc(self, x: float, y: float, radius: float) -> None:
-        """Count the robot's own footprint as passed through."""
+        """Count the robot's own footprint, `radius` metres round (x, y), as passed through.
+
+        Nothing is counted where the grid may not grow to hold it.
+        """
         centre = np.array([x, y]) / self.resolution
         reach = radius / self.resolution
         low = np.floor(centre - reach).astype(int)
@@ -93,27 +99,38 @@ class OccupancyGrid:
         """Grow to hold cells low..high; False when that would pass the size limit."""
         rows, columns = self._hits.shape
         corner = np.array(self._corner)
-        if rows == 0:
-            new_low, new_high = low - _GROWTH_CELLS // 2, high + _GROWTH_CELLS // 2
-        else:
-            old_high = corner + (columns, rows)
-            if (low >= corner).all() and (high <= old_high).all():
+        if not rows:
+            return self._grow_within(low, high, np.full((2, 2), _GROWTH_CELLS // 2))
+        end = corner + (columns, rows)
+        outside = np.array([low < corner, high > end])
+        if not outside.any():
+            return True
+        low, high = np.minimum(low, corner), np.maximum(high, end)
+        return self._grow_within(low, high, outside * _GROWTH_CELLS)
+
+    def _grow_within(self, low: NDArray[Any], high: NDArray[Any], spare: NDArray[np.intp]) -> bool:
+        """Cover cells low..high, with `spare` (2, 2) cells below and above if the limits allow."""
+        for margin in (spare, np.zeros_like(spare)):
+            first, end = low - margin[0], high + margin[1]
+            sides = (end - first) * self.resolution
+            large = max(sides) > self.config.max_extent_m
+            if not large and math.prod(sides) <= self.config.max_area_m2:
+                self._grow(first, end)
                 return True
-            new_low = np.where(low < corner, low - _GROWTH_CELLS, corner)
-            new_high = np.where(high > old_high, high + _GROWTH_CELLS, old_high)
-        size = new_high - new_low
-        sides = size * self.resolution
-        if max(sides) > self.config.max_extent_m or math.prod(sides) > self.config.max_area_m2:
-            return False
-        hits = np.zeros((int(size[1]), int(size[0])), dtype=np.int32)
+        return False
+
+    def _grow(self, low: NDArray[Any], high: NDArray[Any]) -> None:
+        """Make the grid cover cells low..high, which hold all it covers now."""
+        width, height = (high - low).tolist()
+        hits = np.zeros((height, width), dtype=np.int32)
         misses = np.zeros_like(hits)
+        rows, columns = self._hits.shape
         if rows:
-            dx, dy = (corner - new_low).tolist()
+            dx, dy = (np.array(self._corner) - low).tolist()
             hits[dy : dy + rows, dx : dx + columns] = self._hits
             misses[dy : dy + rows, dx : dx + columns] = self._misses
         self._hits, self._misses = hits, misses
-        self._corner = (int(new_low[0]), int(new_low[1]))
-        return True
+        self._corner = (int(low[0]), int(low[1]))
 
 
 def _carved(

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.gridmap import GridMap
 
-_RAYS_AT_ONCE = 1 << 16
+_RAYS_AT_ONCE = 1 << 16  # bounds the memory: some 10 MB
 _BORDER = 1e-6  # cells a ray steps past a border, to stand in the next cell
-_TINY = 1e-12
+_TINY = 1e-12  # takes the place of a direction of 0, so that its borders are far away
+_DIAGONAL = math.sqrt(2.0)  # cells between two points, each half a diagonal off its cell's centre
 
 
 def cast_ranges(
@@ -81,7 +82,7 @@ def _march(
         lengths[alive[stopped]] = travelled[stopped]
         border = np.minimum((column + (dx > 0) - x) / dx, (row + (dy > 0) - y) / dy)
         # neither the ray nor the obstacle need be at the centre of its cell
-        step = np.maximum(room - math.sqrt(2.0), border + _BORDER)
+        step = np.maximum(room - _DIAGONAL, border + _BORDER)
         on &= ~stopped
         alive, step, dx, dy = alive[on], step[on], dx[on], dy[on]
         x, y = x[on] + dx * step, y[on] + dy * step

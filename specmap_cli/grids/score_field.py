@@ -7,7 +7,7 @@ value under the points of a scan says in [0, 1] how well the scan fits where it 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -19,29 +19,39 @@ from specmap_cli.grids.gridmap import GridMap
 
 FieldArray = NDArray[np.float32]
 
-_REACH_SIGMAS = 3.5  # past this distance the score is nought
+CELL_M = 0.05  # of a field of points: half a sigma, so that the field is smooth in its cells
+SIGMA_M = 0.1  # two walls this far apart are told from one: the noise of a laser and of its pose
+LARGEST_SIDE_M = 100.0  # of a field of points: 16 MB
+_REACH_SIGMAS = 3.5  # past this distance the score is below 0.003, and outside the field it is 0
+_LARGEST_EXPONENT = np.float32(20.0)  # exp(-20) is below single precision beside 1
 
 
 @dataclass(frozen=True, slots=True)
 class ScoreField:
-    """`values` (H, W) in [0, 1] on a grid whose lower left corner is `origin` (x, y)."""
+    """`values` (H, W) in [0, 1] on a grid whose lower left corner is `origin` (x, y).
+
+    `left_out` counts the points that the field does not show, for lying too far from the others.
+    """
 
     values: FieldArray
     resolution: float
     origin: tuple[float, float]
+    left_out: int = 0
 
     @classmethod
     def from_points(
         cls,
         points: NDArray[Any],
-        resolution: float = 0.05,
-        sigma: float = 0.1,
-        max_side: float = 100.0,
+        resolution: float = CELL_M,
+        sigma: float = SIGMA_M,
+        max_side: float = LARGEST_SIDE_M,
     ) -> ScoreField:
         """The field of obstacle points (N, 2), metres.
 
-        The grid covers them, but no more than `max_side` metres around their median: a stray point
-        kilometres away costs neither time nor memory.
+        The grid covers all points if they spread over no more than `max_side` metres in x and in y,
+        else those within half of that from their median, and a little more. So a stray point
+        kilometres away costs neither time nor memory. But walls beyond do not count either: what
+        is matched there scores 0. `left_out` of the result says how many points that were.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         if not len(points):
@@ -58,10 +68,11 @@ class ScoreField:
         empty = np.ones((height, width), dtype=np.uint8)
         empty[rows[inside], columns[inside]] = 0
         origin = (float(corner[0] * resolution), float(corner[1] * resolution))
-        return cls(_field_values(empty, resolution, sigma), resolution, origin)
+        left_out = int(np.count_nonzero(~inside))
+        return cls(_field_values(empty, resolution, sigma), resolution, origin, left_out)
 
     @classmethod
-    def from_grid(cls, grid: GridMap, sigma: float = 0.1) -> ScoreField:
+    def from_grid(cls, grid: GridMap, sigma: float = SIGMA_M) -> ScoreField:
         """The field of the occupied cells of an occupancy grid, in the grid's frame."""
         margin = math.ceil(_REACH_SIGMAS * sigma / grid.resolution)
         empty = np.pad((~grid.occupied).astype(np.uint8), margin, constant_values=1)
@@ -83,20 +94,16 @@ class ScoreField:
         """Mean value in [0, 1] of points (N, 2) placed at `pose`; 0 without points."""
         return float(self.at(pose.apply(points)).mean()) if len(points) else 0.0
 
-    def scores(self, points: NDArray[Any], poses: NDArray[Any]) -> FloatArray:
-        """(K,) mean values of points (N, 2) placed at each of the poses (K, 3)."""
-        return np.array([self.score(points, Pose2(*map(float, p))) for p in np.asarray(poses)])
-
     def sharper(self) -> ScoreField:
         """The field with half its sigma, for the last refinement: walls drawn half as wide."""
-        return ScoreField(np.square(np.square(self.values)), self.resolution, self.origin)
+        return replace(self, values=np.square(np.square(self.values)))
 
     def coarser(self, factor: int) -> ScoreField:
         """The maximum over blocks of `factor` x `factor` cells: never below the fine field."""
         height, width = self.values.shape
         padded = np.pad(self.values, ((0, -height % factor), (0, -width % factor)))
         blocks = padded.reshape(padded.shape[0] // factor, factor, -1, factor)
-        return ScoreField(blocks.max(axis=(1, 3)), self.resolution * factor, self.origin)
+        return replace(self, values=blocks.max(axis=(1, 3)), resolution=self.resolution * factor)
 
 
 def thinned(points: FloatArray, cell_m: float) -> FloatArray:
@@ -125,4 +132,4 @@ def _field_values(empty: NDArray[np.uint8], resolution: float, sigma: float) -> 
         return np.zeros(empty.shape, dtype=np.float32)
     cells = cv2.distanceTransform(empty, cv2.DIST_L2, cv2.DIST_MASK_5)
     squares = np.square(cells * np.float32(resolution / (sigma * math.sqrt(2.0))))
-    return np.asarray(np.exp(-np.minimum(squares, np.float32(20.0))), dtype=np.float32)
+    return np.asarray(np.exp(-np.minimum(squares, _LARGEST_EXPONENT)), dtype=np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.layout.pose_graph import EdgeKind, Link
+from specmap_cli.layout.pose_graph import Link, LinkKind
 from specmap_cli.layout.relaxation import Layout
 
 _UPPER = np.triu_indices(3)
@@ -57,8 +57,14 @@ def _edge(words: Sequence[str]) -> Link:
     information[_UPPER] = upper
     information += np.triu(information, 1).T
     source, target = int(words[0]), int(words[1])
-    kind: EdgeKind = "odometry" if target == source + 1 else "closure"
-    return Link(source, target, Pose2(x, y, theta), information, kind)
+    kind: LinkKind = "odometry" if target == source + 1 else "closure"
+    return Link(
+        source=source,
+        target=target,
+        source_from_target=Pose2(x, y, theta),
+        information=information,
+        kind=kind,
+    )
 
 
 def _floats(words: Sequence[str], count: int) -> list[float]:

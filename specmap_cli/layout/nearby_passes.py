@@ -1,250 +1,131 @@
-"""Edges between nearby passes: places the robot came by again, matched scan to scan.
+"""Nearby passes: places the robot came by again, found and matched along the path.
 
-A candidate is a pair of nodes that the current layout puts near each other though the path between
-them is long. The walls seen around the newer one are matched against those seen around the older,
-within what the path may have drifted since the last such edge; an edge is what fits well, with the
-covariance of its score surface.
+A candidate is a pair of nodes that the layout in the making puts near each other though the path
+between them is long. The walls seen around the newer one are matched against those seen around the
+older, within what the path may have drifted since the last such match.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from specmap_cli.core.config import RelaxationConfig
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
-from specmap_cli.core.records import IntArray
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.matching import (
-    ScoreField,
-    Window,
-    covariance,
-    refine,
-    search,
-    search_everywhere,
-    thinned,
-)
+from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.layout.path_graph import Draft, Graph, Pair
 from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.solving import solved
+from specmap_cli.layout.strays import Search, rejoin
+from specmap_cli.layout.wall_matching import match_walls, nearby_link
+from specmap_cli.layout.walls import PLACE_NODES, Walls
 
-_CACHED_NODES = 256
-_FEWEST_POINTS = 20
-_RIVALS, _LEAD = 4, 0.05  # places compared when nothing is known, and by how much to be ahead
-_PINNED_M = 0.1  # largest mean deviation of a place found without a guess
-_ROUGH_M, _MOST_CELLS = 0.3, 512  # step of the search everywhere, and cells a side at the most
-_FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])  # of a match: cells, moved furniture, people
+_NEWER_NODES = 3  # as PLACE_NODES, for the newer pass: its own drift must not blur it
+_METRES_A_RADIAN = 0.7  # of distance that are as bad as a turn, for the overlap of two scans
+_NEW_QUESTION_M = 1.0  # a guess that moved this far is worth another match
 
 
-class Walls:
-    """Thinned wall points around nodes, read from the store as needed (a few stay in memory)."""
+def find_passes(graph: Graph, draft: Draft, walls: Walls, config: RelaxationConfig) -> Draft:
+    """The draft with the nearby passes that could be matched, solved again as they come in.
 
-    def __init__(
-        self, store: KeyframeStore, nodes: Sequence[int], config: RelaxationConfig
-    ) -> None:
-        self._store, self._nodes, self._config = store, nodes, config
-        self._cache: OrderedDict[int, FloatArray] = OrderedDict()
+    Goes along the path. Where a part hangs on the others by a guess only, it is looked for among
+    all older walls first. Pairs that the draft was tried on are matched again only when they moved.
+    """
+    tried, tied_m, renewed = dict(draft.tried), 0.0, len(draft.loops)
+    search: Search | None = None
+    for node in stops(graph.path, config.loop_every_m):
+        part, way_m = int(graph.parts[node]), float(graph.path[node])
+        if part in draft.tied:
+            drift_m = config.loop_search_m + config.drift_share * (way_m - tied_m)
+            passes = passes_at(node, graph, draft.poses, walls, tried, drift_m, config)
+            found = passes.links
+            tried.update(passes.guesses)
+            draft = draft.counting("loop_search_max_m", passes.cut_short)
+        else:
+            draft, search = rejoin(node, graph, draft, walls, search, config)
+            found = search.finds if search is not None and part in draft.tied else ()
+        if found:
+            draft, tied_m = replace(draft, loops=(*draft.loops, *found)), way_m
+        if len(draft.loops) - renewed >= config.solve_every:
+            draft, renewed = solved(graph, draft, config), len(draft.loops)
+    return replace(draft, tried=tried)
 
-    def around(self, node: int, reach: int, poses: FloatArray, part: IntArray) -> FloatArray:
-        """Points (N, 2) seen from nodes within `reach` of `node`, in the frame of `node`.
 
-        `poses` (M, 3) place the nodes; only nodes of the same tracked `part` (M,) are used.
-        """
-        low, high = max(0, node - reach), min(len(self._nodes), node + reach + 1)
-        others = [k for k in range(low, high) if part[k] == part[node]]
-        relative = compose(invert(poses[node]), poses[others])
-        clouds = [
-            Pose2(*map(float, pose)).apply(self._points(k))
-            for k, pose in zip(others, relative, strict=True)
-        ]
-        return np.concatenate(clouds)
+def stops(path: FloatArray, every_m: float) -> list[int]:
+    """Rows of a path (M,) to look around at: each the first that is `every_m` past the last."""
+    chosen, visited_m = [], 0.0
+    for row, way_m in enumerate(path.tolist()):
+        if way_m - visited_m >= every_m:
+            chosen.append(row)
+            visited_m = way_m
+    return chosen
 
-    def of_all(self, nodes: Sequence[int], poses: FloatArray) -> FloatArray:
-        """Points (N, 2) seen from all of `nodes`, in the map, thinned as they are gathered."""
-        gathered, fresh = np.zeros((0, 2)), []
-        for count, k in enumerate(nodes, start=1):
-            fresh.append(Pose2(*poses[k].tolist()).apply(self._points(k)))
-            if count % 50 == 0 or count == len(nodes):
-                gathered = thinned(np.concatenate([gathered, *fresh]), 0.05)
-                fresh = []
-        return gathered
 
-    def _points(self, node: int) -> FloatArray:
-        """Points of one node in its base frame."""
-        if node in self._cache:
-            self._cache.move_to_end(node)
-            return self._cache[node]
-        points = self._store.points(self._nodes[node], self._config.match_range_m)
-        self._cache[node] = thinned(points, 0.05)
-        if len(self._cache) > _CACHED_NODES:
-            self._cache.popitem(last=False)
-        return self._cache[node]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Passes:
+    """The links found at one node, and the pairs of rows that were matched from which `guesses`.
+
+    `cut_short` counts those that were not searched as far as the path may have drifted.
+    """
+
+    links: tuple[Link, ...]
+    guesses: Mapping[Pair, Pose2]
+    cut_short: int
+
+
+def passes_at(
+    node: int,
+    graph: Graph,
+    poses: FloatArray,
+    walls: Walls,
+    tried: Mapping[Pair, Pose2],
+    drift_m: float,
+    config: RelaxationConfig,
+) -> Passes:
+    """Row `node` matched with older ones at the poses (M, 3), which may be wrong by `drift_m`.
+
+    Pairs that were `tried` are matched again only from a guess that differs by a metre.
+    """
+    reach_m = min(drift_m, config.loop_search_max_m)
+    links: list[Link] = []
+    guesses: dict[Pair, Pose2] = {}
+    matched = 0
+    for old in candidates(node, poses, graph.path, config):
+        guess = Pose2(*compose(invert(poses[old]), poses[node]).tolist())
+        guesses[old, node] = guess
+        if not _is_new(guess, tried.get((old, node))):
+            continue
+        matched += 1
+        source = walls.around(node, _NEWER_NODES, poses)
+        target = walls.around(old, PLACE_NODES, poses)
+        fit = match_walls(source, target, guess, reach_m, config)
+        if fit is not None:
+            links.append(nearby_link(graph, old, node, fit))
+    return Passes(
+        links=tuple(links), guesses=guesses, cut_short=matched if drift_m > reach_m else 0
+    )
 
 
 def candidates(
     node: int, poses: FloatArray, path: FloatArray, config: RelaxationConfig
 ) -> list[int]:
-    """Older nodes to match `node` with: near it, far along the path, apart from each other."""
+    """Older rows to match row `node` with: near it, far along the path, apart from each other."""
     old = np.flatnonzero(path < path[node] - config.loop_path_m)
-    if not len(old):
-        return []
     away = poses[old, :2] - poses[node, :2]
     distance = np.sqrt((away**2).sum(axis=1))
     turn = np.abs(wrap_angles(poses[old, 2] - poses[node, 2]))
     near = distance < config.loop_radius_m
-    old, rank = old[near], (distance + 0.7 * turn)[near]
+    old, rank = old[near], (distance + _METRES_A_RADIAN * turn)[near]
     chosen: list[int] = []
     for k in old[np.argsort(rank, kind="stable")].tolist():
-        if all(abs(path[k] - path[c]) > config.loop_radius_m for c in chosen):
-            chosen.append(k)
         if len(chosen) == config.loops_per_node:
             break
+        if all(abs(path[k] - path[c]) > config.loop_radius_m for c in chosen):
+            chosen.append(k)
     return chosen
 
 
-def verified(
-    source: FloatArray, target: FloatArray, guess: Pose2, drift_m: float, config: RelaxationConfig
-) -> tuple[Pose2, FloatArray] | None:
-    """The pose of points `source` (N, 2) among `target` (M, 2) and its information, if they fit.
-
-    `guess` and the result are `target_from_source`; `drift_m` bounds how wrong the guess may be.
-    """
-    field = _field(target, config)
-    drift_rad = float(np.clip(0.15 * drift_m, 0.06, 0.35))
-    coarse = Window(drift_m, drift_rad, 0.2, None, 0.01, 0.05)
-    rough = search(field.coarser(4), thinned(source, 0.25), guess, coarse)
-    return _confirmed(field, source, rough.pose, config.loop_score)
-
-
-def _field(target: FloatArray, config: RelaxationConfig) -> ScoreField:
-    return ScoreField.from_points(target, 0.05, 0.1, 4.0 * config.match_range_m)
-
-
-def _confirmed(
-    field: ScoreField, source: FloatArray, rough: Pose2, score: float
-) -> tuple[Pose2, FloatArray] | None:
-    """A rough pose brought to the optimum, with its information, if `score` is reached there."""
-    few = thinned(source, 0.2)
-    if len(few) < _FEWEST_POINTS:
-        return None
-    fine = search(field, few, rough, Window(0.3, 0.09, 0.1))
-    near = refine(field, thinned(source, 0.1), fine.pose, 8)
-    if near.score < score:
-        return None
-    pose = refine(field.sharper(), thinned(source, 0.05), near.pose).pose
-    spread = covariance(field, few, pose)
-    turn = np.eye(3)
-    turn[:2, :2] = pose.rotation().T  # errors are weighed in the source's own frame
-    information = np.linalg.inv(turn @ spread @ turn.T + _FLOOR)
-    return pose, np.asarray(information, dtype=np.float64)
-
-
-class OlderWalls:
-    """The walls of all parts older than `part`, to find a piece of a later part among."""
-
-    def __init__(self, part: int, points: FloatArray, config: RelaxationConfig) -> None:
-        self.part, self._points, self._config = part, points, config
-        side = 40.0 * config.match_range_m
-        self._field = ScoreField.from_points(points, 0.1, 0.1, side)
-        area = self._field.values.size * self._field.resolution**2
-        self._step = max(_ROUGH_M, float(np.sqrt(area)) / _MOST_CELLS)
-
-    def place_of(self, source: FloatArray) -> tuple[Pose2, FloatArray] | None:
-        """The pose of points (N, 2) and its information.
-
-        They must fit well, nowhere else nearly as well, and leave no direction open: in a bare
-        corridor nothing is found.
-        """
-        few = thinned(source, 0.2)
-        if len(few) < _FEWEST_POINTS:
-            return None
-        turn = 0.04 * self._step / _ROUGH_M
-        rough = search_everywhere(
-            self._field, thinned(source, 0.25), _RIVALS, self._step, min(turn, 0.08)
-        )
-        window = Window(0.75 * self._step, 0.06, 0.1)
-        fine = [search(self._field, few, match.pose, window) for match in rough]
-        fine.sort(key=lambda match: -match.score)
-        if not fine or (len(fine) > 1 and fine[1].score > fine[0].score - _LEAD):
-            return None
-        pose = fine[0].pose
-        away = self._points - (pose.x, pose.y)
-        near = np.hypot(away[:, 0], away[:, 1]) < 2.0 * self._config.match_range_m
-        field = _field(self._points[near], self._config)
-        found = _confirmed(field, source, pose, 0.5 + 0.5 * self._config.loop_score)
-        if found is None or np.linalg.inv(found[1])[:2, :2].trace() > 2 * _PINNED_M**2:
-            return None
-        return found
-
-
-class NearbyPasses:
-    """Finds edges between nearby passes, node by node along the path."""
-
-    def __init__(
-        self,
-        walls: Walls,
-        nodes: Sequence[int],
-        path: FloatArray,
-        part: IntArray,
-        config: RelaxationConfig,
-    ) -> None:
-        self._walls, self._nodes, self._path, self._part = walls, nodes, path, part
-        self._config = config
-        self._tried: dict[tuple[int, int], Pose2] = {}
-        self._tied_parts = {0}
-        self._older: OlderWalls | None = None
-        self._tries: dict[int, int] = {}
-
-    def links(self, node: int, poses: FloatArray, drift_m: float) -> list[Link]:
-        """The edges from older nodes to `node` that could be verified at the poses (M, 3)."""
-        found = []
-        for old in candidates(node, poses, self._path, self._config):
-            guess = Pose2(*compose(invert(poses[old]), poses[node]).tolist())
-            if not self._fresh(old, node, guess):
-                continue
-            source, target = self._around(node, old, poses)
-            match = verified(source, target, guess, drift_m, self._config)
-            if match is not None:
-                found.append(Link(self._nodes[old], self._nodes[node], *match, "nearby"))
-        return found
-
-    def links_of_stray(self, node: int, poses: FloatArray) -> list[Link]:
-        """Edges to `node` of a part joined by a guess only: no pose is trusted, the fit must be.
-
-        Its walls are looked for among those of all older parts, at any angle.
-        """
-        part = int(self._part[node])
-        if self._tries.get(part, 0) >= self._config.stray_tries:
-            return []
-        self._tries[part] = self._tries.get(part, 0) + 1
-        old = np.flatnonzero(self._part < part)
-        if self._older is None or self._older.part != part:
-            self._older = OlderWalls(part, self._walls.of_all(old.tolist(), poses), self._config)
-        source = self._walls.around(node, 8, poses, self._part)
-        match = self._older.place_of(source)
-        if match is None:
-            return []
-        pose, information = match
-        away = np.hypot(poses[old, 0] - pose.x, poses[old, 1] - pose.y)
-        nearest = int(old[np.argmin(away)])
-        relative = Pose2(*compose(invert(poses[nearest]), np.array(pose)).tolist())
-        return [Link(self._nodes[nearest], self._nodes[node], relative, information, "nearby")]
-
-    def tie(self, part: int) -> None:
-        """Note that the poses of a part can be trusted to some metres."""
-        self._tied_parts.add(part)
-
-    def is_stray(self, node: int) -> bool:
-        """Whether the part of a node hangs on the others by a guess only."""
-        return int(self._part[node]) not in self._tied_parts
-
-    def _around(self, node: int, old: int, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The walls about the newer node and about the older one."""
-        source = self._walls.around(node, 3, poses, self._part)
-        return source, self._walls.around(old, 8, poses, self._part)
-
-    def _fresh(self, old: int, node: int, guess: Pose2) -> bool:
-        """Whether a pair was not tried yet, or from a guess that differs by a metre."""
-        before = self._tried.get((old, node))
-        self._tried[(old, node)] = guess
-        return before is None or (before.inverse() @ guess).distance > 1.0
+def _is_new(guess: Pose2, before: Pose2 | None) -> bool:
+    """Whether a pair was not matched yet, or from another place."""
+    return before is None or (before.inverse() @ guess).distance > _NEW_QUESTION_M

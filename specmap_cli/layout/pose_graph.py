@@ -7,21 +7,31 @@ al., "A Tutorial on Graph-Based SLAM", 2010). rho is Cauchy's kernel for edges t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.core.records import IntArray
 
-EdgeKind = Literal["odometry", "loose", "closure", "nearby"]
+# odometry: the front end's motion; loose: a motion that is a guess, over a break of the tracking;
+# closure: two submaps recognised as one; nearby: walls of two passes matched.
+LinkKind = Literal["odometry", "loose", "closure", "nearby"]
+
+# Levenberg's damping, of a diagonal scaled to 1: none while steps help, then from the first value
+# up by the factor and down again; above the last value a step is too small to matter.
+_DAMPING_FIRST, _DAMPING_FACTOR, _DAMPING_LAST = 1e-3, 10.0, 1e6
+_DAMPING_NONE = 1e-4
+_STILL = 1e-7  # metres and radians of a step that changes nothing
+_SETTLED = 1e-6  # share of the cost that a last step gained
+_RIDGE = 1e-9  # keeps a direction that no edge holds from making the matrix singular
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Link:
     """An edge of the pose graph: `source_from_target` with its information matrix (3, 3).
 
@@ -32,14 +42,14 @@ class Link:
     target: int
     source_from_target: Pose2
     information: FloatArray
-    kind: EdgeKind
+    kind: LinkKind
 
 
-@dataclass(frozen=True, slots=True)
-class Edges:
-    """The same as arrays: `i`, `j` (E,) rows of the poses, `z` (E, 3), `w` (E, 3, 3).
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkArrays:
+    """Links as arrays: `i`, `j` (E,) rows of the poses, `z` (E, 3), `w` (E, 3, 3).
 
-    `width` (E,) is the scale of Cauchy's kernel, inf for a plain square.
+    `width` (E,) is the scale of Cauchy's kernel in sigmas, inf for a plain square.
     """
 
     i: IntArray
@@ -49,65 +59,73 @@ class Edges:
     width: FloatArray
 
     @classmethod
-    def of(cls, links: Sequence[Link], row: dict[int, int], width: dict[str, float]) -> Edges:
+    def of(
+        cls, links: Sequence[Link], row: Mapping[int, int], width: Mapping[str, float]
+    ) -> LinkArrays:
         """Arrays of links; `row` maps keyframe numbers to rows, `width` kinds to kernels."""
         return cls(
-            np.array([row[link.source] for link in links], dtype=np.int64),
-            np.array([row[link.target] for link in links], dtype=np.int64),
-            np.array([link.source_from_target for link in links]).reshape(-1, 3),
-            np.array([link.information for link in links]).reshape(-1, 3, 3),
-            np.array([width.get(link.kind, np.inf) for link in links]),
+            i=np.array([row[link.source] for link in links], dtype=np.int64),
+            j=np.array([row[link.target] for link in links], dtype=np.int64),
+            z=np.array([link.source_from_target for link in links]).reshape(-1, 3),
+            w=np.array([link.information for link in links]).reshape(-1, 3, 3),
+            width=np.array([width.get(link.kind, np.inf) for link in links]),
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """Optimised poses (n, 3), the robust cost, and each edge's chi2 = e^T W e."""
+    """Optimised poses (n, 3), the robust cost, and the chi2 = e^T W e (E,) of each edge.
+
+    `converged` is False when the solver was stopped by its number of `iterations`.
+    """
 
     poses: FloatArray
     cost: float
     chi2: FloatArray
     iterations: int
+    converged: bool
 
 
-def errors(poses: FloatArray, edges: Edges) -> FloatArray:
+def errors(poses: FloatArray, edges: LinkArrays) -> FloatArray:
     """(E, 3) the motion inv(z) inv(x_i) x_j of each edge."""
     return compose(invert(edges.z), compose(invert(poses[edges.i]), poses[edges.j]))
 
 
-def squared(poses: FloatArray, edges: Edges) -> FloatArray:
+def squared(poses: FloatArray, edges: LinkArrays) -> FloatArray:
     """(E,) chi2 of each edge."""
     e = errors(poses, edges)
     return np.asarray(np.einsum("ea,eab,eb->e", e, edges.w, e), dtype=np.float64)
 
 
-def solve(poses: FloatArray, edges: Edges, iterations: int = 20) -> Solution:
+def solve(poses: FloatArray, edges: LinkArrays, iterations: int = 20) -> Solution:
     """Poses (n, 3) that minimise the edges' robust cost, the first one held fixed.
 
     Gauss-Newton with a sparse LU factorisation, damped (Levenberg) only when a step does not
-    lower the cost. Deterministic. Every pose must hang on the first by some chain of edges.
+    lower the cost; `iterations` steps at the most. Deterministic. Every pose must hang on the
+    first by some chain of edges.
     """
     current = np.array(poses, dtype=np.float64)
-    if len(current) < 2 or not len(edges.i):
-        return Solution(current, 0.0, squared(current, edges), 0)
     cost, damping, done = _cost(squared(current, edges), edges.width), 0.0, 0
-    while done < iterations:
+    converged = len(current) < 2 or not len(edges.i)
+    while not converged and done < iterations:
         done += 1
         step = _step(current, edges, damping)
-        trial = current.copy()
-        trial[1:] += step
-        trial[:, 2] = wrap_angles(trial[:, 2])
+        trial = _moved_by(current, step)
         trial_cost = _cost(squared(trial, edges), edges.width)
-        if not trial_cost < cost:
-            if damping > 1e6 or float(np.abs(step).max()) < 1e-7:
-                break
-            damping = max(1e-3, 10.0 * damping)
-            continue
-        settled = cost - trial_cost < 1e-6 * (1.0 + cost)
-        current, cost, damping = trial, trial_cost, damping / 10.0 if damping > 1e-4 else 0.0
-        if settled:
-            break
-    return Solution(current, cost, squared(current, edges), done)
+        if trial_cost < cost:
+            converged = cost - trial_cost < _SETTLED * (1.0 + cost)
+            current, cost = trial, trial_cost
+            damping = damping / _DAMPING_FACTOR if damping > _DAMPING_NONE else 0.0
+        else:
+            converged = damping > _DAMPING_LAST or float(np.abs(step).max()) < _STILL
+            damping = max(_DAMPING_FIRST, _DAMPING_FACTOR * damping)
+    return Solution(
+        poses=current,
+        cost=cost,
+        chi2=squared(current, edges),
+        iterations=done,
+        converged=converged,
+    )
 
 
 def _cost(chi2: FloatArray, width: FloatArray) -> float:
@@ -117,12 +135,20 @@ def _cost(chi2: FloatArray, width: FloatArray) -> float:
     return float(np.where(plain, chi2, c2 * np.log1p(chi2 / c2)).sum())
 
 
-def _step(poses: FloatArray, edges: Edges, damping: float) -> FloatArray:
+def _moved_by(poses: FloatArray, step: FloatArray) -> FloatArray:
+    """Poses (n, 3), all but the first moved by a step (n - 1, 3)."""
+    moved = poses.copy()
+    moved[1:] += step
+    moved[:, 2] = wrap_angles(moved[:, 2])
+    return moved
+
+
+def _step(poses: FloatArray, edges: LinkArrays, damping: float) -> FloatArray:
     """The Gauss-Newton step (n - 1, 3) of all poses but the first."""
     e = errors(poses, edges)
     a, b = _jacobians(poses, edges)
     chi2 = np.einsum("ea,eab,eb->e", e, edges.w, e)
-    weight = 1.0 / (1.0 + chi2 / edges.width**2)
+    weight = 1.0 / (1.0 + chi2 / edges.width**2)  # the derivative of Cauchy's kernel by chi2
     w = edges.w * weight[:, None, None]
     wa, wb = w @ a, w @ b
     at, bt = a.transpose(0, 2, 1), b.transpose(0, 2, 1)
@@ -132,19 +158,23 @@ def _step(poses: FloatArray, edges: Edges, damping: float) -> FloatArray:
     gradient = np.zeros((len(poses), 3))
     np.add.at(gradient, edges.i, np.einsum("eba,eb->ea", wa, e))
     np.add.at(gradient, edges.j, np.einsum("eba,eb->ea", wb, e))
-    free = (rows > 0) & (columns > 0)
-    k = np.arange(3)
-    r = (3 * (rows[free, None, None] - 1) + k[:, None]) + 0 * k
-    c = (3 * (columns[free, None, None] - 1) + k[None, :]) + 0 * k[:, None]
-    n = 3 * (len(poses) - 1)
-    hessian = coo_matrix((blocks[free].ravel(), (r.ravel(), c.ravel())), shape=(n, n)).tocsc()
-    diagonal = hessian.diagonal()
-    hessian.setdiag(diagonal * (1.0 + damping) + 1e-9)
+    hessian = _assembled(blocks, rows, columns, len(poses))
+    hessian.setdiag(hessian.diagonal() * (1.0 + damping) + _RIDGE)
     factor = splu(hessian, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
     return np.asarray(factor.solve(-gradient[1:].ravel()), dtype=np.float64).reshape(-1, 3)
 
 
-def _jacobians(poses: FloatArray, edges: Edges) -> tuple[FloatArray, FloatArray]:
+def _assembled(blocks: FloatArray, rows: IntArray, columns: IntArray, poses: int) -> csc_matrix:
+    """The sparse Hessian of all poses but the first, from blocks (B, 3, 3), which add up."""
+    free = (rows > 0) & (columns > 0)
+    k = np.arange(3)
+    r = (3 * (rows[free, None, None] - 1) + k[:, None]) + 0 * k
+    c = (3 * (columns[free, None, None] - 1) + k[None, :]) + 0 * k[:, None]
+    n = 3 * (poses - 1)
+    return coo_matrix((blocks[free].ravel(), (r.ravel(), c.ravel())), shape=(n, n)).tocsc()
+
+
+def _jacobians(poses: FloatArray, edges: LinkArrays) -> tuple[FloatArray, FloatArray]:
     """Derivatives (E, 3, 3) of the errors by the poses at either end."""
     xi, xj = poses[edges.i], poses[edges.j]
     d = xj[:, :2] - xi[:, :2]

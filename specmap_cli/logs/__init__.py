@@ -1,6 +1,10 @@
-"""Reading recordings: MCAP, rosbag2, ROS 1 bags and CARMEN logs as one stream of sweeps."""
+"""Reading recordings: MCAP, rosbag2, ROS 1 bags and CARMEN logs as one stream of sweeps.
 
+Other packages may add readers of further formats: see `logs.readers.Recording`.
+"""
+
+from specmap_cli.logs.log import Log
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.recording import Log, Message, TopicInfo
+from specmap_cli.logs.readers.recording import Message, TopicInfo
 
 __all__ = ["Log", "Message", "TopicInfo", "open_log"]

@@ -2,34 +2,50 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.messages import CloudRecord
 from specmap_cli.logs.readers.typestore import NS_PER_S
 
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
-_LONGEST_SWEEP_S = 2.0  # times that span more are nanoseconds
-_FARTHEST_S = 10.0  # times further from the stamp are not of this sweep
+_SECONDS_SPAN_MAX = 2.0  # floats that span more count nanoseconds, of which a sweep has millions
+
+
+class CloudPoints(NamedTuple):
+    """Points (N, 3) in the lidar's frame and seconds (N,) after the stamp, or None.
+
+    `far_times` says that there were times, but farther from the stamp than the settings allow.
+    """
+
+    points: FloatArray
+    times_s: FloatArray | None
+    far_times: bool
 
 
 @np.errstate(all="ignore")  # damaged messages hold any bits
-def cloud_points(
-    record: CloudRecord, stamp_ns: int, range_max: float
-) -> tuple[FloatArray, FloatArray | None]:
-    """Points (N, 3) in the lidar's frame, and seconds (N,) after `stamp_ns` or None.
+def cloud_points(record: CloudRecord, stamp_ns: int, config: LogConfig) -> CloudPoints:
+    """The points of a cloud, with their times where de-skewing can rely on them.
 
     Points that are not finite, at the very origin (how some drivers say "no return") or beyond
-    `range_max` are left out, with their times. Times are None unless they are all finite, differ,
-    and lie near the stamp.
+    `cloud_range_max_m` are left out, with their times. Times are None unless they are all finite,
+    differ, and lie within `cloud_time_max_s` of the stamp.
     """
     table = record.points.reshape(-1)
     points = np.column_stack([table[axis].astype(np.float64) for axis in "xyz"])
     squared = np.einsum("ij,ij->i", points, points)
-    kept = (squared > 0.0) & (squared <= range_max**2)  # false for NaN as well
-    times = _times(record.points.dtype, table, stamp_ns)
-    return points[kept], _usable(times[kept]) if times is not None else None
+    kept = (squared > 0.0) & (squared <= config.cloud_range_max_m**2)  # false for NaN as well
+    recorded = _times(record.points.dtype, table, stamp_ns)
+    times = recorded[kept] if recorded is not None else np.zeros(0)
+    told = len(times) > 0 and bool(np.isfinite(times).all()) and float(np.ptp(times)) > 0.0
+    far = told and float(np.abs(times).max()) > config.cloud_time_max_s
+    return CloudPoints(
+        points=points[kept], times_s=times if told and not far else None, far_times=far
+    )
 
 
 def _times(layout: np.dtype[np.void], table: NDArray[np.void], stamp_ns: int) -> FloatArray | None:
@@ -50,16 +66,7 @@ def _times(layout: np.dtype[np.void], table: NDArray[np.void], stamp_ns: int) ->
     finite = values[np.isfinite(values)]
     if not len(finite):
         return None
-    unit = 1.0 if finite.max() - finite.min() <= _LONGEST_SWEEP_S else 1.0 / NS_PER_S
+    unit = 1.0 if finite.max() - finite.min() <= _SECONDS_SPAN_MAX else 1.0 / NS_PER_S
     stamp = stamp_ns / (NS_PER_S * unit)
     absolute = abs(finite[0] - stamp) < abs(finite[0])
     return np.asarray((values - stamp if absolute else values) * unit)
-
-
-def _usable(times: FloatArray) -> FloatArray | None:
-    """The times if de-skewing can rely on them, else None."""
-    if not len(times) or not np.isfinite(times).all():
-        return None
-    if np.ptp(times) <= 0.0 or np.abs(times).max() > _FARTHEST_S:
-        return None
-    return times

@@ -3,65 +3,64 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from itertools import islice
+from dataclasses import dataclass
 
 import numpy as np
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import BadMessageError, decode_transforms
-from specmap_cli.logs.readers.recording import Log, Message, TopicInfo
-from specmap_cli.logs.readers.typestore import TF_MESSAGE
+from specmap_cli.logs.readers.recording import Message
+from specmap_cli.logs.topics import dynamic_topics, static_topics
 from specmap_cli.logs.transforms import TransformTree, tilt_of
 
-USUAL_BASES = ("base_link", "base_footprint", "base")
-_FLOOR_FRAME = "base_footprint"
-_STATIC_LIMIT = 2_000  # messages
-_DYNAMIC_LIMIT = 2_000  # messages, enough for every frame to have been heard of
-_SEARCH_LIMIT = 50_000  # messages, while the laser is still unconnected
-_TILT_LIMIT_RAD = 0.175
+USUAL_BASES = ("base_link", "base_footprint", "base")  # by REP 105 and by custom
+_FLOOR_FRAME = "base_footprint"  # by REP 120 the base's projection on the floor
+_ENOUGH_MESSAGES = 2_000  # some seconds of transforms, in which every frame is heard of
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frames:
+    """The frames of a log; `complete` unless the search for the laser's place was given up."""
+
+    tree: TransformTree
+    complete: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Placement:
-    """The base frame, the laser on it, and what was assumed."""
+    """The base frame, base_from_laser (4, 4) on it, and what was assumed.
+
+    `floor_m` is the height of the floor in the base frame, None when it is unknown.
+    """
 
     base_frame: str
     base_from_laser: FloatArray
-    floor_m: float | None  # height of the floor in the base frame, None when unknown
-    warnings: list[str] = field(default_factory=list)
+    floor_m: float | None
+    warnings: tuple[str, ...] = ()
 
 
-def static_topics(topics: Iterable[TopicInfo]) -> list[str]:
-    """Topics of transforms that never change."""
-    return [t.name for t in topics if t.type == TF_MESSAGE and t.name.endswith("tf_static")]
+def read_frames(log: Log, laser_frame: str, bases: Iterable[str], config: LogConfig) -> Frames:
+    """The frames of a log: the first static and the first dynamic transforms.
 
-
-def dynamic_topics(topics: Iterable[TopicInfo]) -> list[str]:
-    """Topics of transforms that may change."""
-    return [t.name for t in topics if t.type == TF_MESSAGE and not t.name.endswith("tf_static")]
-
-
-def read_tree(log: Log, laser_frame: str, bases: Iterable[str]) -> TransformTree:
-    """The frames of a log: all static transforms, and the dynamic ones of its beginning.
-
-    Dynamic ones are searched further while none of `bases` is joined to the laser's frame. Reads
-    only the topics of transforms, a bounded number of messages, and stops early.
+    The search goes on while none of `bases` is joined to the laser's frame, up to
+    `config.transform_messages` of each kind. Reads only the topics of transforms.
     """
     tree = TransformTree()
+    wanted = list(bases)
     topics = log.topics()
-    for message in islice(log.messages(static_topics(topics)), _STATIC_LIMIT):
-        _take(tree, message, dynamic=False)
-    dynamic = dynamic_topics(topics)
-    wanted = [*bases, *USUAL_BASES]
-    if not dynamic:
-        return tree
-    for number, message in enumerate(islice(log.messages(dynamic), _SEARCH_LIMIT)):
-        _take(tree, message, dynamic=True)
-        if number >= _DYNAMIC_LIMIT and any(_joined(tree, base, laser_frame) for base in wanted):
-            break
-    return tree
+    given_up = False
+    for names, dynamic in ((static_topics(topics), False), (dynamic_topics(topics), True)):
+        for number, message in enumerate(log.messages(names) if names else ()):
+            if number >= config.transform_messages:
+                given_up = True
+                break
+            _take(tree, message, dynamic=dynamic)
+            if number >= _ENOUGH_MESSAGES and _any_joined(tree, wanted, laser_frame):
+                break
+    return Frames(tree=tree, complete=not given_up or _any_joined(tree, wanted, laser_frame))
 
 
 def _take(tree: TransformTree, message: Message, *, dynamic: bool) -> None:
@@ -72,38 +71,39 @@ def _take(tree: TransformTree, message: Message, *, dynamic: bool) -> None:
         return  # counted when the message comes by again
 
 
-def _joined(tree: TransformTree, base: str, laser_frame: str) -> bool:
-    return tree.lookup(base, laser_frame) is not None
+def _any_joined(tree: TransformTree, bases: Iterable[str], laser_frame: str) -> bool:
+    return any(tree.lookup(base, laser_frame) is not None for base in bases)
 
 
 def place_laser(
-    tree: TransformTree, laser_frame: str, asked: str | None, odometry_child: str | None
+    tree: TransformTree, laser_frame: str, odometry_child: str | None, config: LogConfig
 ) -> Placement:
     """Choose the base frame and look up the laser's place on it.
 
-    `asked` is the frame the user named; otherwise it is the frame that moves in the odometry, or
-    one of the usual names, whichever is joined to the laser's frame. Raises UsageError for an
-    asked frame that the log does not have.
+    The base is the frame that the settings name; otherwise the frame that moves in the odometry, or
+    one of the usual names, whichever is joined to the laser's frame. Raises UsageError for a named
+    frame that the log does not join to it.
     """
-    if asked is not None:
-        return _asked_base(tree, laser_frame, asked.lstrip("/"))
+    if config.base_frame is not None:
+        return _asked_base(tree, laser_frame, config)
     candidates = [frame for frame in (odometry_child, *USUAL_BASES) if frame]
     for base in candidates:
-        if _joined(tree, base, laser_frame):
-            return _placement(tree, base, laser_frame)
+        if _any_joined(tree, [base], laser_frame):
+            return _placement(tree, base, laser_frame, config)
     base = odometry_child or next((b for b in USUAL_BASES if b in tree.frames), laser_frame)
     if base == laser_frame:
-        return Placement(base, np.eye(4), None)
+        return Placement(base_frame=base, base_from_laser=np.eye(4), floor_m=None)
     warning = (
         f"no transform from {base!r} to the laser's frame {laser_frame!r}: "
         f"the laser is taken to sit at the origin of {base!r}, looking ahead"
     )
-    return Placement(base, np.eye(4), None, [warning])
+    return Placement(base_frame=base, base_from_laser=np.eye(4), floor_m=None, warnings=(warning,))
 
 
-def _asked_base(tree: TransformTree, laser_frame: str, base: str) -> Placement:
-    if _joined(tree, base, laser_frame):
-        return _placement(tree, base, laser_frame)
+def _asked_base(tree: TransformTree, laser_frame: str, config: LogConfig) -> Placement:
+    base = (config.base_frame or "").lstrip("/")
+    if _any_joined(tree, [base], laser_frame):
+        return _placement(tree, base, laser_frame, config)
     above = sorted({laser_frame, *tree.ancestors(laser_frame)})
     raise UsageError(
         f"--base-frame {base}: no transform joins it to the laser's frame {laser_frame!r}; "
@@ -111,18 +111,20 @@ def _asked_base(tree: TransformTree, laser_frame: str, base: str) -> Placement:
     )
 
 
-def _placement(tree: TransformTree, base: str, laser_frame: str) -> Placement:
+def _placement(tree: TransformTree, base: str, laser_frame: str, config: LogConfig) -> Placement:
     base_from_laser = tree.lookup(base, laser_frame)
     assert base_from_laser is not None  # the caller has asked
     base_from_floor = tree.lookup(base, _FLOOR_FRAME)
     floor = 0.0 if base != laser_frame else None
     if base_from_floor is not None:
         floor = float(base_from_floor[2, 3])
-    warnings = []
     tilt = tilt_of(base_from_laser)
-    if _TILT_LIMIT_RAD < tilt < np.pi - _TILT_LIMIT_RAD:
-        warnings.append(
+    warnings: tuple[str, ...] = ()
+    if config.tilt_max_rad < tilt < np.pi - config.tilt_max_rad:
+        warnings = (
             f"the laser's frame {laser_frame!r} is tilted by {np.degrees(tilt):.0f} degrees "
-            f"against {base!r}: a planar scan is read as if it were level"
+            f"against {base!r}: a planar scan is read as if it were level",
         )
-    return Placement(base, base_from_laser, floor, warnings)
+    return Placement(
+        base_frame=base, base_from_laser=base_from_laser, floor_m=floor, warnings=warnings
+    )

@@ -12,28 +12,40 @@ from rosbags.serde import SerdeError
 from specmap_cli.core.geometry import FloatArray, rotation_from_quaternion
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.readers.typestore import (
-    LASER_SCAN,
     MULTI_ECHO,
     NS_PER_S,
+    ODOMETRY,
     POINT_CLOUD,
+    SCAN_TYPES,
+    TF_MESSAGE,
     typestore,
 )
+
+_FARTHEST_M = 1e8  # twice around the earth: coordinates of any map are smaller
 
 
 class BadMessageError(ValueError):
     """A message that cannot be used; the text says why."""
 
 
-@dataclass(frozen=True, slots=True)
-class ScanRecord:
-    """A LaserScan as recorded, or the first echoes of a MultiEchoLaserScan."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanLayout:
+    """What is the same in all scans of a laser: angles in radians, seconds from beam to beam."""
 
-    stamp_ns: int
-    frame: str
     angle_min: float
     angle_max: float
     angle_increment: float
     time_increment: float
+    beams: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanRecord:
+    """A LaserScan as recorded, or the first echoes of a MultiEchoLaserScan; ranges (B,) in m."""
+
+    stamp_ns: int
+    frame: str
+    layout: ScanLayout
     range_min: float
     range_max: float
     ranges: NDArray[np.float32]
@@ -70,23 +82,23 @@ class TransformRecord:
 
 def decode_scan(message: Message) -> ScanRecord | CloudRecord:
     """The scan in a message of one of SCAN_TYPES; raises BadMessageError."""
-    decoded = _decoded(message)
+    if message.type not in SCAN_TYPES:
+        raise BadMessageError(f"{message.type} is no scan")
+    decoded = _decoded(message, message.type)
     if message.type == POINT_CLOUD:
         return _cloud(decoded)
     if message.type == MULTI_ECHO:
         return _scan(decoded, _first_echoes(decoded.ranges))
-    if message.type == LASER_SCAN:
-        return _scan(decoded, decoded.ranges)
-    raise BadMessageError(f"{message.type} is no scan")
+    return _scan(decoded, decoded.ranges)
 
 
 def decode_odometry(message: Message) -> OdometryRecord:
     """The pose in an Odometry message; raises BadMessageError."""
-    decoded = _decoded(message)
+    decoded = _decoded(message, ODOMETRY)
     pose = decoded.pose.pose
     matrix = _matrix(pose.position, pose.orientation)
-    if not np.isfinite(matrix).all():
-        raise BadMessageError("odometry is not finite")
+    if not _possible(matrix):
+        raise BadMessageError("odometry is not finite or beyond all bounds")
     header = decoded.header
     return OdometryRecord(
         _stamp(header), frame_name(header.frame_id), frame_name(decoded.child_frame_id), matrix
@@ -94,7 +106,7 @@ def decode_odometry(message: Message) -> OdometryRecord:
 
 
 def decode_transforms(message: Message) -> list[TransformRecord]:
-    """The finite transforms in a TFMessage; raises BadMessageError."""
+    """The possible transforms in a TFMessage; raises BadMessageError."""
     records = [
         TransformRecord(
             _stamp(stamped.header),
@@ -102,9 +114,9 @@ def decode_transforms(message: Message) -> list[TransformRecord]:
             frame_name(stamped.child_frame_id),
             _matrix(stamped.transform.translation, stamped.transform.rotation),
         )
-        for stamped in _decoded(message).transforms
+        for stamped in _decoded(message, TF_MESSAGE).transforms
     ]
-    return [record for record in records if np.isfinite(record.parent_from_child).all()]
+    return [record for record in records if _possible(record.parent_from_child)]
 
 
 def frame_name(frame: str) -> str:
@@ -112,11 +124,18 @@ def frame_name(frame: str) -> str:
     return frame.lstrip("/")
 
 
-def _decoded(message: Message) -> Any:
+def _decoded(message: Message, expected: str) -> Any:
+    if message.type != expected:  # a topic may carry two types
+        raise BadMessageError(f"{message.type} instead of {expected}")
     try:
         return typestore().deserialize_cdr(message.data, message.type)
     except (SerdeError, KeyError, IndexError, MemoryError) as error:
         raise BadMessageError(f"not a {message.type}: {error}") from None
+
+
+def _possible(matrix: FloatArray) -> bool:
+    """Whether a transform is finite and its frames are no farther apart than places on earth."""
+    return bool(np.isfinite(matrix).all() and np.abs(matrix[:3, 3]).max() <= _FARTHEST_M)
 
 
 def _stamp(header: Any) -> int:
@@ -132,15 +151,18 @@ def _matrix(translation: Any, rotation: Any) -> FloatArray:
 
 def _scan(decoded: Any, ranges: NDArray[np.float32]) -> ScanRecord:
     return ScanRecord(
-        _stamp(decoded.header),
-        frame_name(decoded.header.frame_id),
-        float(decoded.angle_min),
-        float(decoded.angle_max),
-        float(decoded.angle_increment),
-        float(decoded.time_increment),
-        float(decoded.range_min),
-        float(decoded.range_max),
-        ranges,
+        stamp_ns=_stamp(decoded.header),
+        frame=frame_name(decoded.header.frame_id),
+        layout=ScanLayout(
+            angle_min=float(decoded.angle_min),
+            angle_max=float(decoded.angle_max),
+            angle_increment=float(decoded.angle_increment),
+            time_increment=float(decoded.time_increment),
+            beams=len(ranges),
+        ),
+        range_min=float(decoded.range_min),
+        range_max=float(decoded.range_max),
+        ranges=ranges,
     )
 
 

@@ -2,48 +2,44 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
+from specmap_cli.core.arguments import Paths, instance_of, paths_of
 from specmap_cli.core.errors import LogError
-from specmap_cli.logs.readers import carmen, mcap, rosbag1, rosbag2
-from specmap_cli.logs.readers.compression import compression_of, stream
-from specmap_cli.logs.readers.recording import Log, Recording, unreadable
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.log import Log
+from specmap_cli.logs.readers.compression import compression_of
+from specmap_cli.logs.readers.recording import Recording, unreadable
+from specmap_cli.logs.readers.sniffing import head_of, is_directory, is_text
+from specmap_cli.logs.readers.table import format_names, known_readers, reader_for
+from specmap_cli.logs.readers.unpacking import unpacked
 
-_HEAD_BYTES = 4096
-_CARMEN_SEARCH_BYTES = 1 << 22  # comments and PARAM lines may come first
-_COPY_BYTES = 1 << 20
-
-_FORMATS: dict[bytes, Callable[[Path], Recording]] = {
-    mcap.MAGIC: mcap.McapFile,
-    rosbag1.MAGIC: rosbag1.Rosbag1File,
-    rosbag2.MAGIC: rosbag2.Rosbag2File,
-}
-_KNOWN = "MCAP, rosbag2, ROS 1 bag or CARMEN log"
+_Readers = Mapping[str, type[Recording]]
 
 
-def open_log(paths: Path | str | Sequence[Path | str]) -> Log:
+def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
     """Open one recording, or several files of it, as one log in time order.
 
-    A path is a file, or a directory whose recordings are taken together. Raises LogError for a
-    path that is missing, empty, no recording or given twice, and when nothing in it can be read.
+    A path is a file, or a directory whose recordings are taken together. The readers are those of
+    `logs.readers.table`; `config` bounds what they unpack. Raises LogError for a path that is
+    missing, empty, no recording or given twice, and when nothing in it can be read; TypeError for
+    what is no path or no `LogConfig`.
     """
-    given = [paths] if isinstance(paths, str | Path) else list(paths)
+    given = paths_of(paths, "paths")
+    settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
     if not given:
         raise LogError("no log given; name a file or a directory")
-    recordings: list[Recording] = []
-    try:
+    readers = known_readers()
+    with ExitStack() as held:
+        recordings: list[Recording] = []
         for path in given:
-            recordings.extend(_recordings_at(Path(path)))
+            for file in _files_at(path, readers):
+                recordings.append(_opened(file, readers, settings, held))
         _refuse_repetition(recordings)
-        log = Log(recordings, [Path(path) for path in given])
-        _refuse_rubble(log)
-    except BaseException:
-        for recording in recordings:
-            recording.close()
-        raise
-    return log
+        _refuse_rubble(recordings)
+        return Log(recordings, given, held.pop_all())
 
 
 def _refuse_repetition(recordings: Sequence[Recording]) -> None:
@@ -56,107 +52,86 @@ def _refuse_repetition(recordings: Sequence[Recording]) -> None:
         seen.add(place)
 
 
-def _refuse_rubble(log: Log) -> None:
+def _refuse_rubble(recordings: Sequence[Recording]) -> None:
     """A damaged log of which no message is left cannot be used."""
-    if log.damage and not log.contents.messages:
-        raise LogError(f"{log.damage[0]}; no message can be read")
+    messages = sum(recording.contents.messages for recording in recordings)
+    damage = [line for recording in recordings for line in recording.damage]
+    if damage and not messages:
+        raise LogError(f"{damage[0]}; no message can be read")
 
 
-def _recordings_at(path: Path) -> Iterator[Recording]:
-    if not path.is_dir():
-        yield _open_file(path)
+def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
+    """The file at a path, or the recordings in a directory by name."""
+    if not is_directory(path):
+        yield path
         return
-    found = False
-    for file in sorted(path.iterdir()):
-        if file.is_file() and not file.name.startswith(".") and _looks_like_a_log(file):
-            found = True
-            yield _open_file(file)
-    if not found:
-        raise LogError(f"{path}: no recording in this directory; expected {_KNOWN}")
-
-
-def _looks_like_a_log(file: Path) -> bool:
-    head = _head(file)
-    return _format_of(head) is not None or compression_of(head) is not None or _is_carmen(file)
-
-
-def _open_file(path: Path) -> Recording:
-    """The recording in one file; raises LogError saying what it is instead."""
-    head = _head(path)
-    if not head:
-        raise LogError(f"{path}: the file is empty")
-    if compression_of(head) is not None:
-        return _open_compressed(path)
-    reader = _format_of(head)
-    if reader is not None:
-        return reader(path)
-    if _is_carmen(path):
-        return carmen.CarmenFile(path)
-    if any(magic.startswith(head) for magic in _FORMATS):
-        raise LogError(f"{path}: cut off after {len(head)} bytes; no message can be read")
-    kind = "a text file" if b"\x00" not in head and _is_text(head) else "of an unknown format"
-    raise LogError(f"{path}: {kind}, not a recording; expected {_KNOWN}")
-
-
-def _open_compressed(path: Path) -> Recording:
-    """The recording inside a compressed file, unpacked into a temporary one."""
-    name = compression_of(_head(path)) or ""
-    with tempfile.NamedTemporaryFile(prefix="specmap-", suffix=path.stem) as unpacked:
-        complete = False
-        for part, complete in stream(_slices(path), name):  # noqa: B007 (the last one counts)
-            unpacked.write(part)
-        unpacked.flush()
-        if compression_of(_head(Path(unpacked.name))) is not None:
-            raise LogError(f"{path}: compressed twice; unpack it first")
-        try:
-            recording = _open_file(Path(unpacked.name))  # stays readable once unlinked
-        except LogError as error:
-            reason = str(error).removeprefix(f"{unpacked.name}: ")
-            raise LogError(f"{path}: {reason} (inside {name} compression)") from None
-        recording.path = path
-        if not complete:
-            recording.report(f"the {name} compression ends early: the rest is lost")
-        return recording
-
-
-def _slices(path: Path) -> Iterable[bytes]:
-    with path.open("rb") as file:
-        while piece := file.read(_COPY_BYTES):
-            yield piece
-
-
-def _head(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
-            return file.read(_HEAD_BYTES)
-    except FileNotFoundError:
-        raise LogError(f"{path}: no such file or directory") from None
+        files = sorted(path.iterdir())
+        visible = [file for file in files if file.is_file() and not file.name.startswith(".")]
     except OSError as error:
         raise unreadable(path, error) from None
+    found = [file for file in visible if _looks_like_a_log(file, readers)]
+    if not found:
+        expected = format_names(readers.values())
+        raise LogError(f"{path}: no recording in this directory; expected {expected}")
+    yield from found
 
 
-def _format_of(head: bytes) -> Callable[[Path], Recording] | None:
-    return next((reader for magic, reader in _FORMATS.items() if head.startswith(magic)), None)
+def _looks_like_a_log(file: Path, readers: _Readers) -> bool:
+    head = head_of(file)
+    return compression_of(head) is not None or reader_for(head, file, readers) is not None
 
 
-def _is_text(head: bytes) -> bool:
+def _opened(path: Path, readers: _Readers, config: LogConfig, held: ExitStack) -> Recording:
+    """The recording in one file, which `held` closes; a compressed one is unpacked first."""
+    compression = compression_of(_head(path, path))
+    if compression is None:
+        return _read(path, path, readers, config, held)
+
+    inside = f"(inside {compression} compression)"
+
+    def look(file: Path) -> None:
+        if compression_of(head_of(file)) is not None:
+            raise LogError(f"{path}: compressed twice; unpack it first")
+        try:
+            _reader_of(file, path, readers)
+        except LogError as error:
+            raise LogError(f"{error} {inside}") from None
+
+    copy = unpacked(path, compression, config, look, held)
+    look(copy.file)
     try:
-        head.decode("utf-8")
-    except UnicodeDecodeError as error:
-        return error.start > len(head) - 4  # a character cut in two by the end of the piece
-    return True
+        recording = _read(copy.file, path, readers, config, held)
+    except LogError as error:
+        raise LogError(f"{error} {inside}") from None
+    if copy.lost is not None:
+        recording.report(copy.lost)
+    return recording
 
 
-def _is_carmen(path: Path) -> bool:
-    """Whether one of the first lines is CARMEN's."""
-    if not _is_text(_head(path)):
-        return False
-    searched = 0
-    with path.open("rb") as file:
-        for line in iter(lambda: file.readline(_COPY_BYTES), b""):
-            searched += len(line)
-            if line.split(b" ", 1)[0] in [word.encode() for word in carmen.KEYWORDS]:
-                return True
-            if searched > _CARMEN_SEARCH_BYTES:
-                return False
-    return False
+def _read(
+    file: Path, path: Path, readers: _Readers, config: LogConfig, held: ExitStack
+) -> Recording:
+    recording = _reader_of(file, path, readers)(file, path, config)
+    held.callback(recording.close)
+    return recording
+
+
+def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
+    """The reader of `file`, called `path`; raises LogError saying what it is instead."""
+    head = _head(file, path)
+    reader = reader_for(head, file, readers)
+    if reader is not None:
+        return reader
+    if any(known.magic.startswith(head) for known in readers.values()):
+        raise LogError(f"{path}: cut off after {len(head)} bytes; no message can be read")
+    kind = "a text file" if b"\x00" not in head and is_text(head) else "of an unknown format"
+    expected = format_names(readers.values())
+    raise LogError(f"{path}: {kind}, not a recording; expected {expected}")
+
+
+def _head(file: Path, path: Path) -> bytes:
+    head = head_of(file)
+    if not head:
+        raise LogError(f"{path}: the file is empty")
+    return head

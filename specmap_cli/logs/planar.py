@@ -12,17 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from specmap_cli.core.config import LogConfig
 from specmap_cli.core.geometry import FloatArray, Pose2, yaw_of
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.logs.messages import BadMessageError, ScanRecord
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 
-_LONGEST_SWEEP_S = 1.0  # a time_increment that gives more is in another unit, and ignored
 _FULL_CIRCLE = 2.0 * math.pi
-_FILLED_SHARE = 0.9  # of the bearings between the outermost ones
-_MAX_HALVINGS = 2
-_NEAR_M = 10.0
-_LOWEST_PERCENT = 2.0
+_MISSING_BEAMS = 1.5  # of a full circle: its last beam stops one short of the first, and rounding
+_MAX_HALVINGS = 2  # a planar scan has no fewer bearings than a quarter of those asked for
 
 
 class Mount(NamedTuple):
@@ -42,47 +39,45 @@ class Mount(NamedTuple):
         return cls(Pose2(x, y, yaw_of(base_from_laser)), bool(base_from_laser[2, 2] < 0.0))
 
 
-class _Sensor(NamedTuple):
-    """What is the same in all scans of a laser with the same settings."""
-
-    angle_min: float
-    angle_max: float
-    angle_increment: float
-    time_increment: float
-    beams: int
-
-
 class _Beams(NamedTuple):
+    """Bearings and times (B,) of the beams, and which of the readings as recorded they are."""
+
     bearings: FloatArray
     times_s: FloatArray | None
-    used: slice  # of the readings as recorded
+    used: slice
     full_circle: bool
 
 
 class ScanLeveller:
     """Turns the scans of one laser into `PlanarScan`; keeps what they have in common."""
 
-    def __init__(self, mount: Mount) -> None:
+    def __init__(self, mount: Mount, config: LogConfig) -> None:
         self.mount = mount
-        self._sensor: _Sensor | None = None
+        self.longest_s = config.scan_time_max_s
+        self._layout: ScanLayout | None = None
         self._beams: _Beams | None = None
 
     @np.errstate(all="ignore")  # damaged messages hold any bits
     def level(self, scan: ScanRecord, stamp_ns: int) -> PlanarScan:
         """The planar scan; raises BadMessageError for one without beams or without angles."""
-        sensor = _Sensor(
-            scan.angle_min,
-            scan.angle_max,
-            scan.angle_increment,
-            scan.time_increment,
-            len(scan.ranges),
-        )
-        if self._beams is None or sensor != self._sensor:
-            self._beams, self._sensor = _beams(sensor, self.mount.upside_down), sensor
+        if self._beams is None or scan.layout != self._layout:
+            self._beams = _beams(scan.layout, self.mount.upside_down, self.longest_s)
+            self._layout = scan.layout
         bearings, times_s, used, full_circle = self._beams
         range_max = scan.range_max if scan.range_max > 0.0 else math.inf
-        ranges = _cleaned(scan.ranges[used].astype(np.float64), scan.range_min, range_max)
-        return PlanarScan(stamp_ns, bearings, ranges, range_max, full_circle, times_s)
+        return PlanarScan(
+            stamp_ns=stamp_ns,
+            bearings=bearings,
+            ranges=_cleaned(scan.ranges[used].astype(np.float64), scan.range_min, range_max),
+            range_max=range_max,
+            full_circle=full_circle,
+            beam_times_s=times_s,
+        )
+
+
+def duration_s(scan: ScanRecord) -> float:
+    """Seconds from the first to the last beam by the scan's own word, NaN when it is none."""
+    return scan.layout.time_increment * max(scan.layout.beams - 1, 0)
 
 
 def _cleaned(ranges: FloatArray, range_min: float, range_max: float) -> FloatArray:
@@ -93,30 +88,38 @@ def _cleaned(ranges: FloatArray, range_min: float, range_max: float) -> FloatArr
     return ranges
 
 
-def _beams(sensor: _Sensor, upside_down: bool) -> _Beams:
-    """The bearings of a sensor, its beam times and which readings are used, in which order."""
-    count, step = sensor.beams, sensor.angle_increment
-    if count == 0:
-        raise BadMessageError("a scan without beams")
-    if not (math.isfinite(step) and step != 0.0) and count > 1:
-        step = (sensor.angle_max - sensor.angle_min) / (count - 1)
-    if not (math.isfinite(sensor.angle_min) and math.isfinite(step)) or (count > 1 and not step):
-        raise BadMessageError("a scan without angles")
-    full_circle = count * abs(step) >= _FULL_CIRCLE - 1.5 * abs(step)
+def _beams(layout: ScanLayout, upside_down: bool, longest_s: float) -> _Beams:
+    """The bearings of a laser, its beam times and which readings are used, in which order."""
+    count, step = layout.beams, _increment(layout)
+    full_circle = count * abs(step) >= _FULL_CIRCLE - _MISSING_BEAMS * abs(step)
     if full_circle:  # the last beams may look where the first ones did
         count = min(count, round(_FULL_CIRCLE / abs(step)))
     sign = -1.0 if upside_down else 1.0
     numbers = np.arange(count, dtype=np.float64)
-    bearings: FloatArray = sign * (sensor.angle_min + step * numbers)
+    bearings: FloatArray = sign * (layout.angle_min + step * numbers)
     ascending = sign * step > 0.0 or count == 1
     used = slice(0, count) if ascending else slice(count - 1, None, -1)
     order = slice(None) if ascending else slice(None, None, -1)
-    sweep = sensor.time_increment * (count - 1)
-    timed = math.isfinite(sweep) and 0.0 < sweep <= _LONGEST_SWEEP_S
-    times: FloatArray | None = sensor.time_increment * numbers[order] if timed else None
+    sweep = layout.time_increment * (count - 1)
+    timed = 0.0 < sweep <= longest_s
+    times: FloatArray | None = layout.time_increment * numbers[order] if timed else None
     bearings = bearings[order].copy()
     bearings.setflags(write=False)
-    return _Beams(bearings, times, used, full_circle)
+    return _Beams(bearings=bearings, times_s=times, used=used, full_circle=full_circle)
+
+
+def _increment(layout: ScanLayout) -> float:
+    """The angle from beam to beam; raises BadMessageError for a scan without beams or angles."""
+    count, step = layout.beams, layout.angle_increment
+    if count == 0:
+        raise BadMessageError("a scan without beams")
+    if not (math.isfinite(step) and step != 0.0) and count > 1:
+        step = (layout.angle_max - layout.angle_min) / (count - 1)
+    if not (math.isfinite(layout.angle_min) and math.isfinite(step)) or (count > 1 and not step):
+        raise BadMessageError("a scan without angles")
+    if count > 1 and abs(step) > _FULL_CIRCLE:
+        raise BadMessageError("a scan whose beams are more than a circle apart")
+    return step
 
 
 class CloudFlattener:
@@ -133,10 +136,8 @@ class CloudFlattener:
         self, base_from_laser: FloatArray, floor_m: float | None, config: LogConfig
     ) -> None:
         self.mount = Pose2(float(base_from_laser[0, 3]), float(base_from_laser[1, 3]), 0.0)
+        self.config = config
         self._floor = floor_m
-        self._band = (config.band_min_m, config.band_max_m)
-        self.range_max = config.cloud_range_max_m
-        self._most_beams = config.cloud_beams
         self._bearings: FloatArray = np.zeros(0)
         self._seen = np.zeros(0, dtype=bool)
 
@@ -151,23 +152,30 @@ class CloudFlattener:
         bins = np.minimum((turn * beams).astype(np.intp), beams - 1)
         self._seen[bins[distance > 0.0]] = True
         if self._floor is None:
-            self._floor = lowest_returns(cloud[distance <= _NEAR_M])
+            near = cloud[distance <= self.config.floor_radius_m]
+            self._floor = lowest_returns(near, self.config.floor_percentile)
         height = cloud[:, 2] - self._floor
-        inside = (height >= self._band[0]) & (height <= self._band[1])
-        inside &= (distance > 0.0) & (distance <= self.range_max)
+        inside = (height >= self.config.band_min_m) & (height <= self.config.band_max_m)
+        inside &= (distance > 0.0) & (distance <= self.config.cloud_range_max_m)
         ranges = np.where(self._seen, np.inf, np.nan)
         nearest = np.full(beams, np.inf)
         np.minimum.at(nearest, bins[inside], distance[inside])
         ranges[np.isfinite(nearest)] = nearest[np.isfinite(nearest)]
-        full_circle = bool(self._seen.mean() >= _FILLED_SHARE)
-        return PlanarScan(stamp_ns, self._bearings, ranges, self.range_max, full_circle)
+        return PlanarScan(
+            stamp_ns=stamp_ns,
+            bearings=self._bearings,
+            ranges=ranges,
+            range_max=self.config.cloud_range_max_m,
+            full_circle=bool(self._seen.mean() >= self.config.cloud_filled_share),
+        )
 
     def _choose_bearings(self, turn: FloatArray) -> None:
         """Settle on the bearings from the first cloud's returns at any height."""
         for halvings in range(_MAX_HALVINGS + 1):
-            beams = self._most_beams >> halvings
+            beams = self.config.cloud_beams >> halvings
             filled = np.unique((turn * beams).astype(np.intp))
-            if len(filled) and len(filled) >= _FILLED_SHARE * (filled[-1] - filled[0] + 1):
+            share = self.config.cloud_filled_share
+            if len(filled) and len(filled) >= share * (filled[-1] - filled[0] + 1):
                 break
         bearings: FloatArray = (np.arange(beams, dtype=np.float64) + 0.5) * (
             _FULL_CIRCLE / beams
@@ -176,6 +184,6 @@ class CloudFlattener:
         self._bearings, self._seen = bearings, np.zeros(beams, dtype=bool)
 
 
-def lowest_returns(cloud: FloatArray) -> float:
-    """Height of the lowest returns of a cloud (N, 3), a few stray ones aside; 0 when empty."""
-    return float(np.percentile(cloud[:, 2], _LOWEST_PERCENT)) if len(cloud) else 0.0
+def lowest_returns(cloud: FloatArray, percentile: float) -> float:
+    """Height below which a `percentile` of a cloud (N, 3) lies; 0 when it is empty."""
+    return float(np.percentile(cloud[:, 2], percentile)) if len(cloud) else 0.0

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import islice
 from typing import Literal
 
-from specmap_cli.core.config import LogConfig
-from specmap_cli.core.errors import LogError, UsageError
+from specmap_cli.core.errors import LogError
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.logs.frames import Placement, dynamic_topics, place_laser, read_tree
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.text import counted
+from specmap_cli.logs.frames import (
+    USUAL_BASES,
+    Frames,
+    Placement,
+    place_laser,
+    read_frames,
+)
+from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import (
     BadMessageError,
     CloudRecord,
@@ -18,49 +26,103 @@ from specmap_cli.logs.messages import (
     decode_odometry,
     decode_scan,
 )
-from specmap_cli.logs.readers.recording import Log, TopicInfo
-from specmap_cli.logs.readers.typestore import ODOMETRY, SCAN_TYPES
+from specmap_cli.logs.readers.recording import Message, TopicInfo
+from specmap_cli.logs.topics import choose_odometry_topic, choose_scan_topic, dynamic_topics
 from specmap_cli.logs.transforms import TransformTree
 
-_PEEKED = 50  # messages tried for one that can be decoded
-_CLOCK_PEEKED = 3  # stamps that are all zero are no stamps
+_CLOCK_PEEKED = 3  # a clock may start at zero, but no three stamps of one are zero
+
+OdometryKind = Literal["topic", "tf"]
 
 
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """What a stream of sweeps is read from.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanSource:
+    """Where the scans come from.
 
-    `odometry` says whether it comes from an Odometry topic, from transforms `odom_frame` ->
-    `base_frame`, or is not there. `band_m` is the height band of a 3D cloud, base frame.
+    `band_m` is the height band of a 3D cloud in metres above the floor, None for planar scans.
     """
 
-    scan_topic: str
-    scan_type: str
-    scans: int
-    laser_frame: str
-    base_frame: str
-    base_from_laser: FloatArray
-    floor_m: float | None
-    odometry: Literal["topic", "tf"] | None
-    odom_topics: tuple[str, ...]
-    odom_frame: str | None
-    use_log_time: bool
-    tree: TransformTree
+    topic: TopicInfo
+    frame: str
+    use_log_time: bool = False
     band_m: tuple[float, float] | None = None
-    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OdometrySource:
+    """Where the odometry comes from.
+
+    `kind` is an Odometry topic, or transforms from `frame` to the base, or None: there is none.
+    """
+
+    kind: OdometryKind | None = None
+    topics: tuple[str, ...] = ()
+    frame: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """What a stream of sweeps is read from; `tree` are the transforms known beforehand."""
+
+    scan: ScanSource
+    placement: Placement
+    odometry_source: OdometrySource
+    tree: TransformTree
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def scan_topic(self) -> str:
+        """The topic of the scans."""
+        return self.scan.topic.name
+
+    @property
+    def scan_type(self) -> str:
+        """The ROS 2 type of the scans."""
+        return self.scan.topic.type
+
+    @property
+    def laser_frame(self) -> str:
+        """The frame of the scans."""
+        return self.scan.frame
+
+    @property
+    def band_m(self) -> tuple[float, float] | None:
+        """The height band of a 3D cloud, metres above the floor."""
+        return self.scan.band_m
+
+    @property
+    def base_frame(self) -> str:
+        """The frame whose poses are estimated."""
+        return self.placement.base_frame
+
+    @property
+    def base_from_laser(self) -> FloatArray:
+        """The mounting of the laser, (4, 4)."""
+        return self.placement.base_from_laser
+
+    @property
+    def odometry(self) -> OdometryKind | None:
+        """Whether odometry comes from a topic, from transforms, or not at all."""
+        return self.odometry_source.kind
+
+    @property
+    def odom_topics(self) -> tuple[str, ...]:
+        """The topics read for odometry."""
+        return self.odometry_source.topics
 
     @property
     def note(self) -> str:
         """One line on what was chosen."""
         kind = self.scan_type.rpartition("/")[2]
-        parts = [f"scans from {self.scan_topic} ({kind}, {self.scans:,})"]
+        parts = [f"scans from {self.scan_topic} ({kind}, {self.scan.topic.count:,})"]
         if self.band_m is not None:
             low, high = self.band_m
             parts.append(f"height band {low:g} to {high:g} m above the floor")
         if self.odometry == "topic":
             parts.append(f"odometry from {self.odom_topics[0]}")
         elif self.odometry == "tf":
-            parts.append(f"odometry from transforms {self.odom_frame} -> {self.base_frame}")
+            source = self.odometry_source.frame
+            parts.append(f"odometry from transforms {source} -> {self.base_frame}")
         else:
             parts.append("no odometry")
         parts.append(f"base frame {self.base_frame}")
@@ -73,124 +135,77 @@ def select(log: Log, config: LogConfig) -> Selection:
     Raises LogError for a log without usable scans, and UsageError, with the choices ready to
     paste, when a topic or frame must be chosen or the chosen one is not there.
     """
-    scan = choose_scan_topic(log, config.scan_topic)
-    first, use_log_time = _first_scan(log, scan)
-    odometry = choose_odometry_topic(log, config.odom_topic) if config.use_odometry else None
-    child = _odometry_child(log, odometry)
-    bases = [frame for frame in (config.base_frame, child) if frame]
-    tree = read_tree(log, first.frame, bases)
-    placement = place_laser(tree, first.frame, config.base_frame, child)
-    source, topics, odom_frame = _odometry_source(log, config, odometry, tree, placement)
-    is_cloud = isinstance(first, CloudRecord)
+    scan = _scan_source(log, choose_scan_topic(log, config.scan_topic), config)
+    topic = choose_odometry_topic(log, config.odom_topic) if config.use_odometry else None
+    child = _odometry_child(log, topic, config)
+    usual = [frame for frame in (child, *USUAL_BASES) if frame]
+    bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
+    frames = read_frames(log, scan.frame, bases, config)
+    placement = place_laser(frames.tree, scan.frame, child, config)
     return Selection(
-        scan_topic=scan.name,
-        scan_type=scan.type,
-        scans=scan.count,
-        laser_frame=first.frame,
-        base_frame=placement.base_frame,
-        base_from_laser=placement.base_from_laser,
-        floor_m=placement.floor_m,
-        odometry=source,
-        odom_topics=topics,
-        odom_frame=odom_frame,
-        use_log_time=use_log_time,
-        tree=tree,
-        band_m=(config.band_min_m, config.band_max_m) if is_cloud else None,
-        warnings=[
-            *placement.warnings,
-            *_assumptions(scan, placement, tree, child, use_log_time, is_cloud),
-        ],
+        scan=scan,
+        placement=placement,
+        odometry_source=_odometry_source(log, topic, frames.tree, placement, config),
+        tree=frames.tree,
+        warnings=(*placement.warnings, *_assumptions(scan, placement, frames, child, config)),
     )
 
 
 def _assumptions(
-    scan: TopicInfo,
+    scan: ScanSource,
     placement: Placement,
-    tree: TransformTree,
+    frames: Frames,
     odometry_child: str | None,
-    use_log_time: bool,
-    is_cloud: bool,
+    config: LogConfig,
 ) -> Iterator[str]:
     """What is taken for granted as the log does not say it."""
     base = placement.base_frame
-    if odometry_child is not None and tree.lookup(odometry_child, base) is None:
+    if not frames.complete:
+        yield (
+            f"the laser's place was searched in the first {config.transform_messages:,} messages "
+            "of transforms only: log.transform_messages says how many"
+        )
+    if odometry_child is not None and frames.tree.lookup(odometry_child, base) is None:
         yield (
             f"the odometry moves {odometry_child!r}, which no transform joins to {base!r}: "
             "the two are taken to be the same"
         )
-    if use_log_time:
-        yield f"{scan.name}: header stamps are zero: the recorder's times are used"
-    if is_cloud and placement.floor_m is None:
+    if scan.use_log_time:
+        yield f"{scan.topic.name}: header stamps are zero: the recorder's times are used"
+    if scan.band_m is not None and placement.floor_m is None:
         yield (
             "the lidar's height above the floor is unknown, as there is no transform from a base "
             "frame: the floor is taken to be where the lowest returns of the first cloud are"
         )
 
 
-def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
-    """The topic of scans: the asked one, or the only one."""
-    found = [t for t in log.topics() if t.type in SCAN_TYPES and t.count]
-    if asked is not None:
-        return _asked(log, found, asked, "--scan-topic", "scans")
-    if not found:
-        there = ", ".join(f"{t.name} ({t.type})" for t in log.topics()) or "no messages at all"
-        raise LogError(
-            f"{log.name}: no LaserScan, MultiEchoLaserScan or PointCloud2 in it; it has {there}"
-        )
-    return _only(log, found, "--scan-topic", "scans")
-
-
-def choose_odometry_topic(log: Log, asked: str | None) -> TopicInfo | None:
-    """The Odometry topic: the asked one, the only one, or None when there is none."""
-    found = [t for t in log.topics() if t.type == ODOMETRY and t.count]
-    if asked is not None:
-        return _asked(log, found, asked, "--odom-topic", "odometry")
-    return _only(log, found, "--odom-topic", "odometry") if found else None
-
-
-def _only(log: Log, found: list[TopicInfo], option: str, what: str) -> TopicInfo:
-    if len(found) > 1:
-        choices = " or ".join(f"`{option} {t.name}` ({_describe(t)})" for t in found)
-        raise UsageError(f"{log.name}: {len(found)} topics carry {what}: choose {choices}")
-    return found[0]
-
-
-def _asked(log: Log, found: list[TopicInfo], asked: str, option: str, what: str) -> TopicInfo:
-    for topic in found:
-        if topic.name.lstrip("/") == asked.lstrip("/"):
-            return topic
-    choices = ", ".join(f"{t.name} ({_describe(t)})" for t in found) or "none"
-    raise UsageError(
-        f"{log.name}: {option} {asked}: no {what} on such a topic; topics with {what}: {choices}"
-    )
-
-
-def _describe(topic: TopicInfo) -> str:
-    noun = "message" if topic.count == 1 else "messages"
-    return f"{topic.type.rpartition('/')[2]}, {topic.count:,} {noun}"
-
-
-def _first_scan(log: Log, topic: TopicInfo) -> tuple[ScanRecord | CloudRecord, bool]:
-    """The first scan that can be decoded, and whether the scans carry no stamps."""
+def _scan_source(log: Log, topic: TopicInfo, config: LogConfig) -> ScanSource:
+    """The frame of the first scan that can be decoded, and whether the scans carry no stamps."""
     records: list[ScanRecord | CloudRecord] = []
     reason = "it holds no message"
-    for message in islice(log.messages([topic.name]), _PEEKED):
+    for tried, message in enumerate(_first_messages(log, topic, config), start=1):
         try:
             records.append(decode_scan(message))
         except BadMessageError as error:
-            reason = str(error)
+            reason = f"{error}; tried {counted(tried, 'message')}"
         if len(records) == _CLOCK_PEEKED:
             break
     if not records:
         raise LogError(f"{log.name}: {topic.name}: no usable scan: {reason}")
-    return records[0], all(record.stamp_ns == 0 for record in records)
+    is_cloud = isinstance(records[0], CloudRecord)
+    return ScanSource(
+        topic=topic,
+        frame=records[0].frame,
+        use_log_time=all(record.stamp_ns == 0 for record in records),
+        band_m=(config.band_min_m, config.band_max_m) if is_cloud else None,
+    )
 
 
-def _odometry_child(log: Log, topic: TopicInfo | None) -> str | None:
+def _odometry_child(log: Log, topic: TopicInfo | None, config: LogConfig) -> str | None:
     """The frame that moves in an Odometry topic."""
     if topic is None:
         return None
-    for message in islice(log.messages([topic.name]), _PEEKED):
+    for message in _first_messages(log, topic, config):
         try:
             return decode_odometry(message).child or None
         except BadMessageError:
@@ -198,19 +213,23 @@ def _odometry_child(log: Log, topic: TopicInfo | None) -> str | None:
     return None
 
 
+def _first_messages(log: Log, topic: TopicInfo, config: LogConfig) -> Iterator[Message]:
+    return islice(log.messages([topic.name]), config.tried_messages)
+
+
 def _odometry_source(
     log: Log,
-    config: LogConfig,
     topic: TopicInfo | None,
     tree: TransformTree,
     placement: Placement,
-) -> tuple[Literal["topic", "tf"] | None, tuple[str, ...], str | None]:
+    config: LogConfig,
+) -> OdometrySource:
     if topic is not None:
-        return "topic", (topic.name,), None
-    odom_frame = odometry_ancestor(tree, placement.base_frame) if config.use_odometry else None
-    if odom_frame is None:
-        return None, (), None
-    return "tf", tuple(dynamic_topics(log.topics())), odom_frame
+        return OdometrySource(kind="topic", topics=(topic.name,))
+    frame = odometry_ancestor(tree, placement.base_frame) if config.use_odometry else None
+    if frame is None:
+        return OdometrySource()
+    return OdometrySource(kind="tf", topics=tuple(dynamic_topics(log.topics())), frame=frame)
 
 
 def odometry_ancestor(tree: TransformTree, base_frame: str) -> str | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import weakref
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO
@@ -17,19 +18,20 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
+from specmap_cli.core.arguments import path_of
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.logs.readers.encoding import (
     cloud_cdr,
-    definition,
+    in_space,
+    message_definition,
     odometry_cdr,
-    placed,
     scan_cdr,
     transform_cdr,
 )
 from specmap_cli.logs.readers.typestore import LASER_SCAN, ODOMETRY, POINT_CLOUD, TF_MESSAGE
 
-CHUNK_BYTES = 512 * 1024
+CHUNK_BYTES = 512 * 1024  # what a reader holds in memory at once; compresses well from here on
 TF_STATIC = "/tf_static"
 
 # The publisher of /tf_static keeps its messages for late subscribers; players read this.
@@ -49,11 +51,13 @@ class LogWriter:
     Every method stamps its message with `stamp_ns` (header stamp and log time, nanoseconds).
     Messages should come in the order of their stamps, as a recorder would receive them.
     Leaving the `with` block by an exception discards the file. Raises UsageError when the file
-    cannot be written.
+    cannot be written, TypeError when `path` is none, ValueError for a message after `close`.
     """
 
     def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
+        self.path = path_of(path, "path")
+        if self.path.is_dir():
+            raise UsageError(f"{self.path}: is a directory; name the MCAP file to write")
         self._part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
@@ -77,7 +81,7 @@ class LogWriter:
 
     def transform(self, parent: str, child: str, stamp_ns: int, parent_from_child: Pose2) -> None:
         """A motion of the plane at one time, on `/tf`."""
-        data = transform_cdr(parent, child, stamp_ns, *placed(parent_from_child))
+        data = transform_cdr(parent, child, stamp_ns, *in_space(parent_from_child))
         self.raw("/tf", TF_MESSAGE, data, stamp_ns)
 
     def odometry(
@@ -130,13 +134,14 @@ class LogWriter:
         self.raw(topic, POINT_CLOUD, cloud_cdr(frame_id, stamp_ns, points, times_s), stamp_ns)
 
     def raw(self, topic: str, msgtype: str, cdr: bytes, log_time_ns: int) -> None:
-        """A message already serialised as CDR; `msgtype` is a ROS 2 name."""
-        self._writer.add_message(
-            self._channel(topic, msgtype),
-            log_time=max(int(log_time_ns), 0),
-            data=cdr,
-            publish_time=max(int(log_time_ns), 0),
-        )
+        """A message already serialised as CDR; `msgtype` is a ROS 2 name, or ValueError says so."""
+        if self._file is None:
+            raise ValueError(f"{self.path}: is closed: it takes no more messages")
+        time_ns = max(int(log_time_ns), 0)  # the format has no times before 1970
+        try:
+            self._writer.add_message(self._channel(topic, msgtype), time_ns, cdr, time_ns)
+        except OSError as error:
+            raise self._unwritable(error) from None
 
     def close(self) -> None:
         """Complete the file and give it its name."""
@@ -150,11 +155,13 @@ class LogWriter:
             self.discard()
             raise self._unwritable(error) from None
         self._file = None
+        self._clean_up.detach()  # another writer may use the name of the part meanwhile
 
     def discard(self) -> None:
         """Give up: nothing is left of the file."""
         if self._file is not None:
-            self._file.close()
+            with suppress(OSError):  # a full disk refuses the last bytes
+                self._file.close()
             self._file = None
         self._clean_up()
 
@@ -173,8 +180,6 @@ class LogWriter:
             self.discard()
 
     def _open(self) -> IO[bytes]:
-        if self.path.is_dir():
-            raise UsageError(f"{self.path}: is a directory; name the MCAP file to write")
         try:
             return self._part.open("wb")
         except OSError as error:
@@ -187,7 +192,9 @@ class LogWriter:
         key = (topic, msgtype)
         if key not in self._channels:
             if msgtype not in self._schemas:
-                number = self._writer.register_schema(msgtype, "ros2msg", definition(msgtype))
+                number = self._writer.register_schema(
+                    msgtype, "ros2msg", message_definition(msgtype)
+                )
                 self._schemas[msgtype] = number
             metadata = {"offered_qos_profiles": _LATCHED} if topic == TF_STATIC else {}
             self._channels[key] = self._writer.register_channel(

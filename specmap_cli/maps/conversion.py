@@ -71,16 +71,16 @@ def to_record(
 def from_record(
     record: TopologyRecord,
     grid_of: Callable[[NodeRecord], GridMap],
-    keyframes_of: Callable[[int], list[int]],
+    keyframes_of: Callable[[int], Iterable[int]],
 ) -> TopologicalMap:
     """The map of a topology.json; grids and keyframe numbers come from the files beside it."""
     return TopologicalMap(
         submaps={
-            node.id: _submap(node, grid_of(node), keyframes_of(node.id) if node.scans else [])
+            node.id: _submap(node, grid_of(node), keyframes_of(node.id) if node.scans else ())
             for node in record.nodes
         },
         edges={(edge.source, edge.target): _edge(edge) for edge in record.edges},
-        closures=[_closure(closure) for closure in record.graph.closures],
+        closures=tuple(_closure(closure) for closure in record.graph.closures),
     )
 
 
@@ -167,14 +167,14 @@ def _closure_record(closure: Closure) -> ClosureRecord:
     )
 
 
-def _submap(node: NodeRecord, grid: GridMap, keyframes: list[int]) -> Submap:
+def _submap(node: NodeRecord, grid: GridMap, keyframes: Iterable[int]) -> Submap:
     frame = Pose2(node.x, node.y, node.theta)
     polygon = np.array(node.polygon, dtype=np.float64).reshape(-1, 2)
     return Submap(
         id=node.id,
         map_from_submap=frame,
-        keyframes=keyframes,
-        visits=[Visit(nanoseconds(v.start), nanoseconds(v.end)) for v in node.visits],
+        keyframes=tuple(keyframes),
+        visits=tuple(Visit(nanoseconds(v.start), nanoseconds(v.end)) for v in node.visits),
         grid=grid,
         polygon=frame.inverse().apply(polygon),
         name=node.name,
@@ -187,10 +187,10 @@ def _edge(edge: EdgeRecord) -> Edge:
         source=edge.source,
         target=edge.target,
         kind=edge.kind,
-        traversals=[
+        traversals=tuple(
             Traversal(nanoseconds(t.stamp), t.from_, t.to, Pose2(t.x, t.y, t.theta))
             for t in edge.traversals
-        ],
+        ),
         source_from_target=Pose2(*edge.transform),
         doorway=None if edge.traversals else place,
         width_m=edge.width_m,

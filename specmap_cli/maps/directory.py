@@ -18,9 +18,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 
 from specmap_cli.core.errors import UsageError
-
-# A directory that holds this file was written by us and may be replaced when asked to.
-MARKER = "topology.json"
+from specmap_cli.maps.filenames import TOPOLOGY
 
 
 class OutputDirectory:
@@ -31,8 +29,8 @@ class OutputDirectory:
     anything but a map is never touched. Raises UsageError, on entering where possible.
     """
 
-    def __init__(self, path: Path, overwrite: bool = False) -> None:
-        self.path = path
+    def __init__(self, path: str | Path, overwrite: bool = False) -> None:
+        self.path = Path(path)
         self.overwrite = overwrite
         self._target = Path(os.path.realpath(path))
         self._token = os.urandom(4).hex()
@@ -83,9 +81,9 @@ class OutputDirectory:
             raise UsageError(f"{self.path}: is a mount point: choose a directory inside it")
         if not any(self._target.iterdir()):
             return
-        if not (self._target / MARKER).is_file():
+        if not (self._target / TOPOLOGY).is_file():  # we wrote no directory without it
             raise UsageError(
-                f"{self.path}: is not empty and holds no map (no {MARKER} in it): "
+                f"{self.path}: is not empty and holds no map (no {TOPOLOGY} in it): "
                 "choose another output directory"
             )
         if not self.overwrite:

@@ -1,13 +1,15 @@
 """The contents of topology.json: node-link JSON that networkx reads as it is.
 
 These models are the format. `topology.schema.json` beside this file is the same as JSON Schema, for
-other tools; `python -m specmap_cli.maps.schema` prints it. Lengths are metres, angles radians,
-stamps seconds; everything is in the frame named by `graph.frame` unless it says otherwise.
+other tools. After a change of the models, `python -m specmap_cli.maps.schema` prints the new one.
+Lengths are metres, angles radians, stamps seconds; everything is in the frame named by
+`graph.frame` unless it says otherwise.
 """
 
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
@@ -32,9 +34,22 @@ def _inside(name: str) -> str:
     return name
 
 
-Point = tuple[float, float]
-Transform = tuple[float, float, float]
-SubmapId = Annotated[int, Field(ge=0)]
+def _within(limit: float) -> AfterValidator:
+    """Refuse numbers beyond a limit: sums and products of them would overflow."""
+
+    def check(value: Any) -> Any:
+        if not abs(value) <= limit:
+            raise ValueError(f"must be no larger than {limit:g}")
+        return value
+
+    return AfterValidator(check)
+
+
+Number = Annotated[float, _within(1e9)]  # metres, square metres, radians: what fits on the earth
+Stamp = Annotated[float, _within(9.2e9)]  # seconds: as nanoseconds they fit into 64 bits
+Point = tuple[Number, Number]
+Transform = tuple[Number, Number, Number]
+SubmapId = Annotated[int, Field(ge=0), _within(2**31 - 1)]
 InnerPath = Annotated[str, AfterValidator(_inside)]
 
 
@@ -42,8 +57,8 @@ class LogRecord(_Record):
     """The recording the map was made of; stamps are null for a map cut from a finished grid."""
 
     name: str
-    start: float | None
-    end: float | None
+    start: Stamp | None
+    end: Stamp | None
     scans: int = Field(ge=0)
 
 
@@ -78,8 +93,8 @@ class GraphRecord(_Record):
 class VisitRecord(_Record):
     """One stay of the robot in a submap."""
 
-    start: float
-    end: float
+    start: Stamp
+    end: Stamp
 
 
 class NodeRecord(_Record):
@@ -87,12 +102,12 @@ class NodeRecord(_Record):
 
     id: SubmapId
     name: str
-    x: float
-    y: float
-    theta: float
+    x: Number
+    y: Number
+    theta: Number
     centroid: Point | None
     polygon: list[Point]
-    area_m2: float = Field(ge=0)
+    area_m2: Number = Field(ge=0)
     scans: int = Field(ge=0)
     visits: list[VisitRecord]
     image: InnerPath
@@ -103,12 +118,12 @@ class TraversalRecord(_Record):
 
     model_config = ConfigDict(populate_by_name=True)
 
-    stamp: float
+    stamp: Stamp
     from_: SubmapId = Field(alias="from")
     to: SubmapId
-    x: float
-    y: float
-    theta: float
+    x: Number
+    y: Number
+    theta: Number
 
 
 class EdgeRecord(_Record):
@@ -122,10 +137,10 @@ class EdgeRecord(_Record):
     target: SubmapId
     kind: EdgeKind
     traversals: list[TraversalRecord]
-    x: float | None
-    y: float | None
-    distance_m: float = Field(ge=0)
-    width_m: float | None = Field(ge=0)
+    x: Number | None
+    y: Number | None
+    distance_m: Number = Field(ge=0)
+    width_m: Annotated[Number, Field(ge=0)] | None
     transform: Transform
 
 
@@ -149,6 +164,10 @@ def json_schema() -> dict[str, Any]:
     }
 
 
-def write_schema(path: Path = SCHEMA_FILE) -> None:
-    """Write the JSON Schema; to be run after a change of the models."""
-    path.write_text(json.dumps(json_schema(), indent=2, sort_keys=True) + "\n", encoding="utf-8")
+def schema_text() -> str:
+    """The text of `topology.schema.json`."""
+    return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(schema_text())

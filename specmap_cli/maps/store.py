@@ -1,116 +1,38 @@
-"""A map directory: everything `build` leaves behind, written at once and read back.
+"""Reading a map directory: topology.json at once and validated, the other files when asked for.
 
-docs/output_format.md describes every file. Write into the directory that `OutputDirectory` hands
-out, so that the map appears complete or not at all.
+Whatever is missing or damaged is a MapError of one line that names the file.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from specmap_cli.core.config import Config
+from specmap_cli.core.arguments import path_of
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.records import Labels, Trajectory
-from specmap_cli.core.text import to_json
+from specmap_cli.core.files import read_bytes
+from specmap_cli.core.records import NO_SUBMAP, Labels
+from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.map_server import read_grid, write_grid, write_png
-from specmap_cli.maps.conversion import from_record, image_stem, to_record
-from specmap_cli.maps.schema import SCHEMA_VERSION, NodeRecord, TopologyRecord
-from specmap_cli.maps.tables import labels_text, read_labels, trajectory_text
+from specmap_cli.grids.map_server import read_grid
+from specmap_cli.maps import filenames
+from specmap_cli.maps.conversion import from_record
+from specmap_cli.maps.schema import SCHEMA_VERSION, TopologyRecord
+from specmap_cli.maps.tables import LARGEST_TEXT, read_labels
 from specmap_cli.topology.regions import Regions, divide
-from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
+from specmap_cli.topology.topological_map import TopologicalMap
 
-TOPOLOGY = "topology.json"
-CLASSIFIERS = "classifiers.json"
-RUN = "run.json"
-LABELS = "labels.csv"
-TRAJECTORY = "trajectory.tum"
-POSE_GRAPH = "trajectory.g2o"
-OVERVIEW = "overview.png"
-LABELS_IMAGE = "labels.png"
-
-PictureArray = NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True)
-class MapResult:
-    """Everything a map directory is written from.
-
-    `labels` are all keyframes, row i being keyframe number i; `classifiers` is JSON text; `run` the
-    contents of run.json; `pose_graph` text in g2o's format; `overview` a BGR picture.
-    """
-
-    topology: TopologicalMap
-    regions: Regions
-    trajectory: Trajectory
-    labels: Labels
-    classifiers: str
-    log: LogInfo
-    run: Mapping[str, Any]
-    pose_graph: str
-    overview: PictureArray
-    frame: str = "map"
-
-
-def write_map(directory: Path, result: MapResult) -> None:
-    """Write all files of a map into an existing, empty directory."""
-    write_topology(directory, result.topology, result.regions, result.log, result.frame)
-    write_grid(directory / "map", result.regions.grid)
-    write_png(directory / OVERVIEW, result.overview)
-    for name, text in (
-        (CLASSIFIERS, result.classifiers),
-        (TRAJECTORY, trajectory_text(result.trajectory)),
-        (POSE_GRAPH, result.pose_graph),
-        (LABELS, labels_text(result.labels)),
-        (RUN, to_json(dict(result.run))),
-    ):
-        (directory / name).write_text(text, encoding="utf-8")
-
-
-def write_segmentation(
-    directory: Path,
-    topology: TopologicalMap,
-    regions: Regions,
-    log: LogInfo,
-    overview: PictureArray,
-) -> None:
-    """Write a finished map cut into submaps: topology.json, their grids, labels.png, overview.png.
-
-    labels.png has the size and the orientation of the input, 16 bit: 0 is unlabelled, otherwise
-    submap id + 1.
-    """
-    write_topology(directory, topology, regions, log)
-    labels = (regions.owner + 1).astype(np.uint16)
-    write_png(directory / LABELS_IMAGE, labels[::-1])
-    write_png(directory / OVERVIEW, overview)
-
-
-def write_topology(
-    directory: Path,
-    topology: TopologicalMap,
-    regions: Regions,
-    log: LogInfo,
-    frame: str = "map",
-) -> None:
-    """Write topology.json and the grid of each submap."""
-    text = to_json(to_record(topology, regions, log, frame).model_dump(by_alias=True))
-    (directory / TOPOLOGY).write_text(text, encoding="utf-8")
-    (directory / "submaps").mkdir()
-    for id_, submap in topology.submaps.items():
-        write_grid(directory / image_stem(id_), submap.grid)
+_FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell of a map; matching scans in finer ones takes forever
 
 
 class StoredMap:
-    """A map directory: topology.json read and validated, the other files when asked for.
+    """A map directory: `record` is its topology.json, the other files are read when asked for.
 
     Every property raises MapError when its file is missing or damaged.
     """
@@ -118,7 +40,6 @@ class StoredMap:
     def __init__(self, path: Path, record: TopologyRecord) -> None:
         self.path = path
         self.record = record
-        self._grids: dict[int, GridMap] = {}
 
     @property
     def ids(self) -> list[int]:
@@ -126,21 +47,20 @@ class StoredMap:
         return sorted(node.id for node in self.record.nodes)
 
     def grid(self, submap: int) -> GridMap:
-        """The grid of one submap, in its own frame."""
-        if submap not in self._grids:
-            node = next(node for node in self.record.nodes if node.id == submap)
-            self._grids[submap] = self._read_grid(node)
-        return self._grids[submap]
+        """The grid of one submap, in its own frame. Raises KeyError for an id that is none."""
+        return self.grids[submap]
 
-    @property
+    @cached_property
     def grids(self) -> Mapping[int, GridMap]:
         """The grids of all submaps in their own frames, each read when asked for."""
-        return _Grids(self)
+        return _Grids(
+            {node.id: (self.path / node.image).with_suffix(".yaml") for node in self.record.nodes}
+        )
 
     @cached_property
     def map_grid(self) -> GridMap:
         """The grid of the whole map."""
-        return read_grid(self.path / "map.yaml")
+        return read_grid(self.path / f"{filenames.MAP_GRID}.yaml")
 
     @cached_property
     def topology(self) -> TopologicalMap:
@@ -159,24 +79,33 @@ class StoredMap:
     @cached_property
     def labels(self) -> Labels:
         """The keyframes with their submaps."""
-        return read_labels(self.path / LABELS)
+        path = self.path / filenames.LABELS
+        labels = read_labels(path)
+        strangers = set(labels.submaps.tolist()) - {NO_SUBMAP, *self.ids}
+        if strangers:
+            raise MapError(
+                f"{path}: submap {min(strangers)} is not in {filenames.TOPOLOGY}: "
+                "build the map again"
+            )
+        return labels
 
     @cached_property
     def classifiers(self) -> str:
         """The text of classifiers.json."""
-        if not (self.path / CLASSIFIERS).exists():
+        path = self.path / filenames.CLASSIFIERS
+        if not path.exists():
             raise MapError(
-                f"{self.path}: has no {CLASSIFIERS}: `specmap segment` makes maps without; "
+                f"{self.path}: has no {path.name}: `specmap segment` makes maps without; "
                 "localising needs one that `specmap build` made of a recording"
             )
-        return _read_text(self.path / CLASSIFIERS)
+        return _read_text(path)
 
     @cached_property
     def run(self) -> dict[str, Any]:
         """The contents of run.json."""
-        run = _read_json(self.path / RUN)
+        run = _read_json(self.path / filenames.RUN)
         if not isinstance(run, dict):
-            raise MapError(f"{self.path / RUN}: not a JSON object: build the map again")
+            raise MapError(f"{self.path / filenames.RUN}: not a JSON object: build the map again")
         return run
 
     @cached_property
@@ -186,40 +115,51 @@ class StoredMap:
             return Config.model_validate(self.run.get("config"))
         except ValidationError as error:
             raise MapError(
-                f"{self.path / RUN}: config: {_first(error)}: build the map again"
+                f"{self.path / filenames.RUN}: config: {_first(error)}: build the map again"
             ) from None
-
-    def _read_grid(self, node: NodeRecord) -> GridMap:
-        return read_grid((self.path / node.image).with_suffix(".yaml"))
 
 
 class _Grids(Mapping[int, GridMap]):
-    """The grids of a stored map by submap id."""
+    """Grids by submap id, each read from its file when it is first asked for."""
 
-    def __init__(self, stored: StoredMap) -> None:
-        self._stored = stored
+    def __init__(self, paths: Mapping[int, Path]) -> None:
+        self._paths = paths
+        self._read: dict[int, GridMap] = {}
 
     def __getitem__(self, submap: int) -> GridMap:
-        return self._stored.grid(submap)
+        if submap not in self._read:
+            grid = read_grid(self._paths[submap])
+            if not _FINEST_M <= grid.resolution <= _COARSEST_M:
+                raise MapError(
+                    f"{self._paths[submap]}: resolution is {grid.resolution:g}: expected "
+                    f"{_FINEST_M:g} to {_COARSEST_M:g} metres a cell: build the map again"
+                )
+            self._read[submap] = grid
+        return self._read[submap]
+
+    def __contains__(self, submap: object) -> bool:
+        return submap in self._paths
 
     def __iter__(self) -> Iterator[int]:
-        return iter(self._stored.ids)
+        return iter(sorted(self._paths))
 
     def __len__(self) -> int:
-        return len(self._stored.ids)
+        return len(self._paths)
 
 
-def read_map(path: Path) -> StoredMap:
+def read_map(path: str | Path) -> StoredMap:
     """Open a map directory. Raises MapError in one line when it is none, or damaged."""
+    path = path_of(path, "path")
     if not path.exists():
         raise MapError(f"{path}: no such map directory: make one with `specmap build`")
     if not path.is_dir():
         raise MapError(f"{path}: is a file: expected a directory written by `specmap build`")
-    topology = path / TOPOLOGY
+    topology = path / filenames.TOPOLOGY
     if not topology.is_file():
         what = "is not a map" if any(path.iterdir()) else "is empty"
         raise MapError(
-            f"{path}: {what}: no {TOPOLOGY} in it: expected a directory written by `specmap build`"
+            f"{path}: {what}: no {topology.name} in it: "
+            "expected a directory written by `specmap build`"
         )
     return StoredMap(path, _read_record(topology))
 
@@ -256,7 +196,7 @@ def _check_references(path: Path, record: TopologyRecord) -> None:
 
 def _read_text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return read_bytes(path, LARGEST_TEXT).decode("utf-8")
     except OSError as error:
         raise MapError(f"{path}: cannot be read: {error.strerror}: build the map again") from None
     except UnicodeDecodeError:
@@ -272,6 +212,8 @@ def _read_json(path: Path) -> Any:
         ) from None
     except RecursionError:
         raise MapError(f"{path}: JSON nested too deeply: build the map again") from None
+    except ValueError:  # Python reads no integer of thousands of digits
+        raise MapError(f"{path}: a number of too many digits: build the map again") from None
 
 
 def _first(error: ValidationError) -> str:

@@ -1,4 +1,4 @@
-"""trajectory.tum and labels.csv: text tables of poses."""
+"""Tables of poses as text: trajectories in TUM format (t x y z qx qy qz qw), and labels.csv."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ from pathlib import Path
 import numpy as np
 
 from specmap_cli.core.errors import MapError
+from specmap_cli.core.files import read_bytes
 from specmap_cli.core.geometry import quaternions_from_rpy
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
 from specmap_cli.core.text import decimal, stamp_ns, stamp_text
 
 LABELS_HEADER = "stamp,x,y,theta,submap"
+LARGEST_TEXT = 1 << 28  # bytes of a file of a map: a hundred submaps take a tenth
+_FARTHEST = 1e8  # metres: twice around the earth, farther than any place in a map
 
 
 def trajectory_text(trajectory: Trajectory) -> str:
-    """TUM lines: t x y z qx qy qz qw; nine decimals of seconds and quaternions, six of metres."""
+    """TUM lines in space; nine decimals of seconds and quaternions, six of metres."""
     poses = trajectory.poses
     tilt = np.zeros_like(poses) if trajectory.tilt is None else trajectory.tilt
     places = np.column_stack([poses[:, :2], tilt[:, 0]])
@@ -30,6 +33,21 @@ def trajectory_text(trajectory: Trajectory) -> str:
     return "".join(lines)
 
 
+def planar_trajectory_text(trajectory: Trajectory) -> str:
+    """TUM lines of true poses in the plane, their stamps in whole microseconds.
+
+    Metres have nine decimals; z, qx and qy are a bare 0.
+    """
+    half = 0.5 * trajectory.poses[:, 2]
+    columns = np.column_stack([trajectory.poses[:, :2], np.sin(half), np.cos(half)])
+    lines = []
+    for stamp, row in zip(trajectory.stamps_ns.tolist(), columns.tolist(), strict=True):
+        x, y, qz, qw = (decimal(value, 9) for value in row)
+        seconds = stamp_text(stamp)[:-3]
+        lines.append(f"{seconds} {x} {y} 0 0 0 {qz} {qw}\n")
+    return "".join(lines)
+
+
 def labels_text(labels: Labels) -> str:
     """CSV with a header; the last column is empty for a keyframe in no submap."""
     rows = [LABELS_HEADER]
@@ -41,10 +59,11 @@ def labels_text(labels: Labels) -> str:
     return "\n".join(rows) + "\n"
 
 
-def read_labels(path: Path) -> Labels:
+def read_labels(path: str | Path) -> Labels:
     """labels.csv back. Raises MapError naming the line at fault."""
+    path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_bytes(path, LARGEST_TEXT).decode("utf-8").splitlines()
     except OSError as error:
         raise MapError(f"{path}: cannot read the keyframes: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -55,13 +74,28 @@ def read_labels(path: Path) -> Labels:
     for number, line in enumerate(lines[1:], start=2):
         try:
             stamp, x, y, theta, submap = line.split(",")
-            stamps.append(stamp_ns(stamp))
-            poses.append((float(x), float(y), float(theta)))
-            submaps.append(int(submap) if submap else NO_SUBMAP)
-        except ValueError:
+            stamps.append(np.int64(stamp_ns(stamp)))
+            poses.append(_pose(x, y, theta))
+            submaps.append(_submap(submap))
+        except (ValueError, OverflowError):
             raise MapError(f"{path}: line {number} is {line!r}: expected {LABELS_HEADER}") from None
     return Labels(
-        np.array(stamps, dtype=np.int64),
-        np.array(poses, dtype=np.float64).reshape(-1, 3),
-        np.array(submaps, dtype=np.int64),
+        stamps_ns=np.array(stamps, dtype=np.int64),
+        poses=np.array(poses, dtype=np.float64).reshape(-1, 3),
+        submaps=np.array(submaps, dtype=np.int64),
     )
+
+
+def _pose(*words: str) -> tuple[float, ...]:
+    """Numbers that a pose on earth has; ValueError otherwise."""
+    pose = tuple(float(word) for word in words)
+    if not all(abs(value) <= _FARTHEST for value in pose):  # false for NaN as well
+        raise ValueError(words)
+    return pose
+
+
+def _submap(word: str) -> np.int64:
+    """An id of 0 or more; NO_SUBMAP for an empty word; ValueError or OverflowError otherwise."""
+    if word and not word.isdecimal():
+        raise ValueError(word)
+    return np.int64(int(word) if word else NO_SUBMAP)

@@ -1,71 +1,54 @@
-"""From a recorded log to a map directory: the order of the stages."""
+"""From a recorded log to a topological map: Algorithm 1 of the paper, and what follows it.
+
+Brunskill, Kollar and Roy, "Topological Mapping Using Spectral Clustering and Classification"
+(IROS 2007). While the log lasts: track, segment, recognise. After it: relax, refute, divide,
+learn, write.
+"""
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from importlib.metadata import version
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
-from specmap_cli import __version__
-from specmap_cli.core.config import Config
+import numpy as np
+
+from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.errors import NoResultError
-from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.records import PosedScan
-from specmap_cli.core.text import counted, legible
-from specmap_cli.drawing.overview import render_overview
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.g2o import write_g2o
-from specmap_cli.logs import Log, open_log
-from specmap_cli.logs.selection import Selection
+from specmap_cli.core.records import Labels, PosedScan
+from specmap_cli.core.settings import Config
+from specmap_cli.core.text import counted
+from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.layout.relaxation import corrected, relax
+from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.store import MapResult, write_map
-from specmap_cli.pipelines.finishing import FinishedMap, finish_map
-from specmap_cli.pipelines.mapper import Mapper
-from specmap_cli.pipelines.split_test_pictures import TestAlbum
+from specmap_cli.maps.writing import write_map
+from specmap_cli.pipelines.exploration import Exploration, Explored
+from specmap_cli.pipelines.finished_map import FinishedMap
+from specmap_cli.pipelines.learning import divide, learn, linked, whole_grid
+from specmap_cli.pipelines.refutation import constraints_of, refute
+from specmap_cli.pipelines.run_record import BuildReport, run_record, warnings_of
+from specmap_cli.pipelines.split_test_pictures import split_test_pictures
+from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.tracking import Tracking, track
+from specmap_cli.pipelines.trajectory import TrajectoryRecorder
 from specmap_cli.pipelines.worker import ahead
-from specmap_cli.topology.regions import divide
-from specmap_cli.topology.topological_map import LogInfo
+from specmap_cli.recognition.features.sets import check_feature_sets
+from specmap_cli.segmentation.online import Observer
+from specmap_cli.topology.regions import divide as divide_cells
 
-_LIBRARIES = ("kiss-icp", "mcap", "numpy", "opencv-python-headless", "rosbags", "scipy")
-
-
-@dataclass(frozen=True, slots=True)
-class BuildReport:
-    """What `build` did, for a person and for a machine."""
-
-    out: Path
-    run: dict[str, Any]
-
-    def as_dict(self) -> dict[str, Any]:
-        """The counts and the directory."""
-        return {"out": str(self.out), **self.run["counts"], "warnings": self.run["warnings"]}
-
-    def lines(self) -> list[str]:
-        """A summary in two lines."""
-        counts = self.run["counts"]
-        return [
-            f"{self.out}: {counted(counts['submaps'], 'submap')}, "
-            f"{counted(counts['edges'], 'edge')}, "
-            f"{counted(counts['merges'], 'revisit')} recognised; "
-            f"{counted(counts['scans'], 'scan')} over "
-            f"{counts['path_m']:.0f} m, {counts['lost']} lost",
-            f"look at {self.out / 'overview.png'}",
-        ]
+Accepts = Callable[[PosedScan], bool]
 
 
 def build_map(
-    logs: Sequence[Path],
-    out: Path,
-    config: Config,
+    logs: Paths,
+    out: Path | str,
+    config: Config | None = None,
     *,
     overwrite: bool = False,
     progress: Progress | None = None,
-    explain: Path | None = None,
+    explain: Path | str | None = None,
 ) -> BuildReport:
     """Build the map of a recording and write it to the directory `out`, complete or not at all.
 
@@ -74,119 +57,126 @@ def build_map(
     Raises UsageError for an output that cannot be written or topics that must be chosen, LogError
     for a recording that cannot be used, NoResultError when no scan could be registered.
     """
-    progress = progress or Silent()
+    config = instance_of(Config() if config is None else config, Config, "config")
+    given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
+    pictures = None if explain is None else path_of(explain, "explain")
     with (
-        open_log(logs) as log,
-        OutputDirectory(out, overwrite) as partial,
+        open_log(given, config.log) as log,
+        OutputDirectory(target, overwrite) as partial,
         KeyframeStore() as store,
     ):
-        observer = None
-        if explain is not None:
-            observer = TestAlbum(explain, config.segmentation, overwrite=overwrite)
+        observer = split_test_pictures(pictures, config.segmentation, overwrite=overwrite)
         stream = SweepStream(log, config.log)
-        progress.note(stream.selection.note)
-        mapper = Mapper(config, store, progress, observer)
-        progress.start("mapping", stream.expected)
-        tracking = _Tracking()
-        with ahead(lambda: _registered(stream, mapper)) as scans:
-            for scan in scans:
-                if isinstance(scan, _Tracking):
-                    tracking = scan
-                    continue
-                mapper.take(scan)
-                progress.advance()
-        mapper.clock.seconds["registration"] = tracking.seconds
-        mapper.finish()
-        if not len(store):
-            found = "; ".join(tracking.warnings) or "too few returns in them"
-            raise NoResultError(
-                f"{log.name}: none of {counted(stream.expected, 'scan')} could be registered "
-                f"({found}): look at them with `specmap info`"
-            )
-        finished = finish_map(mapper, progress)
-        run = _run_record(logs, stream.selection, tracking, mapper, finished)
-        for warning in run["warnings"]:
+        finished = map_log(stream, config, store, progress, observer=observer)
+        run = run_record(log.given, stream.selection, config, finished)
+        for warning in finished.warnings:
             progress.warn(warning)
-        write_map(partial, _result(log, finished, run))
-    return BuildReport(out, run)
+        write_map(partial, finished.result(log.name, run))
+    return BuildReport(out=target, run=run)
 
 
-@dataclass(frozen=True, slots=True)
-class _Tracking:
-    """What reading and registration have to tell when the log is at its end."""
+def map_log(
+    stream: SweepStream,
+    config: Config,
+    store: KeyframeStore,
+    progress: Progress,
+    *,
+    accepts: Accepts | None = None,
+    observer: Observer | None = None,
+) -> FinishedMap:
+    """The map of a log, its keyframes in `store`.
 
-    counts: dict[str, int] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
-    seconds: float = 0.0
+    `accepts` says of each scan, in turn, whether it is a keyframe; by default the settings say it.
+    `observer` is told of every test that may split a submap. Raises NoResultError when the log
+    left no keyframe, or none that fits the grid.
+    """
+    check_feature_sets(config)
+    clock = Stopwatch()
+    exploration = Exploration(config, store, clock, observer)
+    accepts = accepts or KeyframeSelector(config.keyframes).accepts
+    explored, tracking = explore_log(stream, config, exploration, accepts, progress)
+    if not len(store):
+        found = "; ".join(tracking.warnings) or "too few returns in them"
+        raise NoResultError(
+            f"{stream.log.name}: none of {counted(stream.expected, 'scan')} could be registered "
+            f"({found}): look at them with `specmap info`"
+        )
+    return finish(explored, tracking, config, store, progress, clock)
 
 
-def _registered(stream: SweepStream, mapper: Mapper) -> Iterator[PosedScan | _Tracking]:
-    """Every scan of the log registered, then how it went."""
-    for sweep in stream:
-        yield mapper.register(sweep)
-    counts = {**stream.counts, **mapper.front_end.counts}
-    yield _Tracking(counts, stream.warnings, mapper.clock.seconds.get("registration", 0.0))
+def explore_log(
+    stream: SweepStream,
+    config: Config,
+    exploration: Exploration,
+    accepts: Accepts,
+    progress: Progress,
+) -> tuple[Explored, Tracking]:
+    """Track and explore a log: registration runs ahead where there is a second processor."""
+    progress.note(stream.selection.note)
+    progress.start("mapping", stream.expected)
+    with ahead(lambda: track(stream, config.registration)) as scans:
+        explored = explore(scans, exploration, accepts, progress)
+        tracking = scans.result
+    exploration.clock.seconds["registration"] = tracking.seconds
+    return explored, tracking
 
 
-def _result(log: Log, finished: FinishedMap, run: dict[str, Any]) -> MapResult:
-    stamps = finished.trajectory.stamps_ns
-    info = LogInfo(legible(Path(log.name).name), int(stamps.min()), int(stamps.max()), len(stamps))
-    topology, regions = finished.topology, divide(finished.grid, finished.labels)
-    return MapResult(
-        topology=topology,
-        regions=regions,
-        trajectory=finished.trajectory,
-        labels=finished.labels,
-        classifiers=finished.classifiers,
-        log=info,
-        run=run,
-        pose_graph=write_g2o(finished.layout),
-        overview=render_overview(topology, regions, finished.trajectory, finished.labels, info),
+def explore(
+    scans: Iterable[PosedScan], exploration: Exploration, accepts: Accepts, progress: Progress
+) -> Explored:
+    """Algorithm 1, while the log lasts. Scans come registered: "scan match new observations"."""
+    trajectory = TrajectoryRecorder()
+    for scan in scans:  # "move forward and gather a new set of laser scan observations"
+        trajectory.append(scan)
+        if scan.restarted:
+            progress.warn(
+                f"registration lost the robot before {scan.stamp_ns * 1e-9:.3f} s: "
+                "a new submap begins, linked to the last by odometry only"
+            )
+            exploration.recognise(exploration.break_off())
+        if accepts(scan):
+            # "add to submap"; "every 50 steps, use spectral clustering to detect a new submap"
+            left = exploration.add(scan)
+            # "use learned classifiers to determine if the new submap is an existing submap"; if so
+            # "merge [...] and close loop", if not "add submap to graph and train new classifier"
+            exploration.recognise(left)
+        progress.advance()
+    exploration.recognise(exploration.end_submap())
+    exploration.recognise_leftovers()
+    return exploration.explored(trajectory.trajectory())
+
+
+def finish(
+    explored: Explored,
+    tracking: Tracking,
+    config: Config,
+    store: KeyframeStore,
+    progress: Progress,
+    clock: Stopwatch,
+) -> FinishedMap:
+    """What follows Algorithm 1: relax the layout, refute, divide the whole map, learn."""
+    progress.start("layout", None)
+    with clock.stage("layout"):
+        constraints = constraints_of(explored.closures, explored.regions, store, config.relaxation)
+        layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
+        trajectory = corrected(explored.trajectory, store, layout)
+    closures = refute(explored.closures, constraints, layout)
+    with clock.stage("grids"):
+        whole, beyond = whole_grid(store, layout, config)
+    with clock.stage("segmentation"):
+        submaps = divide(whole, layout, explored, closures, config)
+    grids, classifiers = learn(store, explored, submaps, layout.poses, config, progress, clock)
+    stamps = np.array(store.stamps_ns, dtype=np.int64)
+    labels = Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps)
+    return FinishedMap(
+        topology=linked(labels, explored, closures, grids),
+        labels=labels,
+        trajectory=trajectory,
+        regions=divide_cells(whole, labels),
+        classifiers=classifiers,
+        layout=layout,
+        counts=tracking.counts,
+        limits={**layout.limits, "max_extent_m": beyond},
+        warnings=(*tracking.warnings, *layout.warnings, *warnings_of(beyond)),
+        seconds=dict(clock.seconds),
     )
-
-
-def _run_record(
-    logs: Sequence[Path],
-    selection: Selection,
-    tracking: _Tracking,
-    mapper: Mapper,
-    finished: FinishedMap,
-) -> dict[str, Any]:
-    """The contents of run.json."""
-    counts = {
-        "scans": len(finished.trajectory.stamps_ns),
-        "keyframes": len(mapper.store),
-        "submaps": len(finished.topology.submaps),
-        "edges": len(finished.topology.edges),
-        "merges": sum(closure.merged for closure in finished.topology.closures),
-        "path_m": round(finished.path_m, 3),
-        **tracking.counts,
-    }
-    return {
-        "inputs": [path.name for path in logs],
-        "selection": _selected(selection),
-        "config": mapper.config.model_dump(),
-        "versions": {
-            "specmap": __version__,
-            "python": platform.python_version(),
-            **{name: version(name) for name in _LIBRARIES},
-        },
-        "counts": counts,
-        "seconds": {name: round(value, 3) for name, value in mapper.clock.seconds.items()},
-        "warnings": [*tracking.warnings, *finished.layout.warnings],
-    }
-
-
-def _selected(selection: Selection) -> dict[str, Any]:
-    """Which topics and frames were read."""
-    mounting = Pose2.from_matrix(selection.base_from_laser)
-    return {
-        "scan_topic": selection.scan_topic,
-        "scan_type": selection.scan_type,
-        "odometry": selection.odometry,
-        "odom_topics": list(selection.odom_topics),
-        "base_frame": selection.base_frame,
-        "laser_frame": selection.laser_frame,
-        "base_from_laser": [round(value, 6) for value in mounting],
-        "height_band_m": selection.band_m,
-    }

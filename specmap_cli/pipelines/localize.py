@@ -2,92 +2,35 @@
 
 from __future__ import annotations
 
-import math
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from specmap_cli.core.config import Config, LogConfig, with_overrides
+from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
+from specmap_cli.core.config import load_config, with_overrides
 from specmap_cli.core.errors import LogError, MapError
-from specmap_cli.core.files import write_text
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.labels import neighbours
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.records import NO_SUBMAP
-from specmap_cli.core.text import counted, legible, stamp_text
-from specmap_cli.drawing.predictions import render_labels
-from specmap_cli.grids.map_server import write_png
+from specmap_cli.core.records import PosedScan
+from specmap_cli.core.settings import Config, LogConfig
+from specmap_cli.core.text import legible
+from specmap_cli.core.tomltext import read_toml
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.maps.store import CLASSIFIERS, StoredMap
+from specmap_cli.maps.filenames import CLASSIFIERS
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.localization_report import LocalizationReport, LocalizedScan
+from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.localization.localizer import Label, Localizer
-from specmap_cli.registration import FrontEnd
-
-HEADER = "stamp,submap,margin,runner_up,filtered_submap,filtered_probability"
-METRIC_HEADER = ",x,y,theta,score"
-_LEAP_M, _STEADY_SCANS = 0.5, 10  # a place that leaps and leaves within so many scans is wrong
-
-
-@dataclass(frozen=True, slots=True)
-class LocalizedScan:
-    """The label of one scan, its place as registered, and within the map where it was matched."""
-
-    label: Label
-    track_from_base: Pose2
-    submap_from_base: Pose2 | None = None
-    score: float = math.nan
-
-
-@dataclass(frozen=True, slots=True)
-class LocalizationReport:
-    """What `localize` found."""
-
-    log: str
-    scans: list[LocalizedScan]
-    warnings: list[str]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Counts of scans by label, raw and filtered; null is unknown."""
-        raw, filtered = self._counts()
-        return {
-            "log": self.log,
-            "scans": len(self.scans),
-            "raw": {_name(key): raw[key] for key in sorted(raw, key=_order)},
-            "filtered": {_name(key): filtered[key] for key in sorted(filtered, key=_order)},
-            "agreement": self._agreement(),
-            "warnings": self.warnings,
-        }
-
-    def lines(self) -> list[str]:
-        """A table of the submaps that were seen."""
-        raw, filtered = self._counts()
-        agreement = self._agreement()
-        lines = [
-            f"{self.log}: {counted(len(self.scans), 'scan')}, raw and filtered label agree on "
-            f"{agreement:.1%}",
-            f"{'submap':>8} {'raw':>8} {'filtered':>9}",
-        ]
-        for key in sorted({*raw, *filtered}, key=_order):
-            lines.append(f"{_name(key):>8} {raw[key]:8,} {filtered[key]:9,}")
-        return lines
-
-    def _counts(self) -> tuple[Counter[int | None], Counter[int | None]]:
-        raw = Counter(scan.label.submap for scan in self.scans)
-        return raw, Counter(scan.label.filtered_submap for scan in self.scans)
-
-    def _agreement(self) -> float:
-        same = sum(scan.label.submap == scan.label.filtered_submap for scan in self.scans)
-        return round(same / len(self.scans), 6)
+from specmap_cli.recognition.localization.localizer import Localizer
+from specmap_cli.registration.frontend import FrontEnd
 
 
 def localize_log(
-    logs: Sequence[Path],
-    stored: StoredMap,
-    config: Config,
+    logs: Paths,
+    map_: StoredMap | Path | str,
+    config: Config | None = None,
     *,
     offline: bool = False,
     metric: bool = False,
@@ -95,54 +38,104 @@ def localize_log(
 ) -> LocalizationReport:
     """Label every scan of a recording with a submap of a stored map.
 
-    `offline` smooths over the whole log instead of filtering; `metric` matches each scan within
-    the grid of its filtered submap. Raises LogError for a recording without a usable scan,
-    InputError when its laser cannot stand in for the map's, MapError for a damaged map.
+    `map_` is a map directory, or one that was read. Without `config` the settings are those the map
+    was built with. `offline` smooths over the whole log instead of filtering; `metric` matches each
+    scan within the grid of its filtered submap. Raises LogError for a recording without a usable
+    scan, InputError when its laser cannot stand in for the map's, MapError for a damaged map.
     """
     progress = progress or Silent()
+    given = paths_of(logs, "logs")
+    if config is not None:
+        instance_of(config, Config, "config")
+    stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"))
+    config = settings_for(stored, {}) if config is None else config
+    check_feature_sets(config)
     localizer = localizer_of(stored, config)
-    front_end = FrontEnd(config.registration)
-    scans: list[LocalizedScan] = []
-    with open_log(logs) as log:
+    with open_log(given, config.log) as log:
         stream = SweepStream(log, config.log)
         progress.note(stream.selection.note)
         progress.start("localising", stream.expected)
-        for sweep in stream:
-            posed = front_end.register(sweep)
-            label = localizer.update(posed)
-            where, score = None, math.nan
-            if metric and label.filtered_submap is not None:
-                match = localizer.tracker.locate(posed, label.filtered_submap)
-                where, score = match.pose, match.score
-            scans.append(LocalizedScan(label, posed.map_from_base, where, score))
-            progress.advance()
+        front_end = FrontEnd(config.registration)
+        scans = tuple(_localized(stream, front_end, localizer, metric and not offline, progress))
         if not scans:
             raise LogError(f"{log.name}: no usable scan in it; see `specmap info`")
         if offline:
-            scans = [
-                LocalizedScan(label, scan.track_from_base, scan.submap_from_base, scan.score)
-                for label, scan in zip(localizer.smoothed(), scans, strict=True)
-            ]
+            labels = zip(localizer.smoothed(), scans, strict=True)
+            scans = tuple(replace(scan, label=label) for label, scan in labels)
+        if offline and metric:
+            progress.start("matching", stream.expected)
+            scans = tuple(_matched(stream, config, localizer, scans, progress))
         notes = [localizer.note] if localizer.note else []
-        warnings = [*stream.warnings, *notes]
+        warnings = (*stream.warnings, *front_end.warnings, *notes)
         for warning in warnings:
             progress.warn(warning)
-        return LocalizationReport(legible(Path(log.name).name), scans, warnings)
+        name = legible(Path(log.name).name)
+        return LocalizationReport(log=name, scans=scans, warnings=warnings)
 
 
-def settings_for(stored: StoredMap, overrides: dict[str, Any]) -> Config:
-    """The settings a map was built with, under `overrides`; topics and frames are the log's own."""
+def _localized(
+    stream: SweepStream,
+    front_end: FrontEnd,
+    localizer: Localizer,
+    metric: bool,
+    progress: Progress,
+) -> Iterator[LocalizedScan]:
+    """Each scan registered, labelled, and matched within its submap when `metric`."""
+    for sweep in stream:
+        posed = front_end.register(sweep)
+        scan = LocalizedScan(label=localizer.update(posed), track_from_base=posed.map_from_base)
+        yield _in_submap(scan, posed, localizer) if metric else scan
+        progress.advance()
+
+
+def _matched(
+    stream: SweepStream,
+    config: Config,
+    localizer: Localizer,
+    scans: Iterable[LocalizedScan],
+    progress: Progress,
+) -> Iterator[LocalizedScan]:
+    """The scans matched within the submaps of their smoothed labels, which the end of the log gave.
+
+    The log is read and registered once more, with the same result: no scan was kept.
+    """
+    front_end = FrontEnd(config.registration)
+    for sweep, scan in zip(stream, scans, strict=True):
+        yield _in_submap(scan, front_end.register(sweep), localizer)
+        progress.advance()
+
+
+def _in_submap(scan: LocalizedScan, posed: PosedScan, localizer: Localizer) -> LocalizedScan:
+    """A scan with its pose in the submap that it is labelled with, if it is labelled."""
+    if scan.label.filtered_submap is None:
+        return scan
+    match = localizer.tracker.locate(posed, scan.label.filtered_submap)
+    return replace(scan, submap_from_base=match.pose, score=match.score)
+
+
+def settings_for(
+    stored: StoredMap,
+    overrides: dict[str, Any],
+    file: Path | str | None = None,
+    preset: str | None = None,
+) -> Config:
+    """The settings for a log: `overrides` over those of `file` (TOML) over those of the map.
+
+    A `preset`, or one that the file names, takes the place of the map's settings. Topics and frames
+    are never the map's: they are the log's own. Raises UsageError as `load_config` does.
+    """
+    from_file = {} if file is None else read_toml(path_of(file, "file"))
+    if preset is not None or "preset" in from_file:
+        return load_config(file, preset, overrides)
     built_with = stored.config.model_copy(update={"log": LogConfig()})
-    return with_overrides(built_with, overrides)
+    config = with_overrides(built_with, from_file, f"{file}: ")
+    return with_overrides(config, overrides)
 
 
 def localizer_of(stored: StoredMap, config: Config) -> Localizer:
     """The localizer of a stored map: its classifiers, the neighbours of its submaps, its grids."""
     classifiers = _classifiers_of(stored)
-    adjacency: dict[int, set[int]] = {id_: set() for id_ in stored.ids}
-    for edge in stored.record.edges:
-        adjacency[edge.source].add(edge.target)
-        adjacency[edge.target].add(edge.source)
+    adjacency = neighbours(stored.ids, ((e.source, e.target) for e in stored.record.edges))
     return Localizer(classifiers, adjacency, stored.grids, config.localization)
 
 
@@ -161,77 +154,3 @@ def _classifiers_of(stored: StoredMap) -> ClassifierSet:
             f"{stored.ids}: build the map again"
         )
     return classifiers
-
-
-def write_csv(path: Path, report: LocalizationReport, metric: bool) -> None:
-    """One line a scan; an empty submap is unknown. UsageError when it cannot be written."""
-    lines = [HEADER + (METRIC_HEADER if metric else "")]
-    for scan in report.scans:
-        label = scan.label
-        line = (
-            f"{stamp_text(label.stamp_ns)},{_id(label.submap)},{label.margin:.6f},"
-            f"{_id(label.runner_up)},{_id(label.filtered_submap)},{label.filtered_probability:.6f}"
-        )
-        if metric:
-            pose = scan.submap_from_base
-            line += ",,,," if pose is None else f",{pose.x:.6f},{pose.y:.6f},{pose.theta:.6f}"
-            line += "" if pose is None else f",{scan.score:.6f}"
-        lines.append(line)
-    write_text(path, "\n".join(lines) + "\n")
-
-
-def write_plot(path: Path, report: LocalizationReport, stored: StoredMap, metric: bool) -> None:
-    """The predicted submap along the trajectory, over the map where scans were matched in it."""
-    submaps = np.array(
-        [
-            NO_SUBMAP if scan.label.filtered_submap is None else scan.label.filtered_submap
-            for scan in report.scans
-        ]
-    )
-    title = f"{report.log}: predicted submaps"
-    if not metric:
-        track = np.array([scan.track_from_base[:2] for scan in report.scans])
-        write_png(path, render_labels(track, submaps, title))
-        return
-    places = _steady(np.array([_place(scan, stored) for scan in report.scans]), report.scans)
-    ground = (stored.topology, stored.regions)
-    picture = render_labels(places, submaps, title, map_with_regions=ground)
-    write_png(path, picture)
-
-
-def _steady(places: FloatArray, scans: Sequence[LocalizedScan]) -> FloatArray:
-    """Places (n, 2) without those that leap farther than the robot drove, both there and away.
-
-    The first scan of a submap may match the wrong end of it; NaN marks what is left out.
-    """
-    track = np.array([scan.track_from_base[:2] for scan in scans])
-    kept = np.flatnonzero(np.isfinite(places).all(axis=1))
-    driven = np.hypot(*np.diff(track[kept], axis=0).T)
-    leaps = np.hypot(*np.diff(places[kept], axis=0).T) > driven + _LEAP_M
-    runs = np.split(kept, np.flatnonzero(leaps) + 1)
-    steady = places.copy()
-    for run in runs:
-        if len(run) < _STEADY_SCANS:
-            steady[run] = math.nan
-    return steady
-
-
-def _place(scan: LocalizedScan, stored: StoredMap) -> FloatArray:
-    """(2,) place of a matched scan in the map, NaN when it fits badly."""
-    id_ = scan.label.filtered_submap
-    if id_ is None or scan.submap_from_base is None or scan.score < 0.5:
-        return np.array([math.nan, math.nan])
-    pose = stored.topology.submaps[id_].map_from_submap @ scan.submap_from_base
-    return np.array([pose.x, pose.y])
-
-
-def _id(submap: int | None) -> str:
-    return "" if submap is None else str(submap)
-
-
-def _name(submap: int | None) -> str:
-    return "unknown" if submap is None else str(submap)
-
-
-def _order(submap: int | None) -> tuple[bool, int]:
-    return submap is None, -1 if submap is None else submap

@@ -8,16 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.config import Config
+from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY
+from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, legible
 from specmap_cli.drawing.overview import render_segmentation
 from specmap_cli.drawing.split_tests import draw_segmentation
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import read_grid, write_png
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.store import write_segmentation
+from specmap_cli.maps.writing import write_segmentation
 from specmap_cli.segmentation.floorplan import (
+    FloorplanEdge,
     FloorplanResult,
     segment_floorplan,
     submap_grid,
@@ -25,11 +28,11 @@ from specmap_cli.segmentation.floorplan import (
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import Edge, LogInfo, Submap, TopologicalMap
 
-_COARSEST_M = 0.5
+_COARSEST_M = 0.5  # a door of 0.8 m is then one cell or two: walls and doors look the same
 
 
-@dataclass(frozen=True, slots=True)
-class PartitionReport:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SegmentReport:
     """What `segment` did."""
 
     out: Path
@@ -55,54 +58,71 @@ class PartitionReport:
         ]
 
 
-def partition_map(
-    path: Path,
-    out: Path,
-    config: Config,
+def segment_map(
+    grid: Path | str,
+    out: Path | str,
+    config: Config | None = None,
     *,
     resolution: float | None = None,
     overwrite: bool = False,
-    explain: Path | None = None,
-) -> PartitionReport:
+    explain: Path | str | None = None,
+) -> SegmentReport:
     """Divide the grid in a map file into submaps and write them to the directory `out`.
 
     `resolution` (metres a pixel) is needed for a bare picture. `explain` is a PNG to write of what
     was looked at: nodes, sight lines, eigenvalues. Raises MapError for a file that is
     no map, NoResultError when it has no room for a node, UsageError for an output in the way.
     """
-    grid = read_grid(path, resolution)
+    path, target = path_of(grid, "grid"), path_of(out, "out")
+    config = instance_of(Config() if config is None else config, Config, "config")
+    picture = None if explain is None else path_of(explain, "explain")
+    whole = _fine_enough(path, read_grid(path, resolution))
+    result = segment_floorplan(whole, config.segmentation)
+    regions = Regions.of(whole, np.asarray(result.segmentation.labels, dtype=np.int64))
+    with OutputDirectory(target, overwrite) as partial:
+        topology, info = _topology(result), LogInfo(name=legible(path.name))
+        overview = render_segmentation(topology, regions, info)
+        write_segmentation(partial, topology, regions, info, overview)
+        if picture is not None:
+            least = config.segmentation.eigenvalue_min
+            write_png(picture, draw_segmentation(whole, result.segmentation, least))
+    return SegmentReport(out=target, result=result)
+
+
+def _fine_enough(path: Path, grid: GridMap) -> GridMap:
+    """The grid, unless its cells are so large that no door can be seen."""
     if grid.resolution > _COARSEST_M:
         height, width = (side * grid.resolution for side in grid.cells.shape)
         raise UsageError(
             f"{path}: {grid.resolution:g} m a pixel make it {width:.0f} m x {height:.0f} m, too "
             "coarse to see a door: check the resolution; 0.05 m is usual"
         )
-    result = segment_floorplan(grid, config.segmentation)
-    regions = Regions.of(grid, np.asarray(result.segmentation.labels, dtype=np.int64))
-    with OutputDirectory(out, overwrite) as partial:
-        topology, info = _topology(result), LogInfo(legible(path.name))
-        overview = render_segmentation(topology, regions, info)
-        write_segmentation(partial, topology, regions, info, overview)
-        if explain is not None:
-            least = config.segmentation.eigenvalue_min
-            write_png(explain, draw_segmentation(grid, result.segmentation, least))
-    return PartitionReport(out, result)
+    return grid
 
 
 def _topology(result: FloorplanResult) -> TopologicalMap:
     """The regions as submaps, all in the frame of the map, with an edge for each doorway."""
-    topology = TopologicalMap()
-    for region in result.submaps:
-        topology.submaps[region.id] = Submap(
-            region.id, IDENTITY, [], [], submap_grid(result, region.id), region.polygon
-        )
-    for found in result.edges:
-        door = found.doorways[0]
-        topology.edges[found.source, found.target] = Edge(
-            found.source,
-            found.target,
-            "doorway",
-            doorway=(door.x, door.y),
-            width_m=door.width_m,
-        )
-    return topology
+    return TopologicalMap(
+        submaps={
+            region.id: Submap(
+                id=region.id,
+                map_from_submap=IDENTITY,
+                grid=submap_grid(result, region.id),
+                polygon=region.polygon,
+            )
+            for region in result.submaps
+        },
+        edges={(found.source, found.target): _edge(found) for found in result.edges},
+    )
+
+
+def _edge(found: FloorplanEdge) -> Edge:
+    """The edge at the widest doorway between two regions."""
+    door = found.doorways[0]
+    return Edge(
+        source=found.source,
+        target=found.target,
+        kind="doorway",
+        doorway=(door.x, door.y),
+        width_m=door.width_m,
+    )

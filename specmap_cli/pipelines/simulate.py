@@ -1,88 +1,38 @@
-"""Simulated recordings: a robot with a planar laser tours a floor plan.
-
-The plan is the truth: the robot visits all space it can reach, its laser and its odometry err as
-real ones do, and the true pose of every scan is known. Same plan, options and version: the same
-recording, byte for byte.
-"""
+"""`specmap simulate`: the tour of a simulated robot as a recording, its true poses beside it."""
 
 from __future__ import annotations
 
-import math
+import heapq
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.files import write_text
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import Pose2, quaternions_from_rpy
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.records import PlanarScan, Sweep
+from specmap_cli.core.records import Sweep, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.logs.writer import LogWriter
-from specmap_cli.simulation.driving import Drive, drive
-from specmap_cli.simulation.lasers import (
-    Laser,
-    OdometryErrors,
-    drifting_odometry,
-    laser_bearings,
+from specmap_cli.maps.tables import planar_trajectory_text
+from specmap_cli.simulation.lasers import Laser
+from specmap_cli.simulation.simulator import (
+    START_NS,
+    SimulatedTour,
+    SimulationOptions,
+    simulated_tour,
 )
-from specmap_cli.simulation.tours import plan_tour, reachable_space
-from specmap_cli.simulation.worlds import World
 
-START_NS = 1_700_000_000 * 10**9
-BASE_FRAME, ODOM_FRAME, LASER_FRAME = "base_link", "odom", "laser"
+BASE_FRAME, ODOM_FRAME, LASER_FRAME = "base_link", "odom", "laser"  # as in ROS's REP 105
+SCAN_TOPIC, ODOM_TOPIC = "/scan", "/odom"
 
 
-class SimulationOptions(BaseModel):
-    """The robot, its laser, its errors and its tour."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    field_of_view_deg: float = Field(270.0, ge=10, le=360)
-    beams: int = Field(541, ge=8, le=20_000)
-    range_max_m: float = Field(20.0, gt=0, le=1000)
-    rate_hz: float = Field(10.0, gt=0, le=200, description="scans a second")
-    sweep_s: float = Field(0.0, ge=0, description="first beam of a scan to its last; 0: at once")
-    noise_m: float = Field(0.01, ge=0, le=1, description="standard deviation of a range")
-    range_step_m: float = Field(0.001, ge=0, le=1, description="ranges are rounded to this")
-    dropouts: float = Field(0.0, ge=0, lt=1, description="share of beams without their return")
-    laser_x_m: float = 0.1
-    laser_y_m: float = 0.0
-    laser_yaw_deg: float = 0.0
-    speed_mps: float = Field(0.6, gt=0, le=20)
-    turn_rate_degps: float = Field(90.0, gt=0, le=1000)
-    robot_radius_m: float = Field(0.25, gt=0, description="the disc that must fit along the path")
-    odometry_rate_hz: float = Field(10.0, gt=0, le=1000)
-    odometry_drift: float = Field(1.0, ge=0, le=100, description="0: exact; 1: a usual robot")
-    spacing_m: float = Field(2.0, ge=0.3, description="the path comes this near to every place")
-    laps: int = Field(1, ge=1, le=100)
-    max_duration_s: float | None = Field(None, gt=0, description="the recording ends here")
-    seed: int = Field(0, ge=0)
-
-    @model_validator(mode="after")
-    def _sweeps_do_not_overlap(self) -> SimulationOptions:
-        if self.sweep_s > 1.0 / self.rate_hz:
-            raise ValueError(f"sweep_s is longer than the {1.0 / self.rate_hz:g} s between scans")
-        return self
-
-
-def simulation_options(**values: Any) -> SimulationOptions:
-    """Options by name. Raises UsageError naming the option that is unknown or out of range."""
-    try:
-        return SimulationOptions(**values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        if not first["loc"]:  # a check of several options together, which names them itself
-            raise UsageError(str(first["ctx"]["error"])) from None
-        raise UsageError(f"{first['loc'][0]}: {first['msg']}, found {first['input']!r}") from None
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SimulationResult:
     """What was written: the recording, the true poses beside it, and their size."""
 
@@ -106,166 +56,86 @@ class SimulationResult:
         ]
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """A tour as it will be recorded: everything but the ranges, which are cast scan by scan."""
-
-    world: World
-    laser: Laser
-    drive: Drive
-    scan_times_s: FloatArray
-    odometry_times_s: FloatArray
-    odometry: FloatArray
-    area_m2: float
-    noise: np.random.Generator
-
-    def scans(self) -> Iterator[tuple[Sweep, Pose2]]:
-        """Every scan with its true base pose in the plan; can be run through once."""
-        laser = self.laser
-        truth = self.drive.at(self.scan_times_s)
-        guesses = Drive(self.odometry_times_s, self.odometry).at(self.scan_times_s)
-        full = laser.increment * len(laser.bearings) >= 2.0 * math.pi - 1e-6
-        beam_times = laser.beam_times_s if laser.sweep_s > 0.0 else None
-        measured = laser.scans(self.world, self.drive, self.scan_times_s, self.noise)
-        for index, ranges in enumerate(measured):
-            stamp = stamp_of(self.scan_times_s[index])
-            planar = PlanarScan(stamp, laser.bearings, ranges, laser.range_max_m, full, beam_times)
-            sweep = Sweep(index, stamp, planar, laser.base_from_laser, _pose(guesses[index]))
-            yield sweep, _pose(truth[index])
-
-
-def stamp_of(time_s: float) -> int:
-    """Header stamp of a time of the tour, nanoseconds, in whole microseconds."""
-    return START_NS + round(float(time_s) * 1e6) * 1000
-
-
-def record(plan: GridMap, options: SimulationOptions) -> Recording:
-    """Plan and drive the tour. Raises MapError when the robot fits nowhere in the plan."""
-    route, wheels, noise = np.random.default_rng(options.seed).spawn(3)
-    world = World.of(plan)
-    space = reachable_space(world, options.robot_radius_m)
-    path = plan_tour(world, space, options.robot_radius_m, options.spacing_m, options.laps, route)
-    driven = drive(path, options.speed_mps, math.radians(options.turn_rate_degps))
-    duration = min(driven.duration_s, options.max_duration_s or math.inf)
-    scan_times = np.arange(0.0, duration + 1e-9, 1.0 / options.rate_hz)
-    # between the scans' stamps, and around the first and the last of them
-    period = 1.0 / options.odometry_rate_hz
-    odometry_times = np.arange(-0.5 * period, scan_times[-1] + period, period)
-    errors = OdometryErrors().times(options.odometry_drift)
-    odometry = drifting_odometry(driven.at(odometry_times), errors, wheels)
-    return Recording(
-        world, _laser(options), driven, scan_times, odometry_times, odometry, space.area_m2, noise
-    )
-
-
-def simulate_sweeps(plan: GridMap, options: SimulationOptions) -> Iterator[tuple[Sweep, Pose2]]:
-    """The scans of a tour with odometry, as read from a log, each with its true base pose."""
-    yield from record(plan, options).scans()
-
-
 def simulate(
     plan: GridMap,
     options: SimulationOptions,
-    out: Path,
-    truth: Path | None = None,
+    out: str | Path,
+    truth: str | Path | None = None,
     progress: Progress | None = None,
 ) -> SimulationResult:
     """Write a tour of `plan` as MCAP: /scan, /odom and /tf_static, and the true poses as TUM.
 
     `truth` is where the true poses of the base in the plan go, one line a scan; by default `out`
     with the suffix .tum. Raises MapError when the robot fits nowhere in the plan and UsageError
-    when a file cannot be written.
+    when a file cannot be written, or both would be one file.
     """
     progress = progress or Silent()
-    recording = record(plan, options)
-    truth = truth or out.with_suffix(".tum")
-    progress.start("simulate", len(recording.scan_times_s))
-    lines = []
+    out = Path(out)
+    truth = out.with_suffix(".tum") if truth is None else Path(truth)
+    if truth == out:
+        raise UsageError(f"{out}: the recording and the true poses would be one file; rename one")
+    tour = simulated_tour(plan, options)
+    progress.start("simulate", len(tour.scan_times_s))
     with LogWriter(out) as writer:
-        mounting = recording.laser.base_from_laser
-        writer.static_transform(
-            BASE_FRAME,
-            LASER_FRAME,
-            (mounting.x, mounting.y, 0.0),
-            _quaternion(mounting.theta),
-            START_NS,
-        )
-        odometry = _OdometryTrack(recording, writer)
-        for sweep, pose in recording.scans():
-            odometry.write_until(sweep.stamp_ns)
-            _write_scan(writer, recording.laser, sweep.planar, options.rate_hz)
-            lines.append(tum_line(sweep.stamp_ns, pose))
-            progress.advance()
-        odometry.write_until(None)
-        write_text(truth, "".join(lines))
-    end = float(recording.scan_times_s[-1])
-    return SimulationResult(out, truth, len(lines), end, driven_m(recording), recording.area_m2)
+        true_poses = _write_tour(writer, tour, options.rate_hz, progress)
+        write_text(truth, planar_trajectory_text(true_poses))
+    return SimulationResult(
+        log=out,
+        truth=truth,
+        scans=len(true_poses.stamps_ns),
+        duration_s=tour.duration_s,
+        distance_m=tour.distance_m,
+        area_m2=tour.area_m2,
+    )
 
 
-def driven_m(recording: Recording) -> float:
-    """Distance driven up to the last scan."""
-    places = recording.drive.at(recording.scan_times_s)[:, :2]
-    return float(np.hypot(*np.diff(places, axis=0).T).sum())
+def _write_tour(
+    writer: LogWriter, tour: SimulatedTour, rate_hz: float, progress: Progress
+) -> Trajectory:
+    """Write every message of a tour; returns the true poses at its scans."""
+    stamps: list[int] = []
+    poses: list[Pose2] = []
+    _write_mounting(writer, tour.laser)
+    for stamp, pose, sweep in _messages(tour):
+        if sweep is None:
+            writer.odometry(ODOM_TOPIC, ODOM_FRAME, BASE_FRAME, stamp, pose)
+            continue
+        _write_scan(writer, tour.laser, sweep, rate_hz)
+        stamps.append(stamp)
+        poses.append(pose)
+        progress.advance()
+    return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses, dtype=np.float64))
 
 
-def tum_line(stamp_ns: int, pose: Pose2) -> str:
-    """One line `t x y z qx qy qz qw` of a TUM trajectory."""
-    _, _, z, w = _quaternion(pose.theta)
-    seconds = f"{stamp_ns // 10**9}.{stamp_ns % 10**9 // 1000:06d}"
-    return f"{seconds} {pose.x:.9f} {pose.y:.9f} 0 0 0 {z:.9f} {w:.9f}\n"
+def _messages(tour: SimulatedTour) -> Iterator[tuple[int, Pose2, Sweep | None]]:
+    """Stamp, pose and scan of every message, in the order of the stamps.
+
+    Messages of the odometry have no scan, and its pose; those of the laser have the true pose.
+    """
+    odometry = ((stamp, pose, None) for stamp, pose in tour.odometry_messages())
+    scans = ((sweep.stamp_ns, pose, sweep) for sweep, pose in tour.scans())
+    yield from heapq.merge(odometry, scans, key=itemgetter(0))
 
 
-class _OdometryTrack:
-    """Writes the odometry up to a stamp, so that messages come in the order of their stamps."""
-
-    def __init__(self, recording: Recording, writer: LogWriter) -> None:
-        self._stamps = [stamp_of(time) for time in recording.odometry_times_s]
-        self._poses = recording.odometry
-        self._writer = writer
-        self._next = 0
-
-    def write_until(self, stamp_ns: int | None) -> None:
-        while self._next < len(self._stamps):
-            stamp = self._stamps[self._next]
-            if stamp_ns is not None and stamp > stamp_ns:
-                return
-            pose = _pose(self._poses[self._next])
-            self._writer.odometry("/odom", ODOM_FRAME, BASE_FRAME, stamp, pose)
-            self._next += 1
+def _write_mounting(writer: LogWriter, laser: Laser) -> None:
+    """Where the laser sits on the robot, on /tf_static."""
+    x, y, theta = laser.base_from_laser
+    level = np.zeros(1)
+    quaternion = quaternions_from_rpy(level, level, np.array([theta]))[0].tolist()
+    writer.static_transform(
+        BASE_FRAME, LASER_FRAME, (x, y, 0.0), quaternion_xyzw=quaternion, stamp_ns=START_NS
+    )
 
 
-def _write_scan(writer: LogWriter, laser: Laser, planar: PlanarScan, rate_hz: float) -> None:
+def _write_scan(writer: LogWriter, laser: Laser, sweep: Sweep, rate_hz: float) -> None:
     writer.scan(
-        "/scan",
+        SCAN_TOPIC,
         LASER_FRAME,
-        planar.stamp_ns,
+        sweep.stamp_ns,
         float(laser.bearings[0]),
         laser.increment,
-        planar.ranges,
+        sweep.planar.ranges,
         range_max=laser.range_max_m,
         time_increment=laser.sweep_s / (len(laser.bearings) - 1),
         scan_time=1.0 / rate_hz,
     )
-
-
-def _laser(options: SimulationOptions) -> Laser:
-    return Laser(
-        bearings=laser_bearings(math.radians(options.field_of_view_deg), options.beams),
-        range_max_m=options.range_max_m,
-        base_from_laser=Pose2(
-            options.laser_x_m, options.laser_y_m, math.radians(options.laser_yaw_deg)
-        ),
-        noise_m=options.noise_m,
-        step_m=options.range_step_m,
-        dropouts=options.dropouts,
-        sweep_s=options.sweep_s,
-    )
-
-
-def _pose(row: FloatArray) -> Pose2:
-    x, y, theta = row.tolist()
-    return Pose2(x, y, wrap_angle(theta))
-
-
-def _quaternion(theta: float) -> tuple[float, float, float, float]:
-    return (0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta))

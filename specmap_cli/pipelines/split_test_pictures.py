@@ -2,52 +2,54 @@
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 
-from specmap_cli.core.config import SegmentationConfig
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.drawing.split_tests import draw_test
 from specmap_cli.grids.map_server import write_png
+from specmap_cli.segmentation.online import Observer
 from specmap_cli.segmentation.splitting import SplitTest
 
 _NAMES = "test_*.png"
 
 
-class TestAlbum:
-    """An observer of the segmentation: writes test_0001.png, test_0002.png, ... as they happen.
+def split_test_pictures(
+    directory: Path | str | None, config: SegmentationConfig, *, overwrite: bool = False
+) -> Observer | None:
+    """An observer that writes test_0001.png, test_0002.png, ... as the tests happen.
 
-    Raises UsageError when the directory cannot be made, or holds an album already and it is not to
-    be overwritten.
+    None when there is no directory to write to. Raises UsageError when the directory cannot be
+    made, or holds pictures of an earlier run that are not to be overwritten.
     """
+    if directory is None:
+        return None
+    folder = Path(directory)
+    _make_room(folder, overwrite)
+    numbers = count(1)
 
-    __test__ = False  # no test of pytest's
+    def draw(test: SplitTest, split: bool) -> None:
+        if test.grid.cells.size:  # one outside the grid has nothing to show
+            picture = draw_test(test, config.split_eigenvalue, split)
+            write_png(folder / f"test_{next(numbers):04d}.png", picture)
 
-    def __init__(
-        self, directory: Path, config: SegmentationConfig, *, overwrite: bool = False
-    ) -> None:
-        self.directory = directory
-        self.count = 0
-        self._threshold = config.split_eigenvalue
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            old = sorted(directory.glob(_NAMES))
-            if old and not overwrite:
-                raise UsageError(
-                    f"{directory}: holds pictures of an earlier run: use --overwrite to replace "
-                    "them, or another directory"
-                )
-            for picture in old:
-                picture.unlink()
-        except OSError as error:
+    return draw
+
+
+def _make_room(folder: Path, overwrite: bool) -> None:
+    """Make the directory, without pictures of an earlier run."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        old = sorted(folder.glob(_NAMES))
+        if old and not overwrite:
             raise UsageError(
-                f"{directory}: cannot write pictures there: {error.strerror}; "
-                "choose another directory"
-            ) from None
-
-    def __call__(self, test: SplitTest, split: bool) -> None:
-        """Draw one test and its decision; one outside the grid has nothing to show."""
-        if not test.grid.cells.size:
-            return
-        self.count += 1
-        path = self.directory / f"test_{self.count:04d}.png"
-        write_png(path, draw_test(test, self._threshold, split))
+                f"{folder}: holds pictures of an earlier run: use --overwrite to replace them, "
+                "or another directory"
+            )
+        for picture in old:
+            picture.unlink()
+    except OSError as error:
+        raise UsageError(
+            f"{folder}: cannot write pictures there: {error.strerror}; choose another directory"
+        ) from None

@@ -1,50 +1,82 @@
-"""Work that runs ahead in a second process, its results taken one by one, in order, in this one.
+"""Work that runs ahead of its use in a second process.
 
-Registration needs nothing that later stages find out, and neither do classifiers of raw scans need
-those of virtual ones: where there is a second processor, a forked child does its part meanwhile.
-The results are those of one process, bit for bit, and wait in a pipe of bounded size.
+Registration needs nothing that later stages find out. The classifiers of raw scans need nothing of
+the virtual ones. Where there is a second processor, a forked child does such work meanwhile. The
+results are those of one process, bit for bit. They wait in a pipe of bounded size.
+
+The work is a generator: what it yields are the items, what it returns is the result.
 """
 
 from __future__ import annotations
 
-import fcntl
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import traceback
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import TypeVar, cast
+from multiprocessing.reduction import ForkingPickler
+from typing import Any, Generic, TypeVar
 
 import cv2
 
 from specmap_cli.core.errors import SpecmapError
 
 Item = TypeVar("Item")
+Result = TypeVar("Result")
 
-_PIPE_BYTES = 1 << 20  # some hundred scans
+_PIPE_BYTES = 1 << 20  # some hundred scans; Linux gives it without special rights
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_ITEM, _RESULT, _ERROR = range(3)  # the kinds of messages from the child
+
+
+class Ahead(Generic[Item, Result]):
+    """The items of a generator in order, and then its result."""
+
+    def __init__(self, source: Generator[Item, None, Result]) -> None:
+        self._source = source
+        self._returned: list[Result] = []  # empty until the source has ended
+
+    def __iter__(self) -> Iterator[Item]:
+        return self
+
+    def __next__(self) -> Item:
+        try:
+            return next(self._source)
+        except StopIteration as end:
+            if not self._returned:
+                self._returned.append(end.value)
+            raise
+
+    @property
+    def result(self) -> Result:
+        """What the generator returned; items that nobody took are skipped to get there."""
+        for _ in self:
+            pass
+        return self._returned[0]
 
 
 @contextmanager
-def ahead(produce: Callable[[], Iterator[Item]]) -> Iterator[Iterator[Item]]:
-    """The items of `produce()`, made ahead of their use in a child process where there can be one.
+def ahead(produce: Callable[[], Generator[Item, None, Result]]) -> Iterator[Ahead[Item, Result]]:
+    """Run `produce()` ahead of its use, in a child process where there can be one.
 
-    What `produce` changes in its process stays there: it must yield all that is needed of it. Its
-    errors are raised here, where the items are taken. Leaving the block ends the child.
+    What `produce` changes in its process stays there: all that is needed of it must be yielded or
+    returned. Its errors are raised here, where the items are taken. Leaving the block ends the
+    child. Raises SpecmapError when the child dies.
     """
     if not _possible():
-        yield produce()
+        yield Ahead(produce())
         return
-    cv2.setNumThreads(1)  # the threads of a pool would be missing in the child, and waited for
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # the child would wait for the threads of a pool that it does not have
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
-    with suppress(AttributeError, OSError):  # a system of fixed pipes: fewer items wait
-        fcntl.fcntl(sender.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+    _widen(sender)
     child = context.Process(target=_child, args=(produce, receiver, sender), daemon=True)
     try:
         with _held_signals(), warnings.catch_warnings():
@@ -52,24 +84,37 @@ def ahead(produce: Callable[[], Iterator[Item]]) -> Iterator[Iterator[Item]]:
             warnings.simplefilter("ignore", DeprecationWarning)
             child.start()
         sender.close()
-        yield _received(receiver, child)
+        yield Ahead(_received(receiver, child))
     finally:
         receiver.close()
         sender.close()
         if child.pid is not None:
             child.terminate()
             child.join()
+        cv2.setNumThreads(threads)
+
+
+@contextmanager
+def in_background(compute: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
+    """Run `compute()` beside the block; what the block gets is a function that waits for it."""
+
+    def produce() -> Generator[None, None, Result]:
+        yield from ()
+        return compute()
+
+    with ahead(produce) as running:
+        yield lambda: running.result
 
 
 def _possible() -> bool:
     """Whether there can be a child, and a processor for it.
 
-    A fork copies locks as they are held by other threads: none is made but from the main thread.
+    A fork is safe on Linux only: libraries of other systems hold threads and handles that it
+    breaks. It copies locks as other threads hold them: only the main thread forks.
     """
-    if "fork" not in multiprocessing.get_all_start_methods():
-        return False
     in_main = threading.current_thread() is threading.main_thread()
-    return in_main and _processors() > 1 and not multiprocessing.current_process().daemon
+    alone = not multiprocessing.current_process().daemon
+    return sys.platform == "linux" and in_main and alone and _processors() > 1
 
 
 def _processors() -> int:
@@ -77,6 +122,14 @@ def _processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def _widen(sender: Connection) -> None:
+    """Let more items wait in the pipe, where the system allows it."""
+    import fcntl  # not on every system; a child is made on Linux only
+
+    with suppress(AttributeError, OSError):
+        fcntl.fcntl(sender.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
 
 @contextmanager
@@ -89,42 +142,55 @@ def _held_signals() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _child(produce: Callable[[], Iterator[Item]], receiver: Connection, sender: Connection) -> None:
-    """The child: sends every item in a tuple, then None, or the error that ended the work.
+def _child(
+    produce: Callable[[], Generator[Any, None, Any]], receiver: Connection, sender: Connection
+) -> None:
+    """The child: sends every item, then the result, or the error that ended the work.
 
-    It ends with its work, when its parent tells it to, or when that is no more.
+    It ends with its work, when its parent tells it to, or when its parent is no more.
     """
     receiver.close()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both: the parent decides
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+    work = Ahead(produce())
     try:
-        for item in produce():
-            sender.send((item,))
-        sender.send(None)
+        for item in work:
+            sender.send((_ITEM, item))
+        sender.send((_RESULT, work.result))
     except BrokenPipeError:  # nobody takes the items any more
         return
     except Exception as error:
-        if not isinstance(error, SpecmapError):
-            error.add_note(f"in the process that ran ahead:\n{traceback.format_exc()}")
         with suppress(BrokenPipeError):
-            sender.send(error)
+            sender.send((_ERROR, _portable(error)))
         raise SystemExit(1) from None  # it is the parent that tells
 
 
-def _received(receiver: Connection, child: BaseProcess) -> Iterator[Item]:
-    """The items as they come from the child; raises its error, or one that tells of its death."""
+def _portable(error: Exception) -> Exception:
+    """The error as it can be sent to the parent, with its place unless it is meant for the user."""
+    place = f"in the process that ran ahead:\n{traceback.format_exc()}"
+    try:
+        ForkingPickler.loads(ForkingPickler.dumps(error))
+    except Exception:  # it holds what cannot be sent, or cannot be made again from its arguments
+        error = RuntimeError(f"{type(error).__name__}: {error}")
+    if not isinstance(error, SpecmapError):
+        error.add_note(place)
+    return error
+
+
+def _received(receiver: Connection, child: BaseProcess) -> Generator[Any, None, Any]:
+    """The items as they come from the child, then its result; raises its error, or of its death."""
     while True:
         try:
-            message: object = receiver.recv()
-        except (EOFError, ConnectionResetError):
+            kind, value = receiver.recv()
+        except (EOFError, OSError):  # also in the middle of a message
             child.join()
             raise SpecmapError(
                 f"the process that worked ahead ended with status {child.exitcode}: "
                 "was it killed for want of memory? A shorter or coarser log needs less"
             ) from None
-        if isinstance(message, Exception):
-            raise message
-        if message is None:
-            return
-        yield cast(tuple[Item], message)[0]
+        if kind == _ERROR:
+            raise value
+        if kind == _RESULT:
+            return value
+        yield value

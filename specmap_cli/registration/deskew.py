@@ -15,7 +15,8 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
 
-_STILL_M, _STILL_RAD = 1e-3, 1e-4  # motion per sweep that no range reading can show
+_STILL_M, _STILL_RAD = 1e-3, 1e-4  # a motion in one sweep below what range readings resolve
+_STRAIGHT_RAD = 1e-9  # below it sin(x) / x is 1 to the last bit
 
 
 def usable_times(times_s: FloatArray | None, count: int) -> bool:
@@ -33,14 +34,12 @@ def moved_returns(
     `motion` is the base's motion over `interval_s` seconds. Stamps may come in bursts, so that the
     interval counts at least as long as the sweep itself lasted.
     """
-    still = motion.distance < _STILL_M and abs(motion.theta) < _STILL_RAD
-    if times_s is None or still or not usable_times(times_s, len(points)):
+    if times_s is None or _is_still(motion) or not usable_times(times_s, len(points)):
         return points
-    period = max(interval_s, float(np.ptp(times_s)))
-    share = times_s / period
+    share = times_s / _period_s(times_s, interval_s)
     turn, half = share * motion.theta, motion.theta / 2
     # a constant turn and forward speed: the chord of the arc, shortened and turned with its share
-    full = math.sin(half) / half if abs(half) > 1e-9 else 1.0
+    full = math.sin(half) / half if abs(half) > _STRAIGHT_RAD else 1.0
     chord = share * np.sinc(turn / (2 * np.pi)) / full
     back = turn / 2 - half
     dx = chord * (np.cos(back) * motion.x - np.sin(back) * motion.y)
@@ -60,15 +59,15 @@ def deskewed(
     Bearings come back ascending, within one turn; beams without a return keep none.
     """
     times = scan.beam_times_s
-    still = motion.distance < _STILL_M and abs(motion.theta) < _STILL_RAD
-    if times is None or still or not usable_times(times, len(scan.bearings)):
+    if times is None or _is_still(motion) or not usable_times(times, len(scan.bearings)):
         return scan
     hit = np.isfinite(scan.ranges)
     reach = np.where(hit, scan.ranges, 1.0)
     ends = np.column_stack([reach * np.cos(scan.bearings), reach * np.sin(scan.bearings)])
     moved = moved_returns(base_from_laser.apply(ends), times, motion, interval_s)
     seen = base_from_laser.inverse().apply(moved)
-    bearings = scan.bearings + np.asarray(times) * (motion.theta / max(interval_s, np.ptp(times)))
+    turning = motion.theta / _period_s(times, interval_s)
+    bearings = scan.bearings + times * turning
     bearings[hit] = np.arctan2(seen[hit, 1], seen[hit, 0])
     first = float(scan.bearings[0])
     if scan.full_circle:
@@ -78,5 +77,19 @@ def deskewed(
     ranges = np.where(hit, np.hypot(seen[:, 0], seen[:, 1]), scan.ranges)
     order = np.argsort(bearings, kind="stable")
     return PlanarScan(
-        scan.stamp_ns, bearings[order], ranges[order], scan.range_max, scan.full_circle
+        stamp_ns=scan.stamp_ns,
+        bearings=bearings[order],
+        ranges=ranges[order],
+        range_max=scan.range_max,
+        full_circle=scan.full_circle,
     )
+
+
+def _is_still(motion: Pose2) -> bool:
+    """Whether the robot stood still, as far as a sweep can tell."""
+    return motion.distance < _STILL_M and abs(motion.theta) < _STILL_RAD
+
+
+def _period_s(times_s: FloatArray, interval_s: float) -> float:
+    """The seconds in which the robot moved from sweep to sweep: no fewer than a sweep lasts."""
+    return max(interval_s, float(np.ptp(times_s)))

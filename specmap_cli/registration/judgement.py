@@ -7,65 +7,90 @@ whether it agrees with the expected motion. Neither alone will do: a robot that 
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.registration.motion import Step
+from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.registration.expected_motion import ExpectedMotion
+from specmap_cli.registration.locating import Located
+from specmap_cli.registration.scene import Fit
 
-GOOD = 0.75  # above it, and near the guess, nothing is searched
-POOR = 0.5  # below it a wide search is worth its time
-HOPELESS = 0.15  # below it no agreement helps
-BETTER = 0.02  # what a search must gain in score to be believed
-SLIP_M = 0.08  # a result this far behind odometry may have slipped along a corridor
-SAME = 0.01  # scores this near speak for two places alike
-_SURE, _FAIR = 0.7, 0.6  # needed against the expected motion, by odometry and without
-_MAX_STEP_M, _MAX_STEP_RAD, _MAX_TILT = 1.5, 0.8, 0.3
+_HOPELESS = 0.15  # below it no agreement helps: points thrown at random score as much
+# How far a result may be from its guess and still agree: metres and radians, plus shares of the
+# expected motion. Odometry is held to its errors, twice what wheels err on hard floors; a motion
+# carried on also to how much a robot speeds up and turns in from one scan to the next.
+_ODOMETRY_SLACK, _CARRIED_SLACK = (0.05, 0.03), (0.1, 0.12)
+_SHARE_OF_DISTANCE, _SHARE_OF_TURN = 0.2, 0.3
 
 
-def needed_score(doubted: bool, measured: bool) -> float:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """The pose of a sweep and what is thought of it.
+
+    A `lost` sweep is at its guess. `agrees`: the result agrees with the expected motion. `long`:
+    that motion was too long to prove anything; `lost_by_length`: it was odometry's, and had it been
+    believed, the sweep would not be lost.
+    """
+
+    fit: Fit
+    agrees: bool = True
+    lost: bool = False
+    long: bool = False
+    lost_by_length: bool = False
+
+    def levelled(self, share: float) -> Verdict:
+        """The same with `share` of the roll and pitch taken back, heading and place kept.
+
+        A lidar of few rings says little about its own tilt, whose drift would lift the robot off.
+        """
+        yaw, pitch, roll = Rotation.from_matrix(self.fit.pose[:3, :3]).as_euler("ZYX")
+        level, kept = np.array(self.fit.pose), 1.0 - share
+        level[:3, :3] = Rotation.from_euler("ZYX", [yaw, kept * pitch, kept * roll]).as_matrix()
+        return replace(self, fit=replace(self.fit, pose=level))
+
+
+def judge(
+    located: Located, guess: FloatArray, expected: ExpectedMotion, config: RegistrationConfig
+) -> Verdict:
+    """What is thought of the pose found from a guess (4, 4); a lost sweep is put back on it."""
+    fit = located.fit
+    long = _is_long(expected.motion, config)
+    near = _is_near(Pose2.from_matrix(guess), fit.planar, expected)
+    agrees = near and not long
+    hopeless = fit.score < _HOPELESS
+    needed = needed_score(config, searched=located.searched, measured=expected.measured)
+    lost = hopeless or (not agrees and fit.score < needed)
+    return Verdict(
+        fit=replace(fit, pose=guess) if lost else fit,
+        agrees=agrees,
+        lost=lost,
+        long=long,
+        lost_by_length=lost and near and expected.measured and not hopeless,
+    )
+
+
+def needed_score(config: RegistrationConfig, *, searched: bool, measured: bool) -> float:
     """The score that a result contradicting the expected motion must have.
 
-    `doubted`: a search had to be called; `measured`: the expected motion is odometry's.
+    `searched`: a search had to be called; `measured`: the expected motion is odometry's.
     """
-    if not doubted:
-        return POOR
-    return _SURE if measured else _FAIR
+    if not searched:
+        return config.poor_score
+    return config.sure_score if measured else config.fair_score
 
 
-def agrees(guess: Pose2, found: Pose2, step: Step) -> bool:
-    """Whether a result is as near its guess as the robot's motion can have been.
-
-    Odometry is held to its errors; a motion carried on also to how a robot speeds up and turns in.
-    """
-    motion, away = step.motion, guess.inverse() @ found
-    if motion.distance >= 0.5 or abs(motion.theta) >= 0.5:
-        return False
-    slack_m, slack_rad = (0.05, 0.03) if step.measured else (0.1, 0.12)
-    near = away.distance < slack_m + 0.2 * motion.distance
-    return near and abs(away.theta) < slack_rad + 0.3 * abs(motion.theta)
+def _is_long(motion: Pose2, config: RegistrationConfig) -> bool:
+    """Whether a motion is so long that agreeing with it proves no result right."""
+    far = motion.distance >= config.believed_step_m
+    return far or abs(motion.theta) >= config.believed_step_rad
 
 
-def bounded(guess: FloatArray, found: FloatArray) -> bool:
-    """Whether a registration result is finite and no farther from the guess than can be."""
-    if not np.isfinite(found).all():
-        return False
-    trace = float((guess[:3, :3] * found[:3, :3]).sum())  # of the turn from one to the other
-    turn = math.acos(min(1.0, max(-1.0, (trace - 1.0) / 2.0)))
-    upright = float(found[2, 2]) > np.cos(_MAX_TILT)
-    near = math.dist(guess[:3, 3].tolist(), found[:3, 3].tolist()) <= _MAX_STEP_M
-    return near and turn <= _MAX_STEP_RAD and upright
-
-
-def levelled(pose: FloatArray, share: float) -> FloatArray:
-    """A pose (4, 4) with `share` of its roll and pitch taken back, the heading and place kept.
-
-    A lidar of few rings says little about its own tilt, whose drift would lift the robot off.
-    """
-    yaw, pitch, roll = Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX")
-    level = np.array(pose)
-    kept = 1.0 - share
-    level[:3, :3] = Rotation.from_euler("ZYX", [yaw, kept * pitch, kept * roll]).as_matrix()
-    return level
+def _is_near(guess: Pose2, found: Pose2, expected: ExpectedMotion) -> bool:
+    """Whether a result is as near its guess as the robot's motion can have been."""
+    motion, away = expected.motion, guess.inverse() @ found
+    slack_m, slack_rad = _ODOMETRY_SLACK if expected.measured else _CARRIED_SLACK
+    near = away.distance < slack_m + _SHARE_OF_DISTANCE * motion.distance
+    return near and abs(away.theta) < slack_rad + _SHARE_OF_TURN * abs(motion.theta)

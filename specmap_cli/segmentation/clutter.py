@@ -13,25 +13,28 @@ from scipy import ndimage
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.gridmap import BoolArray, cell_distances
 
+_SLACK = 1e-9  # sizes that are equal on paper stay equal in floating point
+
 
 def small_obstacles(
     free: BoolArray, largest_cells: float, bulky_cells: float = 0.0, thick_cells: float = 0.0
 ) -> BoolArray:
-    """(H, W) the pieces of what is not free whose bounding box has no side above `largest_cells`.
+    """(H, W) the isolated pieces of what is not free, up to a size; `free` is (H, W).
 
-    Pieces hang together over edges and corners, and the outside of the grid is not free. Chairs,
-    table legs and cells that no beam happened to cross are such pieces; walls are not. Pieces up to
-    `bulky_cells` are taken as well when a disc of `thick_cells` across fits into them: tables and
+    A piece is small when no side of its bounding box is longer than `largest_cells`. Cells that
+    touch by a side or a corner are one piece, and the outside of the grid is not free. Chairs,
+    table legs and cells that no beam happened to cross are small pieces; walls are not. A piece up
+    to `bulky_cells` is small, too, when a disc of `thick_cells` across fits into it: tables and
     cupboards are thicker than pieces of a wall.
     """
     blocked = np.pad(~free, 1, constant_values=True).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(blocked, connectivity=8)
     sides = np.maximum(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
-    small = sides <= largest_cells + 1e-9
+    small = sides <= largest_cells + _SLACK
     if bulky_cells > largest_cells:
         depth = cv2.distanceTransform(blocked, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         thickness = 2.0 * ndimage.maximum(depth, labels, np.arange(count))
-        small |= (sides <= bulky_cells + 1e-9) & (np.asarray(thickness) >= thick_cells)
+        small |= (sides <= bulky_cells + _SLACK) & (np.asarray(thickness) >= thick_cells)
     small[0] = False
     return np.asarray(small[labels[1:-1, 1:-1]])
 
@@ -52,6 +55,10 @@ class WorkingGrid:
     def free(self) -> BoolArray:
         """Coarse cells of which every fine cell is free (h, w)."""
         return np.asarray(self.clearance > 0.0)
+
+    def fine_cells(self, cells: NDArray[Any]) -> FloatArray:
+        """Rows and columns (n, 2), fractional, of the middles of coarse cells on the fine grid."""
+        return np.asarray((cells + 0.5) * self.step - 0.5, dtype=np.float64)
 
     def refine(self, values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
         """Coarse `values` (h, w) on the fine grid of `shape` (H, W)."""

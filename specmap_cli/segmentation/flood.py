@@ -14,25 +14,26 @@ from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.segmentation.kmeans import LabelArray
 from specmap_cli.segmentation.visibility import IndexArray
 
-_LEVELS = 126  # heights of the flooded relief: two of them and one fit a byte
-_RINGS = 3  # cells by which labels creep along walls before distance alone decides
+RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
+_LEVELS = 126  # heights of the relief that is flooded: the sum of two of them, and one, fit a byte
+_TINY = 1e-9  # cells; keeps a grid without free space from dividing by zero
 
 
 def flood_labels(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
     """(h, w) labels grown from the nodes (n, 2) in order of falling clearance; -1 unreached.
 
-    This is Meyer's watershed of the relief of negative clearance: two fronts meet where the passage
-    between them is narrowest. OpenCV's watershed orders cells by the difference between neighbours;
-    on a checkerboard of signs that difference is the sum of both heights, which is the wanted
-    order, and a second channel makes the step into a wall the last of all.
+    This is Meyer's watershed on a relief whose height falls with the clearance: two
+    fronts meet where the passage between them is narrowest. OpenCV takes cells in the order of the
+    difference between neighbours. So the heights stand on a checkerboard of signs, where that
+    difference is the sum of both, and a second channel makes the step into a wall the last of all.
     """
     if not len(nodes):
         return np.full(clearance.shape, -1, dtype=np.int32)
     free = clearance > 0.0
-    top = max(float(clearance.max(initial=0.0)), 1e-9)
+    top = max(float(clearance.max(initial=0.0)), _TINY)
     height = np.rint((1.0 - clearance / top) * _LEVELS).astype(np.int16)
     black = np.add.outer(*(np.arange(side) for side in clearance.shape)) % 2 == 0
-    relief = np.where(black, 127 - height, 128 + height)
+    relief = np.where(black, _LEVELS + 1 - height, _LEVELS + 2 + height)
     picture = np.zeros((clearance.shape[0] + 2, clearance.shape[1] + 2, 3), dtype=np.uint8)
     picture[1:-1, 1:-1, 0] = np.where(free, relief, 0)
     picture[..., 1] = 255
@@ -62,18 +63,18 @@ def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> La
     return result
 
 
-def spread_labels(labels: LabelArray, free: BoolArray) -> LabelArray:
+def spread_labels(labels: LabelArray, free: BoolArray, rings: int = RINGS) -> LabelArray:
     """Fill what is unlabelled (-1) of every piece of `free` (H, W) that holds a label.
 
-    Labels creep a few cells through free space, so that none crosses a thin wall; what is left
-    takes the nearest label.
+    Labels creep `rings` cells through free space, so that none crosses a thin wall; what is left
+    takes the nearest label of all.
     """
     missing = free & (labels < 0)
     if not missing.any():
         return labels
     grown = (labels + 1).astype(np.uint16)
     around = np.ones((3, 3), dtype=np.uint8)
-    for _ in range(_RINGS):
+    for _ in range(rings):
         bigger = cv2.dilate(grown, around)
         open_cells = missing & (grown == 0)
         grown[open_cells] = bigger[open_cells]

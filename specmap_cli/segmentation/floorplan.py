@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from specmap_cli.core.config import SegmentationConfig
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
+from specmap_cli.segmentation.borders import contacts
+from specmap_cli.segmentation.division import Segmentation, segment
 from specmap_cli.segmentation.kmeans import LabelArray
-from specmap_cli.segmentation.spectral import Segmentation, segment
 
 __all__ = [
     "Doorway",
@@ -26,11 +27,12 @@ __all__ = [
     "submap_grid",
 ]
 
-_WALL_CELLS = 2  # obstacles this near belong to the picture of a region
-_OUTLINE_CELLS = 1.5  # how far a polygon may stray from the outline it simplifies
+_WALL_CELLS = 2  # obstacles this near belong to the picture of a region: a wall drawn in cells
+_OUTLINE_CELLS = 1.5  # how far a polygon may stray from the outline: the steps of a slanted wall
+_JOINED_HALF_CELLS = 2  # border points this near are one doorway: a diagonal border has such gaps
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FloorplanSubmap:
     """A region: `polygon` (N, 2) its outer outline and `centroid`, in metres of the map."""
 
@@ -55,17 +57,17 @@ class FloorplanEdge:
 
     source: int
     target: int
-    doorways: list[Doorway]
+    doorways: tuple[Doorway, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FloorplanResult:
     """A divided map: submaps by id 0, 1, ... (falling area) and the edges in order."""
 
     grid: GridMap
     segmentation: Segmentation
-    submaps: list[FloorplanSubmap]
-    edges: list[FloorplanEdge]
+    submaps: tuple[FloorplanSubmap, ...]
+    edges: tuple[FloorplanEdge, ...]
 
 
 def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> FloorplanResult:
@@ -76,8 +78,12 @@ def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> FloorplanRes
             f"no free space wider than {2 * config.clearance_m:g} m in the map "
             f"({grid.free_area_m2:.1f} m2 free): check the resolution and the thresholds"
         )
-    submaps = [_submap(grid, found.labels == label, label) for label in range(found.count)]
-    return FloorplanResult(grid, found, submaps, _edges(grid, found.labels, config.door_min_m))
+    return FloorplanResult(
+        grid=grid,
+        segmentation=found,
+        submaps=tuple(_submap(grid, found.labels == id_, id_) for id_ in range(found.count)),
+        edges=_edges(grid, found.labels, config.door_min_m),
+    )
 
 
 def _in_one_piece(found: Segmentation) -> Segmentation:
@@ -93,7 +99,10 @@ def _in_one_piece(found: Segmentation) -> Segmentation:
 
 
 def label_image(result: FloorplanResult) -> NDArray[np.uint16]:
-    """(H, W) submap id + 1, 0 unlabelled, as a picture: its top row is the map's highest y."""
+    """(H, W) submap id + 1, 0 unlabelled, as a picture: its top row is the map's highest y.
+
+    Raises NoResultError when there are more regions than 16 bits count.
+    """
     if len(result.submaps) >= 2**16:
         raise NoResultError(f"{len(result.submaps)} regions do not fit a 16-bit picture")
     return np.ascontiguousarray(result.segmentation.labels[::-1] + 1).astype(np.uint16)
@@ -110,9 +119,7 @@ def submap_grid(result: FloorplanResult, submap: int) -> GridMap:
     cells: CellArray = np.full(grid.cells.shape, UNKNOWN, dtype=np.uint8)
     cells[shown & (grid.cells == OCCUPIED)] = OCCUPIED
     cells[region & (grid.cells == FREE)] = FREE
-    x, y = grid.origin
-    corner = (x + int(columns[0]) * grid.resolution, y + int(rows[0]) * grid.resolution)
-    return GridMap(cells[window].copy(), grid.resolution, corner)
+    return GridMap(cells, grid.resolution, grid.origin).window(*window)
 
 
 def _submap(grid: GridMap, region: BoolArray, number: int) -> FloorplanSubmap:
@@ -124,35 +131,25 @@ def _submap(grid: GridMap, region: BoolArray, number: int) -> FloorplanSubmap:
     outer = max(outlines, key=lambda outline: (cv2.contourArea(outline), len(outline)))
     corners = cv2.approxPolyDP(outer, _OUTLINE_CELLS, closed=True)[:, 0, ::-1]
     area = len(cells) * grid.resolution**2
-    return FloorplanSubmap(number, grid.centres_of(corners), area, (float(x), float(y)))
+    return FloorplanSubmap(
+        id=number,
+        polygon=grid.centres_of(corners),
+        area_m2=area,
+        centroid=(float(x), float(y)),
+    )
 
 
-def _edges(grid: GridMap, labels: LabelArray, narrowest: float) -> list[FloorplanEdge]:
+def _edges(grid: GridMap, labels: LabelArray, narrowest: float) -> tuple[FloorplanEdge, ...]:
     """An edge for each two labels side by side along `narrowest` metres at the least."""
-    pairs, middles = _border(labels)
-    keys, which = np.unique(pairs, axis=0, return_inverse=True)
-    order = np.argsort(which.ravel(), kind="stable")
-    stretches = np.split(middles[order], np.cumsum(np.bincount(which.ravel()))[:-1])
+    touching = contacts(labels)
+    middles = (touching.one + touching.other) / 2.0
     edges = []
-    for (source, target), points in zip(keys.tolist(), stretches, strict=False):
-        doorways = [door for door in _doorways(grid, points) if door.width_m >= narrowest]
+    for source, target in np.unique(touching.labels, axis=0).tolist():
+        border = middles[(touching.labels == (source, target)).all(axis=1)]
+        doorways = tuple(door for door in _doorways(grid, border) if door.width_m >= narrowest)
         if doorways:
             edges.append(FloorplanEdge(source, target, doorways))
-    return edges
-
-
-def _border(labels: LabelArray) -> tuple[NDArray[np.int64], FloatArray]:
-    """Pairs of different labels side by side (m, 2) and the rows, columns between them (m, 2)."""
-    pairs, middles = [], []
-    for one, other, step in (
-        (labels[:-1], labels[1:], (0.5, 0.0)),
-        (labels[:, :-1], labels[:, 1:], (0.0, 0.5)),
-    ):
-        cells = np.argwhere((one != other) & (one >= 0) & (other >= 0))
-        at = tuple(cells.T)
-        pairs.append(np.sort(np.column_stack([one[at], other[at]]), axis=1))
-        middles.append(cells + step)
-    return np.concatenate(pairs).astype(np.int64), np.concatenate(middles)
+    return tuple(edges)
 
 
 def _doorways(grid: GridMap, points: FloatArray) -> list[Doorway]:
@@ -161,7 +158,8 @@ def _doorways(grid: GridMap, points: FloatArray) -> list[Doorway]:
     low = spots.min(axis=0)
     picture = np.zeros(spots.max(axis=0) - low + 1, dtype=np.uint8)
     picture[tuple((spots - low).T)] = 1
-    joined = cv2.dilate(picture, np.ones((5, 5), dtype=np.uint8))
+    side = 2 * _JOINED_HALF_CELLS + 1
+    joined = cv2.dilate(picture, np.ones((side, side), dtype=np.uint8))
     count, pieces = cv2.connectedComponents(joined, connectivity=8)
     piece = pieces[tuple((spots - low).T)]
     found = []

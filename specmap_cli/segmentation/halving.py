@@ -12,7 +12,7 @@ from specmap_cli.segmentation.kmeans import LabelArray, bisect
 from specmap_cli.segmentation.spectrum import two_largest
 from specmap_cli.segmentation.visibility import IndexArray, VisibilityGraph
 
-_FEWEST = 4  # nodes of a cluster that is looked at
+_FEWEST = 4  # nodes of a cluster that is looked at: two for each half
 
 
 def split_again(

@@ -9,32 +9,41 @@ from specmap_cli.core.geometry import FloatArray
 
 LabelArray = NDArray[np.int32]
 
-_ROUNDS = 100
+_ROUNDS = 100  # of Lloyd's iteration, which ends by itself after some ten
+_SLACK = 1e-9  # costs this close are a tie
+_TINY = 1e-12  # keeps a row of zeros from dividing by zero
 
 
 def kmeans_unit(rows: FloatArray, clusters: int, first: list[int]) -> LabelArray:
     """Cluster unit vectors `rows` (n, d) into at most `clusters`; (n,) labels.
 
-    Lloyd's iteration from one start for each row number in `first`; the labels with the smallest
-    sum of squared distances win, the earlier start on a tie. A start takes that row and then, one
-    at a time, the row most nearly orthogonal to all taken before, as Ng, Jordan and Weiss do.
+    Lloyd's iteration runs once for each row number in `first`. The labels with the smallest sum of
+    squared distances win, those of the earlier start on a tie. A start takes its row and then, one
+    at a time, the row most nearly orthogonal to all taken before (Ng, Jordan and Weiss, "On
+    Spectral Clustering", NIPS 2001).
     """
     if clusters <= 1 or len(rows) <= 1:
         return np.zeros(len(rows), dtype=np.int32)
     best, least = np.zeros(len(rows), dtype=np.int32), np.inf
     for row in first:
         labels, cost = _lloyd(rows, rows[_orthogonal_start(rows, clusters, row)])
-        if cost < least - 1e-9:
+        if cost < least - _SLACK:
             best, least = labels, cost
     return best
 
 
+def unit_rows(X: FloatArray) -> FloatArray:
+    """The rows of X (n, k) made unit length; a row of zeros stays zero."""
+    norm = np.sqrt((X**2).sum(axis=1, keepdims=True))
+    return np.asarray(X / np.maximum(norm, _TINY))
+
+
 def bisect(first: FloatArray, other: FloatArray) -> LabelArray:
     """Algorithm 2 with k = 2 on two eigenvectors (n,): the (n,) labels 0 and 1."""
-    X = np.column_stack([first, other])
-    Y = X / np.maximum(np.hypot(first, other), 1e-12)[:, None]  # Algorithm 2, line 5
+    X = np.column_stack([first, other])  # Algorithm 2, line 4
+    Y = unit_rows(X)  # Algorithm 2, line 5
     angle = np.arctan2(Y[:, 1], Y[:, 0])
-    return kmeans_unit(Y, 2, [int(angle.argmax())])  # Algorithm 2, line 6
+    return kmeans_unit(Y, 2, [int(angle.argmax())])  # Algorithm 2, lines 6 and 7
 
 
 def _orthogonal_start(rows: FloatArray, clusters: int, first: int) -> list[int]:

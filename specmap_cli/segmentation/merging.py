@@ -5,10 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.segmentation.borders import contacts
 from specmap_cli.segmentation.kmeans import LabelArray
 from specmap_cli.segmentation.visibility import IndexArray
 
 Pair = tuple[int, int]
+
+_RATIO_SLACK = 1e-9  # a border of just the ratio asked for joins, whatever the last digit
+_WIDTH_SLACK = 1e-12  # of two borders equal in proportion the first joins
+_TINY = 1e-9  # cells; keeps a cluster without width from dividing by zero
 
 
 def local_widths(
@@ -17,8 +22,8 @@ def local_widths(
     """(n,) local thickness at each node: the largest free disc of a visible node that covers it.
 
     `clearance` (n,) is each node's own, `lengths` (m,) the distances of the visible `pairs` (m, 2).
-    Widths end at `widest`: a hall is cut into pieces no larger than a sight line, and what is
-    wide in proportion to those has to count as wide.
+    No width is above `widest`. A hall falls into pieces no larger than a sight line, and a border
+    that is wide compared with those pieces has to count as wide.
     """
     widths = clearance.copy()
     for one, other in ((pairs[:, 0], pairs[:, 1]), (pairs[:, 1], pairs[:, 0])):
@@ -29,21 +34,12 @@ def local_widths(
 
 def border_widths(labels: LabelArray, clearance: FloatArray) -> dict[Pair, float]:
     """Largest clearance on the common border of each two touching labels (smaller one first)."""
-    keys, values = [], []
-    count = int(labels.max(initial=-1)) + 1
-    for one, other, here, there in (
-        (labels[1:], labels[:-1], clearance[1:], clearance[:-1]),
-        (labels[:, 1:], labels[:, :-1], clearance[:, 1:], clearance[:, :-1]),
-    ):
-        row, column = np.nonzero((one != other) & (one >= 0) & (other >= 0))
-        a, b = one[row, column].astype(np.int64), other[row, column].astype(np.int64)
-        keys.append(np.minimum(a, b) * count + np.maximum(a, b))
-        values.append(np.minimum(here[row, column], there[row, column]))
-    key, value = np.concatenate(keys), np.concatenate(values)
-    order = np.lexsort((value, key))
-    key, value = key[order], value[order]
-    last = np.flatnonzero(key != np.append(key[1:], -1))
-    return {(int(key[i] // count), int(key[i] % count)): float(value[i]) for i in last}
+    touching = contacts(labels)
+    width = np.minimum(clearance[tuple(touching.one.T)], clearance[tuple(touching.other.T)])
+    pairs, which = np.unique(touching.labels, axis=0, return_inverse=True)
+    widest = np.zeros(len(pairs))
+    np.maximum.at(widest, which.ravel(), width)
+    return {(a, b): w for (a, b), w in zip(pairs.tolist(), widest.tolist(), strict=True)}
 
 
 def join_wide(
@@ -80,12 +76,12 @@ class _Clusters:
 
     def widest(self, ratio: float) -> Pair | None:
         """The pair with the widest border in proportion, the first of equals, or None."""
-        best, pair = ratio - 1e-9, None
+        best, pair = ratio - _RATIO_SLACK, None
         for one, around in enumerate(self._touching):
             for other, border in around.items():
                 mean = (self._width[one] * self._width[other]) ** 0.5
-                if one < other and border > best * mean + 1e-12:
-                    best, pair = border / max(mean, 1e-9), (one, other)
+                if one < other and border > best * mean + _WIDTH_SLACK:
+                    best, pair = border / max(mean, _TINY), (one, other)
         return pair
 
     def join(self, keep: int, gone: int) -> None:

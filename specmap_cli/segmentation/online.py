@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from specmap_cli.core.config import GridConfig, SegmentationConfig
+from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.segmentation.sketch import Sketch, path_length
+from specmap_cli.segmentation.coarse_submap import CoarseSubmap, way_driven
 from specmap_cli.segmentation.splitting import SplitTest, examine
-
-_UNION_SCANS = 150  # enough to see whether two regions are one, however long the robot was there
 
 Observer = Callable[[SplitTest, bool], None]
 
@@ -19,12 +17,12 @@ Observer = Callable[[SplitTest, bool], None]
 class Region:
     """A finished region: the keyframes, ascending, that belong to the submap just left.
 
-    `continues` is the number of the earlier region it must be appended to, because the robot came
-    straight back or the piece is too short to stand alone; None for a submap of its own.
+    `continues` is the number of the earlier region that this one is a piece of, because the robot
+    came straight back to it; None for a submap of its own.
     """
 
     number: int
-    keyframes: list[int]
+    keyframes: tuple[int, ...]
     continues: int | None
 
 
@@ -44,9 +42,8 @@ class OnlineSegmenter:
         self.config = config
         self.observer = observer
         self._store = store
-        coarse = max(config.cell_m, grid_config.resolution_m)
-        self._current = Sketch(grid_config.model_copy(update={"resolution_m": coarse}), store)
-        self._since_test = 0.0
+        self._current = CoarseSubmap(config, grid_config, store)
+        self._since_test = 0.0  # metres or keyframes, as `test_every` says
         self._recent: list[Region] = []  # the last two; none from before a loss of track
         self._finished = 0
 
@@ -62,44 +59,43 @@ class OnlineSegmenter:
         keyframes = self._current.keyframes
         if not keyframes:
             return []
-        short = path_length(self._store, keyframes) < self.config.region_min_m
-        last = self._recent[-1] if short and self._recent else None
-        region = self._finish(keyframes, last)
-        self._current = self._current.rebuilt([])
+        region = self._finish(keyframes)
+        self._current = self._current.rebuilt(())
         self._recent = []
         self._since_test = 0.0
         return [region]
 
     def _test_is_due(self, keyframe: int) -> bool:
         """Add `keyframe` and tell whether the way since the last test is long enough."""
-        before = self._current.keyframes[-1:]
-        self._current.add(keyframe)
+        driven = self._current.add(keyframe)
         if self.config.test_every == "keyframes":
             self._since_test += 1
             return self._since_test >= self.config.test_keyframes
-        self._since_test += path_length(self._store, [*before, keyframe])
+        self._since_test += driven
         return self._since_test >= self.config.test_metres
 
     def _test(self) -> list[Region]:
         """Test the current submap and split off the region that was left, if there is one."""
+        keyframes = self._current.keyframes
         test = examine(self._current.grid(), self._current.poses, self.config)
-        sides: dict[bool, list[int]] = {False: [], True: []}
-        for keyframe, stays in zip(self._current.keyframes, test.stays.tolist(), strict=True):
-            sides[stays].append(keyframe)
+        stay, left = (
+            tuple(k for k, stays in zip(keyframes, test.stays, strict=True) if stays == side)
+            for side in (True, False)
+        )
         split = test.eigenvalue > self.config.split_eigenvalue and all(
-            side and path_length(self._store, side) >= self.config.region_min_m
-            for side in sides.values()
+            side and way_driven(self._store, side) >= self.config.region_min_m
+            for side in (left, stay)
         )
         if self.observer is not None:
             self.observer(test, split)
         if not split:
             return []
-        self._current = self._current.rebuilt(sides[True])
-        return [self._finish(sides[False], None)]
+        self._current = self._current.rebuilt(stay)
+        return [self._finish(left)]
 
-    def _finish(self, keyframes: list[int], appended_to: Region | None) -> Region:
+    def _finish(self, keyframes: tuple[int, ...]) -> Region:
         """The next finished region, a piece of an earlier one where the robot came back to it."""
-        earlier = appended_to or self._came_back_to(keyframes)
+        earlier = self._came_back_to(keyframes)
         continues = None
         if earlier is not None:
             continues = earlier.number if earlier.continues is None else earlier.continues
@@ -108,11 +104,12 @@ class OnlineSegmenter:
         self._recent = [*self._recent[-1:], region]
         return region
 
-    def _came_back_to(self, keyframes: list[int]) -> Region | None:
+    def _came_back_to(self, keyframes: Sequence[int]) -> Region | None:
         """The region left before the last one, if it and `keyframes` together are one region."""
         if not self.config.regrow or len(self._recent) < 2:
             return None
-        union = self._current.rebuilt([*self._recent[0].keyframes, *keyframes], _UNION_SCANS)
+        both = (*self._recent[0].keyframes, *keyframes)
+        union = self._current.rebuilt(both, self.config.regrow_keyframes)
         test = examine(union.grid(), union.poses, self.config)
         whole = bool(test.reached.all()) and test.eigenvalue <= self.config.split_eigenvalue
         return self._recent[0] if whole else None

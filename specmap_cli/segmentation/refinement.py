@@ -10,11 +10,12 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from specmap_cli.core.config import SegmentationConfig
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
+from specmap_cli.core.settings import SegmentationConfig
+from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.segmentation.spectral import segment
+from specmap_cli.segmentation.division import segment
 
 
 def regions_of(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> IntArray:
@@ -34,9 +35,7 @@ def regions_of(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> 
 
 def _without_grazed(labels: IntArray, poses: FloatArray, way_m: float) -> IntArray:
     """Labels without those driven less than `way_m`, each keyframe in the last label that stays."""
-    steps = np.zeros(len(labels))
-    steps[1:] = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    way = np.bincount(labels, weights=steps)
+    way = np.bincount(labels[1:], weights=step_lengths(poses), minlength=int(labels.max()) + 1)
     stays = way[labels] >= way_m
     if not stays.any():
         return np.full_like(labels, np.bincount(labels).argmax())

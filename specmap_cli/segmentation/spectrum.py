@@ -10,9 +10,10 @@ from scipy.sparse.linalg import eigsh
 
 from specmap_cli.core.geometry import FloatArray
 
-_DENSE = 160  # matrices up to this size are solved whole: quicker than iterating
-_TOLERANCE = 1e-6
+_DENSE = 160  # rows up to which solving for all eigenpairs is quicker than iterating
+_TOLERANCE = 1e-6  # relative, of the iteration: far below what moves a count of eigenvalues
 _FIRST, _NODES_A_CLUSTER = 12, 40  # eigenpairs asked for at first: a guess that is seldom short
+_START_SEED, _START_RANGE = 0, (0.5, 1.5)  # positive, so never at right angles to the first vector
 
 
 def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]:
@@ -27,7 +28,7 @@ def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]
         values, vectors = np.linalg.eigh(matrix.toarray())
         values, vectors = values[::-1][:count], vectors[:, ::-1][:, :count]
     else:
-        start = np.random.default_rng(0).uniform(0.5, 1.5, size)
+        start = np.random.default_rng(_START_SEED).uniform(*_START_RANGE, size)
         values, vectors = eigsh(matrix, k=count, which="LA", v0=start, tol=_TOLERANCE)
         order = np.argsort(-values, kind="stable")
         values, vectors = values[order], vectors[:, order]

@@ -15,8 +15,9 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.config import SegmentationConfig
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import SegmentationConfig
+from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.gridmap import BoolArray, GridMap
 from specmap_cli.segmentation.affinity import local_scales, normalised, similarity
 from specmap_cli.segmentation.clutter import WorkingGrid, small_obstacles, working_grid
@@ -25,11 +26,11 @@ from specmap_cli.segmentation.kmeans import LabelArray, bisect
 from specmap_cli.segmentation.spectrum import largest_eigenpairs
 from specmap_cli.segmentation.visibility import IndexArray, sample_nodes, visibility_graph
 
-_EIGENPAIRS = 12  # clusters nobody entered come before the one that was: look this far
-_MARGIN_M = 1.0  # of map kept round the band, so that clearance is right inside it
+_FEWEST_NODES = 3  # two nodes share one sight line: nothing to divide
+_STANDING_M = 1e-6  # counted at every pose, so that a robot that stands still has a way
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SplitTest:
     """One test and its outcome.
 
@@ -57,55 +58,60 @@ class SplitTest:
 
 def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> SplitTest:
     """Look for a second region in `grid` along the way `poses` (p, 3), oldest first."""
-    window = _window(grid, poses, config)
+    window = _near_the_way(grid, poses, config)
     if not window.cells.size:  # the way leaves a grid that may not grow any more
         return _undivided(window, poses, np.empty((0, 2)))
     opened = window.free | small_obstacles(window.free, config.split_obstacle_m / window.resolution)
     work = working_grid(opened, window.resolution, config.cell_m)
-    cells = np.clip(
-        window.cells_of(poses[:, :2]) // work.step, 0, np.array(work.clearance.shape) - 1
-    )
-    nodes = _nodes_along(work, cells, config)
-    if len(nodes) < 3:
-        return _undivided(window, poses, window.centres_of(_fine(nodes, work)))
-    home = _homes(work, nodes, cells)
+    way = np.clip(window.cells_of(poses[:, :2]) // work.step, 0, np.array(work.clearance.shape) - 1)
+    nodes = _nodes_along(work, way, config)
+    places = window.centres_of(work.fine_cells(nodes))
+    if len(nodes) < _FEWEST_NODES:
+        return _undivided(window, poses, places)
+    home = _homes(work, nodes, way)
     members, values, vectors = _spectrum(work, nodes, int(home[-1]), config)
-    inside = np.full(len(nodes), -1)
-    inside[members] = np.arange(len(members))
-    home = inside[home]
+    home = _among(members, home, len(nodes))
     reached = home >= 0
     weight = _way_weights(poses) * reached
     chosen, sides = _dividing(vectors, home, weight, config.split_share)
     near = sides == sides[home[-1]]
-    stays = np.where(reached, near[home], True)
-    middles = window.centres_of(_fine(nodes[members], work))
     return SplitTest(
-        window, poses, middles, values, chosen, vectors[:, chosen], near, stays, reached
+        grid=window,
+        poses=poses,
+        nodes=places[members],
+        eigenvalues=values,
+        chosen=chosen,
+        eigenvector=vectors[:, chosen],
+        near=near,
+        stays=np.where(reached, near[home], True),
+        reached=reached,
     )
 
 
 def _undivided(window: GridMap, poses: FloatArray, nodes: FloatArray) -> SplitTest:
     """The outcome for a map too small for a graph: nothing to split."""
-    every, whole = np.ones(len(nodes), dtype=bool), np.ones(len(poses), dtype=bool)
-    return SplitTest(window, poses, nodes, np.ones(1), 0, np.ones(len(nodes)), every, whole, whole)
-
-
-def _window(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> GridMap:
-    """The part of `grid` near the poses, or all of it when nodes may lie anywhere."""
-    if not config.path_band_m:
-        return grid
-    reach = config.path_band_m + _MARGIN_M
-    corners = np.array([poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach])
-    low, high = np.clip(grid.cells_of(corners), 0, grid.cells.shape)
-    cells = grid.cells[low[0] : high[0], low[1] : high[1]]
-    x, y = grid.origin
-    return GridMap(
-        cells, grid.resolution, (x + low[1] * grid.resolution, y + low[0] * grid.resolution)
+    every_pose = np.ones(len(poses), dtype=bool)
+    return SplitTest(
+        grid=window,
+        poses=poses,
+        nodes=nodes,
+        eigenvalues=np.ones(1),
+        chosen=0,
+        eigenvector=np.ones(len(nodes)),
+        near=np.ones(len(nodes), dtype=bool),
+        stays=every_pose,
+        reached=every_pose,
     )
 
 
-def _fine(cells: IndexArray, work: WorkingGrid) -> FloatArray:
-    return np.asarray((cells + 0.5) * work.step - 0.5)
+def _near_the_way(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> GridMap:
+    """The part of `grid` near the poses, or all of it when nodes may lie anywhere."""
+    if not config.path_band_m:
+        return grid
+    reach = config.path_band_m + config.path_margin_m
+    corners = np.array([poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach])
+    low, high = np.clip(grid.cells_of(corners), 0, grid.cells.shape).tolist()
+    return grid.window(slice(low[0], high[0]), slice(low[1], high[1]))
 
 
 def _nodes_along(work: WorkingGrid, way: IndexArray, config: SegmentationConfig) -> IndexArray:
@@ -146,17 +152,25 @@ def _spectrum(
     _, component = connected_components(affinity, directed=False)
     members = np.flatnonzero(component == component[here])
     matrix, _ = normalised(affinity[members][:, members])
-    values, vectors = largest_eigenpairs(matrix, _EIGENPAIRS)
+    values, vectors = largest_eigenpairs(matrix, config.split_eigenpairs)
     return members, values, vectors
+
+
+def _among(members: IndexArray, nodes: IndexArray, count: int) -> IndexArray:
+    """(p,) the place of `nodes` (p,) among `members`, -1 of others; there are `count` in all."""
+    place = np.full(count, -1)
+    place[members] = np.arange(len(members))
+    return place[nodes]
 
 
 def _way_weights(poses: FloatArray) -> FloatArray:
     """(p,) share of the way at each pose."""
-    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T) if len(poses) > 1 else np.zeros(0)
+    halves = 0.5 * step_lengths(poses)
     weight = np.zeros(len(poses))
-    weight[1:] += 0.5 * steps
-    weight[:-1] += 0.5 * steps
-    return np.asarray((weight + 1e-6) / (weight + 1e-6).sum())
+    weight[1:] += halves
+    weight[:-1] += halves
+    weight += _STANDING_M
+    return np.asarray(weight / weight.sum())
 
 
 def _dividing(

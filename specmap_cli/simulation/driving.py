@@ -10,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, wrap_angles
+from specmap_cli.core.tracks import step_lengths
+from specmap_cli.grids.gridmap import BoolArray
 
-_ACCELERATION = 0.5  # m/s^2
-_SHARP_RAD = 0.35  # a corner the robot stops for
-_TURN_STEP_RAD = 0.1
+_SHARP_RAD = 0.35  # 20 degrees: the robot stops and turns at sharper corners, and rounds others
+_TURN_STEP_RAD = 0.1  # a turn in place is told by poses this far apart
+# The ease-in, ease-out curve 3 s^2 - 2 s^3 of a turn in place is steepest in its middle: 1.5.
+_EASE_PEAK = 1.5
+_TINY = 1e-9  # metres, radians or metres a second that count as none
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,53 +39,72 @@ class Drive:
         return np.stack(columns, axis=-1)
 
 
-def drive(path: FloatArray, speed_mps: float, turn_rate: float) -> Drive:
-    """Drive along a path (N, 2) of at least two points; `turn_rate` in radians a second."""
-    steps = np.diff(path, axis=0)
-    lengths = np.hypot(steps[:, 0], steps[:, 1])
-    path, steps, lengths = _without_repeats(path, steps, lengths)
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the robot's wheels can do; all are above 0."""
+
+    speed_mps: float
+    turn_rate_radps: float
+    acceleration_mps2: float
+
+
+def drive(path: FloatArray, limits: Limits) -> Drive:
+    """Drive along a path (N, 2), N >= 1, as fast as the limits let the robot.
+
+    It starts and ends at a standstill, looks where it drives, and turns in place at sharp corners.
+    A path of one place is a robot that stands there, its heading 0.
+    """
+    path = path[np.concatenate([[True], step_lengths(path) > _TINY])]
     if len(path) < 2:
         return Drive(np.zeros(1), np.array([[path[0, 0], path[0, 1], 0.0]]))
+    lengths = step_lengths(path)
+    reached, left, sharp = _headings(path)
+    bend = np.abs(reached - left)
+    limit = np.minimum(limits.speed_mps, limits.turn_rate_radps * lengths / np.maximum(bend, _TINY))
+    corner = np.minimum(limit[:-1], limit[1:])
+    speeds = np.concatenate([[0.0], np.where(sharp, 0.0, corner), [0.0]])
+    speeds = _accelerated(speeds, lengths, limits.acceleration_mps2)
+    seconds = _durations(speeds, lengths, limits)
+    return _knots(path, reached, left, seconds, limits.turn_rate_radps)
+
+
+def _headings(path: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Headings at the end (N - 1,) and at the start (N - 1,) of each step, and the sharp corners.
+
+    The heading in which an inner corner is reached is that in which it is left, unless the robot
+    turns there: `sharp` (N - 2,).
+    """
+    steps = np.diff(path, axis=0)
     heading = np.arctan2(steps[:, 1], steps[:, 0])
     turns = wrap_angles(np.diff(heading))
     heading = heading[0] + np.concatenate([[0.0], np.cumsum(turns)])
     sharp = np.abs(turns) > _SHARP_RAD
-    # headings in which each inner corner is reached and left: equal unless the robot turns there
     middle = heading[:-1] + 0.5 * turns
     reached = np.concatenate([np.where(sharp, heading[:-1], middle), heading[-1:]])
     left = np.concatenate([heading[:1], np.where(sharp, heading[1:], middle)])
-    bend = np.abs(reached - left)
-    limit = np.minimum(speed_mps, turn_rate * lengths / np.maximum(bend, 1e-9))
-    corner = np.minimum(limit[:-1], limit[1:])
-    speeds = np.concatenate([[0.0], np.where(sharp, 0.0, corner), [0.0]])
-    seconds = _durations(_accelerated(speeds, lengths), lengths)
-    return _knots(path, reached, left, seconds, turn_rate)
+    return reached, left, sharp
 
 
-def _without_repeats(
-    path: FloatArray, steps: FloatArray, lengths: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    kept = lengths > 1e-9
-    return np.concatenate([path[:1], path[1:][kept]]), steps[kept], lengths[kept]
-
-
-def _accelerated(speeds: FloatArray, lengths: FloatArray) -> FloatArray:
+def _accelerated(speeds: FloatArray, lengths: FloatArray, acceleration: float) -> FloatArray:
     """The speeds (N,) lowered so that neither speeding up nor braking passes the acceleration."""
     result = speeds.copy()
     for i in range(1, len(result)):
-        reachable = math.sqrt(result[i - 1] ** 2 + 2.0 * _ACCELERATION * lengths[i - 1])
+        reachable = math.sqrt(result[i - 1] ** 2 + 2.0 * acceleration * lengths[i - 1])
         result[i] = min(result[i], reachable)
     for i in range(len(result) - 2, -1, -1):
-        stoppable = math.sqrt(result[i + 1] ** 2 + 2.0 * _ACCELERATION * lengths[i])
+        stoppable = math.sqrt(result[i + 1] ** 2 + 2.0 * acceleration * lengths[i])
         result[i] = min(result[i], stoppable)
     return result
 
 
-def _durations(speeds: FloatArray, lengths: FloatArray) -> FloatArray:
+def _durations(speeds: FloatArray, lengths: FloatArray, limits: Limits) -> FloatArray:
     """Seconds (N - 1,) from point to point; from standstill to standstill by way of a peak."""
     both = speeds[:-1] + speeds[1:]
-    peaked = 2.0 * np.sqrt(lengths / _ACCELERATION)
-    return np.where(both > 0.0, 2.0 * lengths / np.maximum(both, 1e-9), peaked)
+    highest, acceleration = limits.speed_mps, limits.acceleration_mps2
+    peaked = 2.0 * np.sqrt(lengths / acceleration)
+    coasting = lengths / highest + highest / acceleration
+    stopped = np.where(lengths * acceleration > highest**2, coasting, peaked)
+    return np.where(both > 0.0, 2.0 * lengths / np.maximum(both, _TINY), stopped)
 
 
 def _knots(
@@ -102,8 +125,8 @@ def _knots(
         if turn == 0.0:
             continue
         share = np.linspace(0.0, 1.0, math.ceil(abs(turn) / _TURN_STEP_RAD) + 1)[1:]
-        eased = share * share * (3.0 - 2.0 * share)  # its steepest slope is 1.5
-        duration = 1.5 * abs(turn) / turn_rate
+        eased = share * share * (3.0 - 2.0 * share)
+        duration = _EASE_PEAK * abs(turn) / turn_rate
         times.append(now + duration * share)
         still = np.tile(path[i + 1], (len(share), 1))
         poses.append(np.column_stack([still, reached[i] + turn * eased]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -12,11 +12,12 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.simulation.driving import Drive
 from specmap_cli.simulation.worlds import World
 
-_NEAREST_M = 0.02  # noise never makes a return nearer than this
-_BATCH = 64  # scans cast at once
+_NEAREST_M = 0.02  # noise never makes a return nearer: a range is above 0
+_BATCH = 64  # scans cast at once: 35,000 rays of the usual laser, some MB
+_SIDEWAYS = 0.5  # of the random error along the way that wheels make across it
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Laser:
     """A planar laser: `bearings` (B,) in its own frame, mounted at `base_from_laser`.
 
@@ -37,6 +38,11 @@ class Laser:
     def increment(self) -> float:
         """Angle from beam to beam."""
         return float(self.bearings[-1] - self.bearings[0]) / (len(self.bearings) - 1)
+
+    @property
+    def full_circle(self) -> bool:
+        """Whether the beam after the last one would be the first."""
+        return is_full_circle(self.increment * len(self.bearings))
 
     @property
     def beam_times_s(self) -> FloatArray:
@@ -70,13 +76,19 @@ class Laser:
 def laser_bearings(field_of_view_rad: float, beams: int) -> FloatArray:
     """Bearings (B,) centred on straight ahead; of a full circle the last one is left out."""
     half = 0.5 * field_of_view_rad
-    full = field_of_view_rad >= 2.0 * math.pi - 1e-9
-    return np.linspace(-half, half, beams, endpoint=not full)
+    return np.linspace(-half, half, beams, endpoint=not is_full_circle(field_of_view_rad))
 
 
-@dataclass(frozen=True, slots=True)
+def is_full_circle(angle_rad: float) -> bool:
+    """Whether an angle is 2 pi, or less by no more than what rounding takes."""
+    return angle_rad >= 2.0 * math.pi - 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OdometryErrors:
     """How wheel odometry drifts: random walks, and errors of the calibration.
+
+    The defaults are those of a usual wheeled robot indoors: metres off after a few hundred metres.
 
     A random error grows with the square root of the way: its standard deviation is that after one
     metre or one radian. The calibration's errors are relative (`..._scale`) or, for wheels of
@@ -92,20 +104,13 @@ class OdometryErrors:
 
     def times(self, factor: float) -> OdometryErrors:
         """All errors made larger or smaller."""
-        return OdometryErrors(
-            factor * self.translation_per_m,
-            factor * self.rotation_per_m,
-            factor * self.rotation_per_rad,
-            factor * self.distance_scale,
-            factor * self.turn_scale,
-            factor * self.veer_per_m,
-        )
+        return OdometryErrors(**{name: factor * error for name, error in asdict(self).items()})
 
 
 def drifting_odometry(
     poses: FloatArray, errors: OdometryErrors, rng: np.random.Generator
 ) -> FloatArray:
-    """Dead reckoning (n, 3) along true poses (n, 3), from the origin, angles unwrapped."""
+    """Dead reckoning (n, 3) along true poses (n, 3), n >= 1, from the origin, angles unwrapped."""
     steps = compose(invert(poses[:-1]), poses[1:])
     way = np.hypot(steps[:, 0], steps[:, 1])
     turn = np.abs(steps[:, 2])
@@ -113,7 +118,7 @@ def drifting_odometry(
     along = errors.translation_per_m * np.sqrt(way)
     measured = np.empty_like(steps)
     measured[:, 0] = steps[:, 0] * (1.0 + errors.distance_scale) + slip[:, 0] * along
-    measured[:, 1] = steps[:, 1] * (1.0 + errors.distance_scale) + slip[:, 1] * 0.5 * along
+    measured[:, 1] = steps[:, 1] * (1.0 + errors.distance_scale) + slip[:, 1] * _SIDEWAYS * along
     random_turn = np.hypot(
         errors.rotation_per_m * np.sqrt(way), errors.rotation_per_rad * np.sqrt(turn)
     )

@@ -19,35 +19,40 @@ from scipy.sparse.csgraph import connected_components, dijkstra, shortest_path
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.tracks import travelled
 from specmap_cli.simulation.worlds import World
 
 IndexArray = NDArray[np.intp]
 
-_LATTICE_M = 0.1  # distance of the lattice's nodes
-_COMFORT_M = 0.8  # farther from a wall is no better
-_WALL_COST = 4.0  # how much longer a way along a wall counts
-_STEP_M = 0.05  # distance of the path's points
-_SMOOTHINGS = 60
+_LATTICE_M = 0.1  # distance of the lattice's nodes: passages show, and a building is searched
+_WALL_COST = 4.0  # a metre that touches a wall counts as 1 + this, so that doors are crossed midway
+_STEP_M = 0.05  # distance of the path's points: a corner's bend takes several of them
+_SMOOTHINGS = 60  # passes over the path; they round corners over some 0.5 m
+_LEAST_GAIN_M = 1e-9  # what a reversal must shorten the tour by; less is rounding
+_REVERSALS_PER_TARGET = 20  # no more; tours need one or two
 
 
 @dataclass(frozen=True, slots=True)
 class Lattice:
-    """The reachable space as a graph of nodes `points` (n, 2) with their `clearance` (n,).
+    """The space that a disc of `radius_m` can reach, as a graph of nodes `points` (n, 2).
 
-    `lengths` and `costs` (n, n) hold the metres between neighbours, and more of them near walls.
+    `lengths` and `costs` (n, n) hold the metres between neighbours, and more of them near walls;
+    `comfort` (n,) in [0, 1] is how far a node is from walls: 0 at one, 1 where more is no better.
     """
 
     points: FloatArray
-    clearance: FloatArray
+    comfort: FloatArray
     lengths: csr_matrix
     costs: csr_matrix
     area_m2: float
+    radius_m: float
 
 
-def reachable_space(world: World, radius_m: float) -> Lattice:
+def reachable_space(world: World, radius_m: float, comfort_m: float) -> Lattice:
     """The largest connected part of the plan in which a disc of `radius_m` fits.
 
-    Raises MapError when it fits nowhere.
+    From `comfort_m` on, farther from a wall is no better. Raises MapError when the disc fits
+    nowhere.
     """
     stride = max(1, round(_LATTICE_M / world.plan.resolution))
     rows, columns = (np.arange(stride // 2, side, stride) for side in world.plan.cells.shape)
@@ -65,10 +70,16 @@ def reachable_space(world: World, radius_m: float) -> Lattice:
     lengths = _lattice_lengths(number, spacing)
     _, part = connected_components(lengths, directed=False)
     kept = np.flatnonzero(part == np.bincount(part).argmax())
-    points, clearance = centres[open_][kept], clearance[open_][kept]
+    comfort = np.minimum(clearance[open_][kept] / comfort_m, 1.0)
     lengths = csr_matrix(lengths[kept][:, kept])
-    area = len(kept) * spacing**2
-    return Lattice(points, clearance, lengths, _costs(lengths, clearance), area)
+    return Lattice(
+        points=centres[open_][kept],
+        comfort=comfort,
+        lengths=lengths,
+        costs=_costs(lengths, comfort),
+        area_m2=len(kept) * spacing**2,
+        radius_m=radius_m,
+    )
 
 
 def _lattice_lengths(number: IndexArray, spacing_m: float) -> csr_matrix:
@@ -88,21 +99,21 @@ def _lattice_lengths(number: IndexArray, spacing_m: float) -> csr_matrix:
     return csr_matrix(half + half.T)
 
 
-def _costs(lengths: csr_matrix, clearance: FloatArray) -> csr_matrix:
+def _costs(lengths: csr_matrix, comfort: FloatArray) -> csr_matrix:
     """The lengths (n, n), up to `1 + _WALL_COST` times as much along walls."""
-    near_wall = np.clip(1.0 - clearance / _COMFORT_M, 0.0, 1.0) ** 2
+    near_wall = (1.0 - comfort) ** 2
     edges = lengths.tocoo()
     dearer = 1.0 + _WALL_COST * 0.5 * (near_wall[edges.row] + near_wall[edges.col])
     return csr_matrix((edges.data * dearer, (edges.row, edges.col)), shape=lengths.shape)
 
 
 def plan_tour(
-    world: World, lattice: Lattice, radius_m: float, spacing_m: float, laps: int, rng: Any
+    world: World, lattice: Lattice, spacing_m: float, laps: int, rng: np.random.Generator
 ) -> FloatArray:
     """A path (N, 2) that comes within about `spacing_m` of every reachable point in each lap.
 
-    `rng` is the seeded numpy Generator that draws the start and each lap's targets, so that every
-    lap and every seed is a new path. Each lap starts where the one before ended.
+    `rng` draws the start and each lap's targets, so that every lap and every seed is a new path.
+    Each lap starts where the one before ended.
     """
     here = int(rng.choice(len(lattice.points), p=_preference(lattice, np.inf)))
     nodes = [np.array([here])]
@@ -113,16 +124,18 @@ def plan_tour(
         for a, b in pairwise(order):
             nodes.append(_way(lattice, int(targets[a]), int(targets[b]), distances[a, b]))
         here = int(targets[order[-1]])
-    return _smooth(world, lattice.points[np.concatenate(nodes)], radius_m)
+    return _smooth(world, lattice.points[np.concatenate(nodes)], lattice.radius_m)
 
 
 def _preference(lattice: Lattice, distance: Any) -> FloatArray:
     """(n,) probability of each node as a target: none where covered, more away from walls."""
-    weight = np.where(np.isinf(distance), np.minimum(lattice.clearance, _COMFORT_M) ** 2, 0.0)
+    weight = np.where(np.isinf(distance), lattice.comfort**2, 0.0)
     return np.asarray(weight / weight.sum(), dtype=np.float64)
 
 
-def _spread_targets(lattice: Lattice, start: int, spacing_m: float, rng: Any) -> IndexArray:
+def _spread_targets(
+    lattice: Lattice, start: int, spacing_m: float, rng: np.random.Generator
+) -> IndexArray:
     """Nodes, `start` first, of which one is within `spacing_m` of every node of the lattice."""
     targets = [start]
     distance = dijkstra(lattice.lengths, indices=start, limit=spacing_m)
@@ -158,9 +171,9 @@ def shortest_order(distances: FloatArray) -> IndexArray:
         order.append(int(np.where(left, distances[order[-1]], np.inf).argmin()))
         left[order[-1]] = False
     tour = np.array(order, dtype=np.intp)
-    for _ in range(20 * n):
+    for _ in range(_REVERSALS_PER_TARGET * n):
         first, last, gain = _best_reversal(distances, tour)
-        if gain <= 1e-9:
+        if gain <= _LEAST_GAIN_M:
             break
         tour[first : last + 1] = tour[first : last + 1][::-1]
     return tour
@@ -184,7 +197,7 @@ def _best_reversal(distances: FloatArray, tour: IndexArray) -> tuple[int, int, f
 
 def _way(lattice: Lattice, source: int, target: int, at_most: float) -> IndexArray:
     """Nodes of the cheapest way from `source`, itself left out, to `target`."""
-    limit = at_most * (1.0 + 1e-9) + 1e-9
+    limit = at_most * (1.0 + 1e-9) + 1e-9  # the same sum in another order may be a little more
     _, before = dijkstra(lattice.costs, indices=source, limit=limit, return_predecessors=True)
     way = [target]
     while way[-1] != source:
@@ -205,8 +218,7 @@ def _smooth(world: World, path: FloatArray, radius_m: float) -> FloatArray:
 
 def _resample(path: FloatArray) -> FloatArray:
     """The same path with points at equal distances of about `_STEP_M`."""
-    steps = np.hypot(*np.diff(path, axis=0).T)
-    at = np.concatenate([[0.0], np.cumsum(steps)])
+    at = travelled(path)
     count = max(2, round(at[-1] / _STEP_M) + 1)
     wanted = np.linspace(0.0, at[-1], count)
     return np.column_stack([np.interp(wanted, at, path[:, axis]) for axis in (0, 1)])

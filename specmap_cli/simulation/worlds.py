@@ -1,24 +1,16 @@
-"""The world of a simulation: a plan that stops beams and in which a robot drives, and its rooms."""
+"""The world of a simulation: a plan that stops beams and in which a robot drives."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.ray_casting import cast_rays
-
-LabelArray = NDArray[np.int32]
-
-_ROOM_GREY = 250  # painted rooms are brighter
-_ROOM_MIN_PIXELS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,63 +43,3 @@ class World:
     def cast(self, origins: NDArray[Any], angles: NDArray[Any], max_range: float) -> FloatArray:
         """True ranges (N,) of rays from origins (N, 2) along angles (N,), +inf past the range."""
         return cast_rays(self.distance, self.plan, origins, angles, max_range)
-
-
-@dataclass(frozen=True, slots=True)
-class RoomTruth:
-    """Rooms painted by hand: `labels` (H, W), 0 = no room, row 0 the lowest y, as in a GridMap."""
-
-    labels: LabelArray
-    resolution: float
-    origin: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def count(self) -> int:
-        """How many rooms there are; they are numbered 1, 2, ..."""
-        return int(self.labels.max(initial=0))
-
-    def at(self, points: NDArray[Any], reach_m: float = 0.5) -> LabelArray:
-        """(N,) room of each point (N, 2 or more columns); a point up to `reach_m` from a room
-        (on a door's line, say) gets the nearest one, a point farther away 0.
-        """
-        positions = np.asarray(points, dtype=np.float64)[:, :2]
-        nearest, away = _nearest_label(self.labels)
-        height, width = self.labels.shape
-        cells = np.floor((positions - self.origin) / self.resolution).astype(np.intp)
-        columns = np.clip(cells[:, 0], 0, width - 1)
-        rows = np.clip(cells[:, 1], 0, height - 1)
-        outside = np.hypot(cells[:, 0] - columns, cells[:, 1] - rows)
-        distance = (away[rows, columns] + outside) * self.resolution
-        return np.where(distance <= reach_m, nearest[rows, columns], 0).astype(np.int32)
-
-
-def read_rooms(
-    path: Path, resolution: float, origin: tuple[float, float] = (0.0, 0.0)
-) -> RoomTruth:
-    """The rooms of a ground-truth picture: its white (> 250) connected regions of >= 100 pixels.
-
-    Rooms are numbered in the order of the picture's rows, from its top. Raises MapError when the
-    picture cannot be read or shows no room.
-    """
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise MapError(f"{path}: cannot be read as a picture; give a PNG with white rooms")
-    white = (picture > _ROOM_GREY).astype(np.uint8)
-    _, regions, stats, _ = cv2.connectedComponentsWithStats(white)
-    kept = stats[:, cv2.CC_STAT_AREA] >= _ROOM_MIN_PIXELS
-    kept[0] = False
-    if not kept.any():
-        raise MapError(f"{path}: no white region of {_ROOM_MIN_PIXELS} pixels; is it a plan?")
-    number = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
-    return RoomTruth(np.ascontiguousarray(number[regions][::-1]), resolution, origin)
-
-
-def _nearest_label(labels: LabelArray) -> tuple[LabelArray, FloatArray]:
-    """Label of the nearest labelled cell (H, W), and how far it is, in cells."""
-    bare = (labels == 0).astype(np.uint8)
-    away, source = cv2.distanceTransformWithLabels(
-        bare, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    of_source = np.zeros(int(source.max(initial=0)) + 1, dtype=np.int32)
-    of_source[source[bare == 0]] = labels[bare == 0]
-    return of_source[source], np.asarray(away, dtype=np.float64)

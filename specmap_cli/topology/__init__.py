@@ -1,1 +1,1 @@
-"""The graph of submaps, and the layout of their frames."""
+"""The graph of submaps: which keyframes, cells and edges belong to each, and their outlines."""

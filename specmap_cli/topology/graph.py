@@ -1,98 +1,79 @@
-"""The topology from the regions: which belong together, visits, edges and their transforms.
+"""The topology from the submap of each keyframe: visits, edges and their transforms.
 
-While the robot drives, `RegionMerger` remembers which regions are one submap; at the end
-`build_topology` derives everything else from the submap of each keyframe, as a pure function.
+Pure functions. While the robot drives, regions are recognised as one: `submap_of_regions` says
+which. At the end `build_topology` derives all else from the submap of each keyframe.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import Closure
+from specmap_cli.core.labels import runs
+from specmap_cli.core.records import Closure, IntArray
+from specmap_cli.core.tracks import travelled
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.topology.topological_map import Edge, Submap, TopologicalMap, Traversal, Visit
+from specmap_cli.topology.topological_map import (
+    Edge,
+    EdgeKind,
+    Submap,
+    TopologicalMap,
+    Traversal,
+    Visit,
+)
 
-IntArray = NDArray[np.int64]
-
+# A robot keeps its own radius off both sides of a wall: tracks this near are in one room.
 _MEETING_M = 0.5
+_STRENGTH: Mapping[EdgeKind, int] = {"loose": 0, "closure": 1, "doorway": 2, "traversed": 3}
+
+Pair = tuple[int, int]
+Span = tuple[int, int]
 
 
-class RegionMerger:
-    """Disjoint sets of region numbers; the smallest number of a set is its submap."""
+def submap_of_regions(regions: Iterable[int], merges: Iterable[Pair]) -> dict[int, int]:
+    """The submap of each region: the smallest number of the regions merged with it.
 
-    def __init__(self) -> None:
-        self._parent: dict[int, int] = {}
-
-    def add(self, region: int) -> None:
-        """A region of its own, until merged."""
-        self._parent.setdefault(region, region)
-
-    def merge(self, old: int, new: int) -> int:
-        """Make two regions one submap; returns its number."""
-        a, b = sorted((self.find(old), self.find(new)))
-        self._parent[b] = a
-        return a
-
-    def find(self, region: int) -> int:
-        """The submap a region belongs to."""
-        while self._parent[region] != region:
-            self._parent[region] = self._parent[self._parent[region]]
-            region = self._parent[region]
-        return region
-
-    def members(self, submap: int) -> list[int]:
-        """All regions of a submap, ascending."""
-        return [region for region in sorted(self._parent) if self.find(region) == submap]
+    `merges` are pairs of regions that are one submap, in any order and over any others. Raises
+    KeyError for a merge of what is no region.
+    """
+    submap = {region: region for region in regions}
+    for a, b in merges:
+        kept, gone = sorted((submap[a], submap[b]))
+        if kept != gone:
+            submap = {region: kept if of == gone else of for region, of in submap.items()}
+    return submap
 
 
 def settle_labels(labels: IntArray, poses: FloatArray, min_path_m: float) -> IntArray:
     """Labels (n,) of successive keyframes without excursions: a stay shorter than `min_path_m` of
     path between two stays in one submap becomes part of that submap.
+
+    `poses` (n, 3) are those of the keyframes. Stays are looked at in turn, the first is kept.
     """
     settled = labels.copy()
-    steps = np.zeros(len(labels))
-    steps[1:] = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    path = np.cumsum(steps)
-    runs = _runs(settled)
-    for before, (start, end), after in zip(runs, runs[1:], runs[2:], strict=False):
+    path = travelled(poses)
+    stays = runs(labels)
+    for before, (start, end), after in zip(stays, stays[1:], stays[2:], strict=False):
         same = settled[before[0]] == settled[after[0]]
         if same and path[end - 1] - path[start] < min_path_m:
             settled[start:end] = settled[before[0]]
     return settled
 
 
-def _runs(labels: IntArray) -> list[tuple[int, int]]:
-    """Half-open ranges of equal successive labels."""
-    if not len(labels):
-        return []
-    cuts = np.flatnonzero(np.diff(labels)) + 1
-    bounds = [0, *cuts.tolist(), len(labels)]
-    return list(pairwise(bounds))
-
-
-def first_visit_order(labels: Iterable[int]) -> dict[int, int]:
-    """New consecutive numbers for the labels, in order of their first appearance."""
-    order: dict[int, int] = {}
-    for label in labels:
-        order.setdefault(int(label), len(order))
-    return order
-
-
 def build_topology(
+    *,
     labels: IntArray,
     poses: FloatArray,
     stamps_ns: Sequence[int],
-    breaks: Sequence[int],
+    breaks: Collection[int],
     closures: Sequence[Closure],
-    submap_of_region: dict[int, int],
-    grids: dict[int, GridMap],
+    submap_of_region: Mapping[int, int],
+    grids: Mapping[int, GridMap],
 ) -> TopologicalMap:
     """The topological map of keyframes with submap `labels` (n,) and `poses` (n, 3) in the map.
 
@@ -101,51 +82,101 @@ def build_topology(
     loose edge only. `closures` name regions, which `submap_of_region` maps to labels; `grids` are
     in the frames of the submaps, whose origin is the pose of their first keyframe.
     """
-    topology = TopologicalMap(closures=list(closures))
-    runs = _runs(labels)
-    for start, end in runs:
-        submap = int(labels[start])
-        visit = Visit(stamps_ns[start], stamps_ns[end - 1])
-        if submap not in topology.submaps:
-            frame = Pose2(*poses[start].tolist())
-            topology.submaps[submap] = Submap(submap, frame, [], [], grids[submap])
-        topology.submaps[submap].keyframes.extend(range(start, end))
-        topology.submaps[submap].visits.append(visit)
-    for (start, end), (after, _) in pairwise(runs):
+    stays = runs(labels)
+    submaps = _submaps(labels, poses, stamps_ns, stays, grids)
+    contacts = [
+        *_driven(labels, poses, stamps_ns, stays, set(breaks)),
+        *_recognised(labels, poses, closures, submap_of_region),
+    ]
+    return TopologicalMap(
+        submaps=submaps, edges=_edges(contacts, submaps), closures=tuple(closures)
+    )
+
+
+def _submaps(
+    labels: IntArray,
+    poses: FloatArray,
+    stamps_ns: Sequence[int],
+    stays: Sequence[Span],
+    grids: Mapping[int, GridMap],
+) -> dict[int, Submap]:
+    """The submaps in order of first visit; a stay is a half-open range of keyframes."""
+    spans: dict[int, list[Span]] = {}
+    for span in stays:
+        spans.setdefault(int(labels[span[0]]), []).append(span)
+    return {
+        id_: Submap(
+            id=id_,
+            map_from_submap=Pose2(*poses[own[0][0]].tolist()),
+            keyframes=tuple(keyframe for span in own for keyframe in range(*span)),
+            visits=tuple(Visit(stamps_ns[start], stamps_ns[end - 1]) for start, end in own),
+            grid=grids[id_],
+        )
+        for id_, own in spans.items()
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Contact:
+    """One reason for an edge between two submaps, the smaller id first."""
+
+    pair: Pair
+    kind: EdgeKind
+    traversal: Traversal | None = None
+
+
+def _driven(
+    labels: IntArray,
+    poses: FloatArray,
+    stamps_ns: Sequence[int],
+    stays: Sequence[Span],
+    breaks: Collection[int],
+) -> Iterator[_Contact]:
+    """From each stay to the next: traversed, or loose where tracking restarted."""
+    for (start, end), (after, _) in pairwise(stays):
         source, target = int(labels[start]), int(labels[after])
+        pair = (min(source, target), max(source, target))
         if after in breaks:
-            _edge(topology, source, target, "loose")
+            yield _Contact(pair, "loose")
             continue
-        edge = _edge(topology, source, target, "traversed")
-        crossing = Pose2(*((poses[end - 1] + poses[after]) / 2.0).tolist())
-        crossing = crossing._replace(theta=float(poses[after, 2]))
-        edge.traversals.append(Traversal(stamps_ns[after], source, target, crossing))
+        x, y, _ = ((poses[end - 1] + poses[after]) / 2.0).tolist()
+        crossing = Pose2(x, y, float(poses[after, 2]))
+        yield _Contact(pair, "traversed", Traversal(stamps_ns[after], source, target, crossing))
+
+
+def _recognised(
+    labels: IntArray,
+    poses: FloatArray,
+    closures: Iterable[Closure],
+    submap_of_region: Mapping[int, int],
+) -> Iterator[_Contact]:
+    """Closures that were verified though nothing was merged, where the robot's tracks meet."""
     for closure in closures:
         if closure.verified and not closure.merged:
-            old, new = submap_of_region[closure.old], submap_of_region[closure.new]
-            if old != new and _tracks_meet(poses[labels == old], poses[labels == new]):
-                _edge(topology, old, new, "closure")
-    return topology
+            low, high = sorted((submap_of_region[closure.old], submap_of_region[closure.new]))
+            if low != high and _tracks_meet(poses[labels == low], poses[labels == high]):
+                yield _Contact((low, high), "closure")
 
 
 def _tracks_meet(a: FloatArray, b: FloatArray) -> bool:
-    """Whether the robot was at one place in both submaps: no wall is thinner than that."""
-    return float(cKDTree(a[:, :2]).query(b[:, :2])[0].min()) < _MEETING_M
+    """Whether the robot was at one place in both submaps."""
+    away = cKDTree(a[:, :2]).query(b[:, :2])[0]
+    return float(np.min(away, initial=np.inf)) < _MEETING_M
 
 
-_STRENGTH = {"loose": 0, "closure": 1, "traversed": 2}
-
-
-def _edge(topology: TopologicalMap, source: int, target: int, kind: str) -> Edge:
-    """The edge between two submaps, made or raised to the stronger kind."""
-    low, high = min(source, target), max(source, target)
-    edge = topology.edges.get((low, high))
-    if edge is None:
-        frames = topology.submaps
-        transform = frames[low].map_from_submap.inverse() @ frames[high].map_from_submap
-        edge = Edge(low, high, "loose", [], transform)
-        topology.edges[low, high] = edge
-    if _STRENGTH[kind] > _STRENGTH[edge.kind]:
-        edge = replace(edge, kind=kind)  # type: ignore[arg-type]
-        topology.edges[low, high] = edge
-    return edge
+def _edges(contacts: Iterable[_Contact], submaps: Mapping[int, Submap]) -> dict[Pair, Edge]:
+    """One edge for each pair in contact, of the strongest kind, in order of the first contact."""
+    by_pair: dict[Pair, list[_Contact]] = {}
+    for contact in contacts:
+        by_pair.setdefault(contact.pair, []).append(contact)
+    return {
+        (low, high): Edge(
+            source=low,
+            target=high,
+            kind=max((contact.kind for contact in found), key=_STRENGTH.__getitem__),
+            traversals=tuple(c.traversal for c in found if c.traversal is not None),
+            source_from_target=submaps[low].map_from_submap.inverse()
+            @ submaps[high].map_from_submap,
+        )
+        for (low, high), found in by_pair.items()
+    }

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.gridmap import BoolArray, GridMap
 
+_TOLERANCE = 2.0  # of the simplified contour, half cells
+_KEPT_AREA = 0.8  # share of its area that a simplified contour must keep
+
 
 @dataclass(frozen=True, slots=True)
 class Outline:
@@ -82,8 +85,8 @@ def _contour(region: BoolArray) -> FloatArray:
     doubled = cv2.copyMakeBorder(doubled, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,))
     contours, _ = cv2.findContours(doubled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     ring = max(contours, key=cv2.contourArea)
-    simple = cv2.approxPolyDP(ring, 2.0, True)
-    if cv2.contourArea(simple) < 0.8 * cv2.contourArea(ring):  # a region thinner than the tolerance
+    simple = cv2.approxPolyDP(ring, _TOLERANCE, True)
+    if cv2.contourArea(simple) < _KEPT_AREA * cv2.contourArea(ring):  # thinner than the tolerance
         simple = ring
     corners = (simple.reshape(-1, 2).astype(np.float64) - 0.5) / 2.0
     x, y = corners.T

@@ -6,6 +6,7 @@ cell belongs to the submap from which the robot would reach it first.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +22,8 @@ from specmap_cli.topology.outlines import NOTHING, Outline, outline_of
 OwnerArray = NDArray[np.signedinteger[Any]]
 
 NOBODY = -1
-# Half the width of the gaps that a region goes through, and how far it goes past the last of them.
+# Half the width of the gaps that a region goes through, that of a small robot, and how far it goes
+# past the last of them: across a sill, not down the rays of a laser.
 _ROBOT_RADIUS_M, _REACH_M = 0.15, 0.3
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
@@ -36,7 +38,7 @@ class Regions:
 
     grid: GridMap
     owner: OwnerArray
-    outlines: dict[int, Outline]
+    outlines: Mapping[int, Outline]
 
     @classmethod
     def of(cls, grid: GridMap, owner: OwnerArray) -> Regions:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -22,19 +23,20 @@ class Visit:
     end_ns: int
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Submap:
     """A region of the building with its own frame, grid and scans.
 
-    `keyframes` are numbers in the keyframe store, ascending; `grid` and `polygon` (N, 2) are in the
-    submap's frame.
+    `keyframes` are numbers in the keyframe store, ascending; `visits` are in order of time; `grid`
+    and `polygon` (N, 2), metres, are in the submap's frame. One cut from a finished map has neither
+    keyframes nor visits.
     """
 
     id: int
     map_from_submap: Pose2
-    keyframes: list[int]
-    visits: list[Visit]
     grid: GridMap
+    keyframes: tuple[int, ...] = ()
+    visits: tuple[Visit, ...] = ()
     polygon: FloatArray | None = None
     name: str = ""
 
@@ -49,17 +51,18 @@ class Traversal:
     pose: Pose2
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Edge:
     """An undirected link between two submaps, `source` < `target`.
 
-    `doorway` (map frame) and `width_m` are known where the submaps were cut from a finished map.
+    `traversals` are in order of time. `doorway` (map frame) and `width_m` are known where the
+    submaps were cut from a finished map.
     """
 
     source: int
     target: int
     kind: EdgeKind
-    traversals: list[Traversal] = field(default_factory=list)
+    traversals: tuple[Traversal, ...] = ()
     source_from_target: Pose2 = IDENTITY
     doorway: tuple[float, float] | None = None
     width_m: float | None = None
@@ -76,13 +79,16 @@ class Edge:
         )
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TopologicalMap:
-    """Submaps by id, edges by (smaller id, larger id), and every closure considered."""
+    """Submaps by id, edges by (smaller id, larger id), and every closure considered.
 
-    submaps: dict[int, Submap] = field(default_factory=dict)
-    edges: dict[tuple[int, int], Edge] = field(default_factory=dict)
-    closures: list[Closure] = field(default_factory=list)
+    The mappings are not to be changed; `dataclasses.replace` makes another map.
+    """
+
+    submaps: Mapping[int, Submap] = field(default_factory=dict)
+    edges: Mapping[tuple[int, int], Edge] = field(default_factory=dict)
+    closures: tuple[Closure, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,8 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
 from specmap_cli.logs.writer import LogWriter
-from specmap_cli.pipelines.simulate import SimulationOptions, simulate
+from specmap_cli.pipelines.simulate import simulate
+from specmap_cli.simulation.simulator import SimulationOptions
 
 ROOT = Path(__file__).parents[2]
 # training would take most of the time of a tiny build

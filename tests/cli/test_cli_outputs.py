@@ -53,7 +53,7 @@ def lines(
         "localize": ("localize", tiny_log, "--map", tiny_map),
         "segment": ("segment", plan, "-o", tmp_path / "rooms"),
         "simulate": ("simulate", plan, "-o", tmp_path / "tour.mcap", "--max-duration", "1"),
-        "convert": ("convert", tiny_log, tmp_path / "copy.mcap"),
+        "convert": ("convert", tiny_log, "-o", tmp_path / "copy.mcap"),
         "config": ("config",),
     }
 
@@ -70,7 +70,9 @@ def test_json_is_one_object_and_all_there_is_on_stdout(
     assert all(line.startswith("specmap: ") for line in said.err.splitlines())
 
 
-@pytest.mark.parametrize("name", ["build", "localize", "simulate", "convert"])
+@pytest.mark.parametrize(
+    "name", ["info", "build", "localize", "segment", "simulate", "convert", "config"]
+)
 def test_quiet_says_nothing_but_the_result(
     name: str, lines: dict[str, tuple[str | Path, ...]], run: Run
 ) -> None:
@@ -149,6 +151,7 @@ def test_inputs_are_never_replaced(plan: Path, own_map: Path, tiny_log: Path, ru
     for line in (
         ("build", log, "-o", own_map),
         ("convert", log, log),
+        ("convert", log, "-o", log),
         ("localize", log, "--map", own_map, "-o", log),
         ("localize", log, "--map", own_map, "--plot", log),
         ("segment", own_map / "map.yaml", "-o", own_map),
@@ -177,7 +180,7 @@ def test_the_true_poses_are_not_replaced_either(plan: Path, tmp_path: Path, run:
 
 
 @pytest.mark.parametrize("unbuffered", ["1", ""])
-@pytest.mark.parametrize("line", [["--help"], ["config"], ["info"], ["info", "--json"]])
+@pytest.mark.parametrize("line", [["--help"], ["config"], ["info"]])
 def test_a_reader_that_leaves_early_is_no_error(
     line: list[str], unbuffered: str, tiny_log: Path
 ) -> None:

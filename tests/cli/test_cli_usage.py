@@ -4,23 +4,44 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import subprocess
 import sys
 import tomllib
+from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from specmap_cli import __version__
+from specmap_cli.core.versions import STANDS_ON
 from tests.cli.conftest import ROOT, Run, command
 
 COMMANDS = ("info", "build", "localize", "segment", "evaluate", "simulate", "convert", "config")
 LATE = {"cv2", "kiss_icp", "networkx", "numpy", "rosbags", "scipy"}
 
 
-def test_the_version(run: Run) -> None:
+def test_the_version_names_what_it_stands_on(run: Run) -> None:
     said = run("--version")
-    assert (said.code, said.out, said.err) == (0, f"specmap {__version__}\n", "")
+    assert (said.code, said.err) == (0, "")
+    first, second, *libraries = said.out.splitlines()
+    assert first == f"specmap {__version__}"
+    assert second == f"python {platform.python_version()}"
+    assert libraries == [f"{name} {metadata.version(name)}" for name in STANDS_ON]
+    assert f"numpy {np.__version__}" in libraries
+
+
+def test_the_version_says_what_is_missing(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def version(name: str) -> str:
+        if name == "kiss-icp":
+            raise metadata.PackageNotFoundError(name)
+        return "1.2.3"
+
+    monkeypatch.setattr(metadata, "version", version)
+    said = run("--version")
+    assert said.code == 0
+    assert "kiss-icp not installed\nlz4 1.2.3\n" in said.out
 
 
 def test_without_a_command_the_help_goes_to_stderr(run: Run) -> None:
@@ -117,8 +138,8 @@ def test_wrong_usage(arguments: list[str], told: str, run: Run) -> None:
         ("grid.resolution_m.x=1", "grid.resolution_m: Input should be a valid number"),
         ("seed=-1", "seed: Input should be greater than or equal to 0, found -1"),
         ("segmentation.labels=far", "segmentation.labels: Input should be 'flood' or 'nearest'"),
-        ("grid.resolution_m=" + "9" * 5000, "grid.resolution_m"),
-        ("grid.resolution_m=" + "[" * 5000, "grid.resolution_m"),
+        pytest.param("grid.resolution_m=" + "9" * 5000, "grid.resolution_m", id="a long number"),
+        pytest.param("grid.resolution_m=" + "[" * 5000, "grid.resolution_m", id="a deep list"),
     ],
 )
 def test_a_wrong_setting_is_named(setting: str, told: str, run: Run) -> None:
@@ -147,6 +168,15 @@ def test_a_wrong_file_of_settings_is_named(
     assert said.code == 2
     assert said.error.startswith(f"{path}: ")
     assert told in said.error
+
+
+def test_a_wrong_setting_is_not_blamed_on_the_file(tmp_path: Path, run: Run) -> None:
+    path = tmp_path / "specmap.toml"
+    path.write_text("seed = 3\n[grid]\nresolution_m = 0.2\n", encoding="utf-8")
+    for setting in ("seed=-1", "grid.resolution_m=9", "grid.resolutoin_m=1", "grid=1"):
+        said = run("config", "--config", path, "--set", setting)
+        assert said.code == 2
+        assert said.error.startswith(f"{setting.split('=')[0]}: ")
 
 
 def test_a_missing_file_of_settings(tmp_path: Path, run: Run) -> None:

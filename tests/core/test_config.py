@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
-from specmap_cli.core.config import PRESETS, Config, load_config, with_overrides
+from specmap_cli.core.config import PRESETS, load_config, with_overrides
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.settings import Config
 from specmap_cli.core.tomltext import to_toml
 
 

@@ -27,8 +27,9 @@ from specmap_cli.evaluation.protocols import (
     revisit,
 )
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.pipelines.simulate import SimulationOptions, simulate
+from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.recognition.localization.localizer import Label
+from specmap_cli.simulation.simulator import SimulationOptions
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), min_size=1, max_size=60))
@@ -96,7 +97,17 @@ def test_labels_come_from_the_nearest_place_in_reach() -> None:
 
 
 def labels_of(submaps: list[int | None]) -> list[Label]:
-    return [Label(k * 10**9, s, 1.0, None, s, 1.0) for k, s in enumerate(submaps)]
+    return [
+        Label(
+            stamp_ns=k * 10**9,
+            submap=s,
+            margin=1.0,
+            runner_up=None,
+            filtered_submap=s,
+            filtered_probability=1.0,
+        )
+        for k, s in enumerate(submaps)
+    ]
 
 
 def test_a_revisit_is_scored_by_given_poses_in_any_frame() -> None:

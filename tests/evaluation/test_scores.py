@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 from sklearn.metrics import completeness_score, homogeneity_score
 
 from specmap_cli.evaluation.scores import (
+    Labels,
     homogeneity,
     overlap_table,
     room_scores,
-    stay_scores,
+    visit_scores,
     visits_of,
 )
+from tests.strategies import seeds
 
 ROOMS = np.repeat([0, 0, 0, 0, 1, 1, 1, 1, -1, -1], 10).reshape(10, 10).T
 
@@ -68,7 +70,7 @@ def test_homogeneity_and_completeness_are_those_of_scikit_learn(
     rooms = np.array(truth)
     found = np.random.default_rng(seed).integers(0, 4, len(rooms))
     assert homogeneity(rooms, found) == pytest.approx(homogeneity_score(rooms, found), abs=1e-9)
-    scores = stay_scores(rooms, rooms, found, found)
+    scores = visit_scores(rooms=rooms, visits=rooms, submaps=found, regions=found)
     assert scores.completeness == pytest.approx(completeness_score(rooms, found), abs=1e-9)
 
 
@@ -84,8 +86,96 @@ def test_coming_back_after_a_long_stay_elsewhere_is_another_visit() -> None:
 
 
 def test_regions_over_visits() -> None:
-    visits = np.array([0, 0, 1, 1, 2, 2])
-    scores = stay_scores(np.array([0, 0, 1, 1, 0, 0]), visits, np.array([0, 0, 1, 1, 0, 0]), visits)
+    visits, rooms = np.array([0, 0, 1, 1, 2, 2]), np.array([0, 0, 1, 1, 0, 0])
+    scores = visit_scores(rooms=rooms, visits=visits, submaps=rooms, regions=visits)
     assert scores.segments_per_visit == 1.0
     assert scores.homogeneity == 1.0
     assert scores.completeness == 1.0
+
+
+def grids_of_labels(seed: int, rooms: int, segments: int) -> tuple[Labels, Labels]:
+    """Two pictures (6, 7) of labels, -1 for none in some cells of each."""
+    rng = np.random.default_rng(seed)
+    return rng.integers(-1, rooms, (6, 7)), rng.integers(-1, segments, (6, 7))
+
+
+@given(seeds, st.integers(1, 4), st.integers(1, 6))
+def test_room_scores_are_those_of_loops_over_rooms_and_segments(
+    seed: int, room_count: int, segment_count: int
+) -> None:
+    rooms, segments = grids_of_labels(seed, room_count, segment_count)
+    cells = [{k: set(np.flatnonzero(grid == k)) for k in range(9)} for grid in (rooms, segments)]
+    painted = set(np.flatnonzero(rooms >= 0))
+    here = {room: its for room, its in cells[0].items() if its}
+    found = {k: its & painted for k, its in cells[1].items() if its & painted}
+    scores = room_scores(rooms, segments)
+    if not here or not found:
+        assert (scores.recall, scores.precision, scores.iou) == (0.0, 0.0, 0.0)
+        return
+    recall = [max(len(room & its) for its in found.values()) / len(room) for room in here.values()]
+    precision = [
+        max(len(room & its) for room in here.values()) / len(its) for its in found.values()
+    ]
+    iou = [
+        max(len(room & its) / len(room | its) for its in found.values()) for room in here.values()
+    ]
+    assert scores.recall == pytest.approx(np.mean(recall))
+    assert scores.precision == pytest.approx(np.mean(precision))
+    assert scores.iou == pytest.approx(np.mean(iou))
+    assert scores.segments_per_room == pytest.approx(len(found) / len(here))
+
+
+@given(seeds)
+def test_the_overlap_table_counts_every_painted_cell_once(seed: int) -> None:
+    rooms, segments = grids_of_labels(seed, 4, 6)
+    table = overlap_table(rooms, segments)
+    for room, segment in np.ndindex(*table.shape):
+        assert table[room, segment] == ((rooms == room) & (segments == segment)).sum()
+    assert table.sum() == ((rooms >= 0) & (segments >= 0)).sum()
+
+
+@pytest.mark.parametrize(
+    "found", [np.zeros(9), np.arange(9), np.array([0, 0, 0, 1, 1, 1, 2, 2, 2])]
+)
+def test_one_room_cannot_be_mixed(found: Labels) -> None:
+    assert homogeneity(np.full(9, 5), found.astype(np.int64)) == 1.0
+
+
+def test_one_submap_for_all_rooms_says_nothing_about_them() -> None:
+    rooms = np.repeat([0, 1, 2, 3], 5)
+    scores = visit_scores(
+        rooms=rooms, visits=rooms, submaps=np.zeros(20, dtype=np.int64), regions=rooms
+    )
+    assert scores.homogeneity == pytest.approx(0.0, abs=1e-12)
+    assert (scores.completeness, scores.segments_per_visit) == (1.0, 1.0)
+
+
+@given(st.lists(st.integers(0, 2), min_size=1, max_size=50), st.floats(0.05, 3.0))
+def test_visits_begin_where_the_robot_stays_long_enough_in_another_room(
+    rooms: list[int], least_m: float
+) -> None:
+    """Against a walk from keyframe to keyframe, 0.3 m apart."""
+    steps = np.full(len(rooms), 0.3)
+    expected: list[int] = []
+    here, first = rooms[0], 0
+    for k, room in enumerate(rooms):
+        if k == 0 or room != rooms[k - 1]:
+            first = k
+        if k in (0, first):
+            last = first
+            while last + 1 < len(rooms) and rooms[last + 1] == room:
+                last += 1
+            long_enough = np.cumsum(steps)[last] - np.cumsum(steps)[first] >= least_m
+            if k and room != here and long_enough:
+                here = room
+                expected.append(expected[-1] + 1)
+                continue
+        expected.append(expected[-1] if expected else 0)
+    assert visits_of(np.array(rooms), steps, least_m).tolist() == expected
+
+
+@pytest.mark.parametrize(("way_m", "visits"), [(0.9, 1), (1.1, 2)])
+def test_a_visit_is_as_long_as_asked(way_m: float, visits: int) -> None:
+    rooms = np.repeat([0, 1], 12)
+    steps = np.r_[np.full(12, 1.0), np.full(12, way_m / 11)]
+    assert len(np.unique(visits_of(rooms, steps))) == visits

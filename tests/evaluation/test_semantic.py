@@ -22,7 +22,7 @@ from specmap_cli.evaluation.semantic import (
     semantic_scores,
 )
 from specmap_cli.pipelines.simulate import SimulationResult
-from specmap_cli.simulation.worlds import RoomTruth
+from specmap_cli.simulation.room_truth import RoomTruth
 
 
 def test_the_corridor_of_the_flat_is_its_hallway(flat_rooms: Any) -> None:

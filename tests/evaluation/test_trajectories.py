@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import re
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import Pose2, compose, invert
@@ -21,7 +25,8 @@ from specmap_cli.evaluation.trajectories import (
     reference_errors,
     relation_errors,
 )
-from tests.strategies import poses
+from specmap_cli.maps.tables import planar_trajectory_text, trajectory_text
+from tests.strategies import poses, seeds
 
 
 def walk(count: int = 400) -> Trajectory:
@@ -146,3 +151,150 @@ def test_foreign_truth_is_said() -> None:
         reference_errors(later, truth)
     with pytest.raises(InputError, match="no stamps in common"):
         relation_errors(later, Relations(truth.stamps_ns, truth.stamps_ns, truth.poses))
+
+
+def anywhere(seed: int, count: int) -> Trajectory:
+    """Poses (count, 3) of a random walk, a tenth of a second apart."""
+    rng = np.random.default_rng(seed)
+    steps = rng.normal(0.0, (0.5, 0.5, 0.3), (count, 3))
+    stamps = 1_700_000_000_123_456_789 + 10**8 * np.arange(count)
+    return Trajectory(stamps, np.cumsum(steps, axis=0))
+
+
+@given(seeds, st.integers(1, 20))
+def test_trajectories_there_and_back(seed: int, count: int) -> None:
+    """What `build` writes, and the truth that `simulate` writes, are read again."""
+    driven = anywhere(seed, count)
+    whole = driven.stamps_ns // 1000 * 1000
+    with tempfile.TemporaryDirectory() as folder:
+        for stamps, text in (
+            (driven.stamps_ns, trajectory_text(driven)),
+            (whole, planar_trajectory_text(Trajectory(whole, driven.poses))),
+        ):
+            path = f"{folder}/a.tum"
+            Path(path).write_text(text)
+            read = read_tum(path)
+            np.testing.assert_array_equal(read.stamps_ns, stamps)
+            np.testing.assert_allclose(read.poses[:, :2], driven.poses[:, :2], atol=6e-7)
+            np.testing.assert_allclose(np.cos(read.poses - driven.poses)[:, 2], 1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("word", "stamp_ns"),
+    [
+        ("5", 5_000_000_000),
+        ("5.", 5_000_000_000),
+        (".5", 500_000_000),
+        ("0.1234567891", 123_456_789),
+        ("1700000000.123456789", 1_700_000_000_123_456_789),
+        ("1.5e3", 1_500_000_000_000),
+        ("-2.25", -2_250_000_000),
+        ("+3", 3_000_000_000),
+    ],
+)
+def test_stamps_are_exact_in_any_notation(tmp_path: Path, word: str, stamp_ns: int) -> None:
+    (tmp_path / "a.tum").write_text(f"{word} 1 2 0 0 0 0 1\n")
+    assert read_tum(tmp_path / "a.tum").stamps_ns.tolist() == [stamp_ns]
+
+
+@pytest.mark.parametrize("word", ["99999999999999999999", "1e10", "-1e10", "9200000000"])
+def test_a_stamp_beyond_all_clocks_is_refused(tmp_path: Path, word: str) -> None:
+    (tmp_path / "a.tum").write_text(f"1 0 0 0 0 0 0 1\n{word} 0 0 0 0 0 0 1\n")
+    expected = rf"a\.tum:2: '{re.escape(word)}' is no time in seconds; mend or remove the line"
+    with pytest.raises(InputError, match=expected):
+        read_tum(tmp_path / "a.tum")
+
+
+def test_the_heading_of_a_tilted_body_is_its_yaw(tmp_path: Path) -> None:
+    q = Rotation.from_euler("ZYX", [0.8, 0.2, -0.1]).as_quat()
+    (tmp_path / "a.tum").write_text("1 0 0 5 " + " ".join(map(str, 3.0 * q)) + "\n")
+    assert read_tum(tmp_path / "a.tum").poses[0, 2] == pytest.approx(0.8)
+
+
+@given(seeds, poses)
+def test_the_best_motion_is_that_of_a_singular_value_decomposition(
+    seed: int, motion: Pose2
+) -> None:
+    """Arun et al. (PAMI 1987), by numpy, on points that do not fit exactly."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-5, 5, (12, 2))
+    targets = motion.apply(points) + rng.normal(0.0, 0.3, (12, 2))
+    found = best_motion(points, targets)
+    p, t = points - points.mean(axis=0), targets - targets.mean(axis=0)
+    u, _, vt = np.linalg.svd(p.T @ t)
+    rotation = vt.T @ np.diag([1.0, np.linalg.det(vt.T @ u.T)]) @ u.T
+    np.testing.assert_allclose(found.rotation(), rotation, atol=1e-9)
+    np.testing.assert_allclose(found.apply(points).mean(axis=0), targets.mean(axis=0), atol=1e-9)
+
+
+@given(seeds, poses)
+def test_relation_errors_do_not_depend_on_the_frame(seed: int, motion: Pose2) -> None:
+    driven, rng = anywhere(seed, 40), np.random.default_rng(seed)
+    i, j = rng.integers(0, 40, (2, 15))
+    relations = Relations(driven.stamps_ns[i], driven.stamps_ns[j], rng.normal(0, 1, (15, 3)))
+    moved = Trajectory(driven.stamps_ns, compose(np.array(motion), driven.poses))
+    here, there = relation_errors(driven, relations), relation_errors(moved, relations)
+    assert there.translation_m.mean == pytest.approx(here.translation_m.mean)
+    assert there.rotation_deg.max == pytest.approx(here.rotation_deg.max, abs=1e-6)
+
+
+@given(seeds)
+def test_relation_errors_are_those_of_homogeneous_matrices(seed: int) -> None:
+    """Each relation by itself: inverse(wanted) times measured, as in Burgard et al."""
+    driven, rng = anywhere(seed, 30), np.random.default_rng(seed)
+    i, j = rng.integers(0, 30, (2, 9))
+    wanted = rng.normal(0, 1, (9, 3))
+    found = relation_errors(driven, Relations(driven.stamps_ns[i], driven.stamps_ns[j], wanted))
+    lengths, angles = [], []
+    for first, second, pose in zip(i, j, wanted, strict=True):
+        a, b = (Pose2(*driven.poses[k].tolist()).matrix() for k in (first, second))
+        error = np.linalg.inv(Pose2(*pose.tolist()).matrix()) @ np.linalg.inv(a) @ b
+        lengths.append(np.linalg.norm(error[:2, 3]))
+        angles.append(abs(np.degrees(np.arctan2(error[1, 0], error[0, 0]))))
+    for spread, values in ((found.translation_m, lengths), (found.rotation_deg, angles)):
+        assert spread.mean == pytest.approx(np.mean(values))
+        assert spread.std == pytest.approx(np.std(values))
+        assert spread.median == pytest.approx(np.median(values))
+        assert spread.p95 == pytest.approx(np.percentile(values, 95))
+        assert spread.max == pytest.approx(np.max(values))
+
+
+@pytest.mark.parametrize(("count", "lengths"), [(5, []), (30, [1.0]), (120, [1.0, 5.0])])
+def test_only_lengths_that_the_path_reaches_are_scored(count: int, lengths: list[float]) -> None:
+    truth = walk(count)
+    found = reference_errors(truth, truth)
+    assert list(found.relative) == lengths
+    assert json.loads(json.dumps(found.as_dict()))["relative"].keys() == {
+        f"{length:g}" for length in lengths
+    }
+
+
+def test_the_absolute_error_is_after_the_best_motion_and_the_end_error_before_any() -> None:
+    truth = walk(100)
+    bent = Trajectory(truth.stamps_ns, truth.poses + (0.0, 0.0, np.radians(3.0)))
+    found = reference_errors(bent, truth)
+    assert found.ate_m == pytest.approx(0.0, abs=1e-9)
+    assert found.end_deg == pytest.approx(0.0, abs=1e-9)
+    way = truth.poses[-1, :2] - truth.poses[0, :2]
+    assert found.end_m == pytest.approx(2 * np.sin(np.radians(1.5)) * np.hypot(*way))
+
+
+def test_poses_between_the_scans_are_not_matched() -> None:
+    truth = walk(50)
+    between = Trajectory(truth.stamps_ns + 5 * 10**7, truth.poses)
+    both = Trajectory(
+        np.concatenate([truth.stamps_ns, between.stamps_ns]),
+        np.concatenate([truth.poses, between.poses]),
+    )
+    found = reference_errors(truth, both)
+    assert (found.matched, found.total) == (50, 100)
+    assert found.ate_m == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("common", "words"), [(0, "no stamps"), (1, "one stamp")])
+def test_one_common_pose_is_too_few(common: int, words: str) -> None:
+    truth = walk(20)
+    stamps = truth.stamps_ns + 10**15
+    stamps[:common] = truth.stamps_ns[:common]
+    with pytest.raises(InputError, match=rf"have {words} in common \(20 in the truth\)"):
+        reference_errors(Trajectory(stamps, truth.poses), truth)

@@ -1,8 +1,6 @@
-"""The occupancy grid claims what beams have proved and no more; virtual scans are exact."""
+"""Grid maps: cells and their places, windows, distances."""
 
 from __future__ import annotations
-
-import math
 
 import cv2
 import numpy as np
@@ -10,141 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
-from scipy.spatial import cKDTree
 
-from specmap_cli.core.config import GridConfig
-from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import PlanarScan
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, cell_distances
-from specmap_cli.grids.occupancy import OccupancyGrid
-from specmap_cli.grids.ray_casting import cast_ranges, cast_rays
-from tests.strategies import grid_maps, planar_scans, poses, seeds
-
-CELL = 0.0625  # a power of two, so that shifts by whole cells are exact
-CONFIG = GridConfig(resolution_m=CELL)
-
-
-def gridded(scans: list[PlanarScan], at: list[Pose2], config: GridConfig = CONFIG) -> GridMap:
-    grid = OccupancyGrid(config)
-    for scan, pose in zip(scans, at, strict=True):
-        grid.integrate(scan, pose)
-    return grid.snapshot()
-
-
-def known(grid: GridMap) -> dict[tuple[int, int], int]:
-    """State of every known cell by its place in the world, in whole cells."""
-    column, row = (round(side / grid.resolution) for side in grid.origin)
-    cells = np.argwhere(grid.cells != UNKNOWN)
-    return {(int(c) + column, int(r) + row): int(grid.cells[r, c]) for r, c in cells}
-
-
-def one_beam(bearing: float, reach: float) -> PlanarScan:
-    return PlanarScan(0, np.array([bearing]), np.array([reach]), 20.0, False)
-
-
-def proved_points(scan: PlanarScan, pose: Pose2, config: GridConfig) -> FloatArray:
-    """Points dense along every beam that returned, and between two that met one surface."""
-    returned = np.isfinite(scan.ranges)
-    ranges = np.where(returned, np.minimum(scan.ranges, config.max_range_m), 0.0)
-    beams = np.column_stack([np.cos(scan.bearings), np.sin(scan.bearings)]) * ranges[:, None]
-    ends = [beams[returned]]
-    gaps = np.linalg.norm(np.diff(beams, axis=0), axis=1)
-    for i in np.flatnonzero(returned[1:] & returned[:-1] & (gaps <= config.surface_gap_m)):
-        ends.append(beams[i] + np.linspace(0, 1, 12)[:, None] * (beams[i + 1] - beams[i]))
-    along = np.linspace(0.0, 1.0, 400)[:, None, None] * np.concatenate(ends)[None]
-    return pose.apply(along.reshape(-1, 2))
-
-
-@given(planar_scans(beams=48, reach=4.0), poses)
-def test_a_cell_is_free_only_where_a_beam_passed(scan: PlanarScan, pose: Pose2) -> None:
-    grid = gridded([scan], [pose])
-    free = grid.centres_of(np.argwhere(grid.free))
-    away, _ = cKDTree(proved_points(scan, pose, CONFIG)).query(free)
-    assert away.max() <= 1.25 * CELL  # a line drawn in whole cells strays by one of them
-
-
-@given(planar_scans(reach=6.0), poses)
-def test_every_return_is_an_occupied_cell_whatever_the_other_beams_say(
-    scan: PlanarScan, pose: Pose2
-) -> None:
-    grid = gridded([scan] * 3, [pose] * 3)
-    hits = pose.apply(scan.hits())
-    # a return on the border of two cells belongs to either
-    around = [hits + np.array([dx, dy]) for dx in (-1e-9, 1e-9) for dy in (-1e-9, 1e-9)]
-    assert (np.array([grid.values_at(p) == OCCUPIED for p in around]).any(axis=0)).all()
-    assert grid.occupied.sum() <= len(hits)
-
-
-def test_beams_without_a_return_prove_nothing() -> None:
-    bearings = np.linspace(-np.pi, np.pi, 90, endpoint=False)
-    for empty in (np.inf, np.nan):
-        nothing = PlanarScan(0, bearings, np.full(90, empty), 20.0, True)
-        assert gridded([nothing], [Pose2(1.0, 2.0, 0.3)]).cells.size == 0
-    ranges = np.full(90, np.inf)
-    ranges[45] = 2.0  # bearing 0
-    grid = gridded([PlanarScan(0, bearings, ranges, 20.0, True)], [Pose2(0.0, 0.0, 0.0)])
-    places = np.array([[1.0, 0.0], [2.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [2.2, 0.0]])
-    assert grid.values_at(places).tolist() == [FREE, OCCUPIED, UNKNOWN, UNKNOWN, UNKNOWN]
-
-
-def test_a_beam_longer_than_the_cut_proves_free_space_and_no_wall() -> None:
-    config = GridConfig(resolution_m=CELL, max_range_m=3.0)
-    grid = gridded([one_beam(0.0, 5.0)], [Pose2(0.0, 0.0, 0.0)], config)
-    places = np.array([[2.5, 0.0], [3.5, 0.0], [5.0, 0.0]])
-    assert grid.values_at(places).tolist() == [FREE, UNKNOWN, UNKNOWN]
-    assert not grid.occupied.any()
-
-
-@pytest.mark.parametrize(("passes", "state"), [(0, OCCUPIED), (3, OCCUPIED), (4, FREE)])
-def test_a_wall_is_given_up_when_most_scans_pass_through_it(passes: int, state: int) -> None:
-    beams = [one_beam(0.0, 2.0)] + [one_beam(0.0, 4.0)] * passes
-    grid = gridded(beams, [Pose2(0.0, 0.0, 0.0)] * len(beams))
-    assert grid.values_at(np.array([[2.0, 0.0]]))[0] == state
-
-
-@given(st.lists(st.tuples(planar_scans(beams=24), poses), min_size=2, max_size=4))
-def test_neither_order_nor_growth_changes_what_was_counted(
-    taken: list[tuple[PlanarScan, Pose2]],
-) -> None:
-    scans, at = [scan for scan, _ in taken], [pose for _, pose in taken]
-    assert known(gridded(scans, at)) == known(gridded(scans[::-1], at[::-1]))
-
-
-@given(planar_scans(), poses, st.integers(-40, 40), st.integers(-40, 40))
-def test_a_shift_by_whole_cells_shifts_the_grid(
-    scan: PlanarScan, pose: Pose2, columns: int, rows: int
-) -> None:
-    start = Pose2(round(pose.x * 256) / 256, round(pose.y * 256) / 256, pose.theta)
-    moved = Pose2(start.x + columns * CELL, start.y + rows * CELL, start.theta)
-    shifted = {(c + columns, r + rows): v for (c, r), v in known(gridded([scan], [start])).items()}
-    found = known(gridded([scan], [moved]))
-    # a beam may end on a border to within rounding
-    different = {
-        cell for cell in shifted.keys() | found.keys() if shifted.get(cell) != found.get(cell)
-    }
-    assert len(different) <= 2
-
-
-@pytest.mark.parametrize("limit", [{"max_extent_m": 40.0}, {"max_area_m2": 1600.0}])
-def test_a_grid_never_grows_past_its_limit(limit: dict[str, float]) -> None:
-    grid = OccupancyGrid(GridConfig(resolution_m=CELL, **limit))
-    grid.integrate(one_beam(0.0, 2.0), Pose2(0.0, 0.0, 0.0))
-    before = grid.snapshot()
-    grid.integrate(one_beam(0.0, 2.0), Pose2(500.0, 0.0, 0.0))
-    grid.mark_free_disc(0.0, -500.0, 0.3)
-    np.testing.assert_array_equal(grid.snapshot().cells, before.cells)
-    grid.integrate(one_beam(0.0, 2.0), Pose2(5.0, 5.0, 0.0))
-    assert grid.snapshot().cells.size * CELL**2 <= 1600.0
-    assert grid.snapshot().values_at(np.array([[7.0, 5.0]]))[0] == OCCUPIED
-
-
-def test_the_robot_stood_on_free_floor() -> None:
-    grid = OccupancyGrid(CONFIG)
-    grid.mark_free_disc(1.0, -2.0, 0.3)
-    snapshot = grid.snapshot()
-    assert snapshot.free_area_m2 == pytest.approx(math.pi * 0.09, rel=0.1)
-    away = np.linalg.norm(snapshot.centres_of(np.argwhere(snapshot.free)) - (1.0, -2.0), axis=1)
-    assert away.max() <= 0.3
+from specmap_cli.grids.gridmap import (
+    NO_OBSTACLE_M,
+    OCCUPIED,
+    UNKNOWN,
+    GridMap,
+    cell_distances,
+)
+from tests.strategies import grid_maps, seeds
 
 
 @given(grid_maps())
@@ -171,59 +43,6 @@ def test_distances_are_scipys(grid: GridMap) -> None:
         assert (grid.obstacle_distance() > 100.0).all()
 
 
-def empty_room() -> GridMap:
-    """A room of 5 m x 4 m, its walls at x = 1 and 6, y = 0.5 and 4.5."""
-    cells = np.full((100, 140), OCCUPIED, dtype=np.uint8)
-    cells[10:90, 20:120] = FREE
-    return GridMap(cells, 0.05)
-
-
-@given(seeds)
-def test_virtual_scans_of_a_room_are_its_walls_in_closed_form(seed: int) -> None:
-    room = empty_room()
-    rng = np.random.default_rng(seed)
-    origins = rng.uniform((1.0, 0.5), (6.0, 4.5), (20, 2))
-    bearings = rng.uniform(-np.pi, np.pi, 30)
-    c, s = np.cos(bearings), np.sin(bearings)
-    to_x = (np.where(c > 0, 6.0, 1.0) - origins[:, :1]) / c
-    to_y = (np.where(s > 0, 4.5, 0.5) - origins[:, 1:]) / s
-    found = cast_ranges(room.obstacle_distance(), room, origins, bearings, 20.0)
-    np.testing.assert_allclose(found, np.minimum(to_x, to_y), atol=1e-6)
-
-
-@given(grid_maps(), seeds)
-def test_a_ray_ends_where_it_first_touches_an_obstacle(grid: GridMap, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    height, width = grid.cells.shape
-    origins = grid.origin + rng.uniform(0, 1, (30, 2)) * (width, height) * np.array(grid.resolution)
-    angles = rng.uniform(-np.pi, np.pi, 30)
-    longest = 0.6 * width * grid.resolution
-    ranges = cast_rays(grid.obstacle_distance(), grid, origins, angles, longest)
-    directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    returned = np.isfinite(ranges)
-    inside = ranges[returned] + 1e-5 * grid.resolution
-    ends = origins[returned] + directions[returned] * inside[:, None]
-    assert (grid.values_at(ends) == OCCUPIED).all()
-    reach = np.where(returned, ranges - 1e-5 * grid.resolution, longest)
-    for share in np.linspace(0.0, 1.0, 200):
-        points = origins + directions * (share * np.maximum(reach, 0.0))[:, None]
-        assert (grid.values_at(points[reach > 0]) != OCCUPIED).all()
-
-
-def test_rays_end_at_their_range_and_at_the_edge_of_the_grid() -> None:
-    room = empty_room()
-    distance, middle = room.obstacle_distance(), np.array([[3.5, 2.5]])
-    assert cast_ranges(distance, room, middle, np.array([0.0]), 2.4)[0, 0] == np.inf
-    assert cast_ranges(distance, room, middle, np.array([0.0]), 2.6)[0, 0] == pytest.approx(2.5)
-    open_ = GridMap(np.zeros((10, 10), dtype=np.uint8), 0.1)
-    far = cast_ranges(
-        open_.obstacle_distance(), open_, np.array([[0.5, 0.5], [9.0, 9.0]]), np.zeros(1), 50.0
-    )
-    assert (far == np.inf).all()
-    in_wall = cast_ranges(distance, room, np.array([[0.5, 2.0]]), np.array([0.0]), 5.0)
-    assert in_wall[0, 0] == 0.0
-
-
 def test_distances_are_the_same_bit_for_bit_wherever_the_picture_lies() -> None:
     picture = (np.random.default_rng(0).random((233, 181)) > 0.002).astype(np.uint8)
     exact = distance_transform_edt(picture)
@@ -236,3 +55,64 @@ def test_distances_are_the_same_bit_for_bit_wherever_the_picture_lies() -> None:
             moved[:] = picture
             np.testing.assert_array_equal(cell_distances(moved), exact)
     cv2.setNumThreads(threads)
+
+
+@given(grid_maps(largest=12))
+def test_distances_are_those_of_a_loop_over_all_cells(grid: GridMap) -> None:
+    obstacles = np.argwhere(grid.occupied)
+    for row, column in np.ndindex(*grid.cells.shape):
+        gaps = np.hypot(*(obstacles - (row, column)).T)
+        expected = gaps.min(initial=np.inf) * grid.resolution
+        found = grid.obstacle_distance()[row, column]
+        assert found == pytest.approx(min(expected, NO_OBSTACLE_M))
+
+
+@given(grid_maps(), st.data())
+def test_a_window_is_the_same_map_seen_through_a_hole(grid: GridMap, data: st.DataObject) -> None:
+    height, width = grid.cells.shape
+    low, left = data.draw(st.integers(0, height - 1)), data.draw(st.integers(0, width - 1))
+    high, right = data.draw(st.integers(low, height)), data.draw(st.integers(left, width))
+    part = grid.window(slice(low, high), slice(left, right))
+    assert part.cells.shape == (high - low, right - left)
+    assert part.resolution == grid.resolution
+    cells = np.argwhere(np.ones_like(part.cells))
+    places = part.centres_of(cells)
+    np.testing.assert_allclose(places, grid.centres_of(cells + (low, left)), atol=1e-9)
+    np.testing.assert_array_equal(grid.values_at(places), part.cells.reshape(-1))
+    assert not np.shares_memory(part.cells, grid.cells)
+
+
+def test_a_window_takes_numbers_of_numpy_and_gives_those_of_python() -> None:
+    grid = GridMap(np.zeros((6, 8), dtype=np.uint8), 0.5, (1.0, 2.0))
+    rows, columns = np.array([1, 4]), np.array([2, 5])
+    part = grid.window(slice(rows[0], rows[1]), slice(columns[0], columns[1]))
+    assert part.origin == (2.0, 2.5)
+    assert {type(value) for value in part.origin} == {float}
+
+
+def test_a_point_on_a_border_belongs_to_the_cell_above_and_right_of_it() -> None:
+    grid = GridMap(np.zeros((4, 4), dtype=np.uint8), 0.25, (-0.5, 1.0))
+    corners = np.array([[-0.5, 1.0], [0.0, 1.0], [-0.25, 1.25], [0.5, 2.0]])
+    assert grid.cells_of(corners).tolist() == [[0, 0], [0, 2], [1, 1], [4, 4]]
+    assert grid.inside(grid.cells_of(corners)).tolist() == [True, True, True, False]
+    assert grid.cells_of(np.zeros((0, 2))).shape == (0, 2)
+    assert grid.values_at(np.zeros((0, 2))).shape == (0,)
+
+
+@given(grid_maps())
+def test_the_states_of_a_cell_exclude_each_other(grid: GridMap) -> None:
+    unknown = grid.cells == UNKNOWN
+    assert ((grid.free.astype(int) + grid.occupied + unknown) == 1).all()
+    assert grid.free_area_m2 == pytest.approx(sum(grid.free.flat) * grid.resolution**2)
+    assert not grid.clearance()[~grid.free].any()
+    assert (grid.clearance()[grid.free] >= grid.resolution).all()
+
+
+@given(grid_maps(), seeds)
+def test_one_more_obstacle_brings_none_farther_away(grid: GridMap, seed: int) -> None:
+    before = grid.obstacle_distance()
+    cells = grid.cells.copy()
+    cells.flat[seed % cells.size] = OCCUPIED
+    after = GridMap(cells, grid.resolution).obstacle_distance()
+    assert (after <= before).all()
+    assert after.flat[seed % cells.size] == 0.0

@@ -1,26 +1,24 @@
+"""Occupancy grids as files: the convention of map_server, written and read."""
+
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import ruamel.yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.map_server import read_grid, write_grid
-from specmap_cli.topology.topological_map import Submap
+from specmap_cli.grids.map_server import read_grid, write_grid, write_png
 
 YAML = "image: m.png\nresolution: 0.1\norigin: [-1.0, 2.5, 0.0]\nnegate: 0\n"
-
-
-def submap(id_: int, frame: Pose2, grid: GridMap) -> Submap:
-    return Submap(id_, frame, [], [], grid)
 
 
 def write_image(directory: Path, image: NDArray[Any], yaml: str = YAML) -> Path:
@@ -143,3 +141,133 @@ def test_unreadable_files_are_one_line(tmp_path: Path) -> None:
         read_grid(tmp_path / "gone.yaml")
     with pytest.raises(MapError, match="not a text file"):
         read_grid(tmp_path / "binary.yaml")
+
+
+def test_paths_may_be_text(tmp_path: Path) -> None:
+    grid = GridMap(np.array([[FREE, OCCUPIED]], dtype=np.uint8), 0.05)
+    write_grid(f"{tmp_path}/m", grid)
+    np.testing.assert_array_equal(read_grid(f"{tmp_path}/m.yaml").cells, grid.cells)
+    write_png(f"{tmp_path}/p.png", np.zeros((2, 3), dtype=np.uint8))
+    assert read_grid(str(tmp_path / "p.png"), 0.1).cells.tolist() == [[OCCUPIED] * 3] * 2
+
+
+@given(
+    st.floats(1e-6, 100.0).map(lambda v: round(v, 6)),
+    st.one_of(st.sampled_from([0.0, -0.0, 1e-5, -3e-6, 4e-7, 1e6]), st.floats(-1e5, 1e5)),
+)
+def test_another_reader_finds_the_same_numbers(
+    tmp_path_factory: pytest.TempPathFactory, resolution: float, x: float
+) -> None:
+    stem = tmp_path_factory.mktemp("grid") / "m"
+    write_grid(stem, GridMap(np.zeros((1, 1), dtype=np.uint8), resolution, (x, -x)))
+    text = stem.with_suffix(".yaml").read_text()
+    found = ruamel.yaml.YAML(typ="safe", pure=True).load(text)
+    assert found["resolution"] == resolution
+    assert found["origin"] == pytest.approx([x, -x, 0.0], abs=6e-7)
+    assert {type(value) for value in (found["resolution"], *found["origin"])} == {float}
+    assert not re.search(r"\de|-0\.0\b", text)  # neither exponents, which YAML 1.1 reads as text
+
+
+@pytest.mark.parametrize(
+    ("grey", "state"),
+    [(0, OCCUPIED), (89, OCCUPIED), (90, UNKNOWN), (205, UNKNOWN), (206, FREE), (254, FREE)],
+)
+def test_thresholds_are_those_of_map_server(tmp_path: Path, grey: int, state: int) -> None:
+    path = write_image(tmp_path, np.full((1, 1), grey, dtype=np.uint8))
+    assert read_grid(path).cells.tolist() == [[state]]
+    bare = read_grid(tmp_path / "m.png", 0.1).cells[0, 0]
+    assert bare == (FREE if grey > 250 else UNKNOWN if state == FREE else state)
+
+
+@given(st.integers(0, 255), st.integers(1, 99), st.integers(1, 99), st.booleans())
+@settings(max_examples=30)
+def test_any_thresholds_count_and_so_does_negate(
+    tmp_path_factory: pytest.TempPathFactory, grey: int, one: int, other: int, negate: bool
+) -> None:
+    free, occupied = min(one, other) / 100, (max(one, other) + 0.5) / 100
+    yaml = f"image: m.png\nresolution: 0.1\nnegate: {int(negate)}\n"
+    yaml += f"occupied_thresh: {occupied}\nfree_thresh: {free}\n"
+    image = np.full((1, 1), grey, dtype=np.uint8)
+    grid = read_grid(write_image(tmp_path_factory.mktemp("grid"), image, yaml))
+    darkness = grey / 255 if negate else (255 - grey) / 255
+    expected = OCCUPIED if darkness > occupied else FREE if darkness < free else UNKNOWN
+    assert grid.cells.tolist() == [[expected]]
+    assert grid.origin == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("word", ["true", "True", "1", "YES"])
+def test_negate_may_be_a_word(tmp_path: Path, word: str) -> None:
+    yaml = YAML.replace("negate: 0", f"negate: {word}")
+    path = write_image(tmp_path, np.full((1, 1), 255, dtype=np.uint8), yaml)
+    assert read_grid(path).cells.tolist() == [[OCCUPIED]]
+
+
+@pytest.mark.parametrize("name", ["floor2.png", "floor #2.png", "it's: 2.png"])
+@pytest.mark.parametrize("absolute", [False, True])
+def test_a_picture_may_lie_elsewhere_and_be_called_anything(
+    tmp_path: Path, name: str, absolute: bool
+) -> None:
+    (tmp_path / "pictures").mkdir()
+    picture = tmp_path / "pictures" / name
+    write_png(picture, np.zeros((1, 1), dtype=np.uint8))
+    said = picture if absolute else f"pictures/{name}"
+    (tmp_path / "m.yaml").write_text(YAML.replace("m.png", f'"{said}"  # the "floor"'))
+    assert read_grid(tmp_path / "m.yaml").cells.tolist() == [[OCCUPIED]]
+
+
+def test_comments_and_further_keys_do_no_harm(tmp_path: Path) -> None:
+    yaml = "# by hand\n---\n" + YAML.replace("0.1", "0.1\t# metres") + "mode: trinary # as usual\n"
+    yaml += "   \n  # indented\nfloor: 3\nnote: 'a: b'\nempty:\n"
+    grid = read_grid(write_image(tmp_path, np.zeros((1, 1), dtype=np.uint8), yaml))
+    assert (grid.resolution, grid.origin) == (0.1, (-1.0, 2.5))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3)])
+def test_pictures_are_the_same_bytes_every_time_and_come_back(
+    tmp_path: Path, dtype: type[np.uint8 | np.uint16], shape: tuple[int, ...]
+) -> None:
+    most = np.iinfo(dtype).max
+    image = np.random.default_rng(0).integers(0, most, shape, dtype=dtype, endpoint=True)
+    for name in ("one.png", "two.png"):
+        write_png(tmp_path / name, image)
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+    back = cv2.imread(str(tmp_path / "one.png"), cv2.IMREAD_UNCHANGED)
+    assert back is not None
+    np.testing.assert_array_equal(back, image)
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["one.png", "two.png"]
+
+
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    grid = GridMap(np.zeros((1, 1), dtype=np.uint8), 0.05)
+    with pytest.raises(UsageError, match=r"gone/m\.png: cannot be written: No such file"):
+        write_grid(tmp_path / "gone" / "m", grid)
+    (tmp_path / "m.yaml").mkdir()
+    with pytest.raises(UsageError, match=r"m\.yaml: cannot be written: Is a directory"):
+        write_grid(tmp_path / "m", grid)
+
+
+@pytest.mark.parametrize(
+    ("yaml", "said"),
+    [
+        ("", "{}: no `image` entry: expected a map_server YAML"),
+        (YAML + "x: " + "y" * 66_000, "{}: larger than 65536 bytes: expected a map_server YAML"),
+        (YAML.replace("0.1", "[1, 2]"), "{}: resolution is '[1, 2]': expected metres a cell"),
+        (YAML.replace("0.1", "-1"), "{}: resolution is -1: expected metres a cell, above 0"),
+        (YAML.replace("-1.0", "1e999"), "{}: origin is '[1e999, 2.5, 0.0]': expected [x, y, 0]"),
+        (
+            YAML.replace("0.0]", "1.57]"),
+            "{}: origin is turned by 1.57 rad: turn the image, write 0",
+        ),
+        (
+            YAML + "free_thresh: -0.1\n",
+            "{}: free_thresh is '-0.1': expected a number from 0 to 1",
+        ),
+        (YAML + "mode: cost\n", "{}: mode is 'cost': expected one of trinary, scale, raw"),
+    ],
+)
+def test_what_is_said_of_a_damaged_map(tmp_path: Path, yaml: str, said: str) -> None:
+    path = write_image(tmp_path, np.zeros((2, 2), dtype=np.uint8), yaml)
+    with pytest.raises(MapError) as caught:
+        read_grid(path)
+    assert str(caught.value) == said.format(path)

@@ -1,15 +1,15 @@
 """The matcher finds the pose a scan was taken from, near a guess and without one."""
 
-import itertools
+from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, wrap_angle
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.matching import (
     ScoreField,
     Window,
@@ -17,27 +17,11 @@ from specmap_cli.grids.matching import (
     refine,
     search,
     search_everywhere,
-    thinned,
 )
+from tests.strategies import seeds
 
-
-def wall(x0: float, y0: float, x1: float, y1: float) -> FloatArray:
-    """Points every 4 cm along a wall."""
-    n = int(np.hypot(x1 - x0, y1 - y0) / 0.04) + 1
-    return np.column_stack([np.linspace(x0, x1, n), np.linspace(y0, y1, n)])
-
-
-@pytest.fixture(scope="module")
-def room() -> FloatArray:
-    """An L-shaped room with a pillar: no symmetry."""
-    corners = [(-3, -2), (4, -2), (4, 1), (1, 1), (1, 3), (-3, 3), (-3, -2)]
-    sides = [wall(*a, *b) for a, b in itertools.pairwise(corners)]
-    return np.concatenate([*sides, wall(2, -1, 2.4, -1), wall(2.4, -1, 2.4, -0.6)])
-
-
-@pytest.fixture(scope="module")
-def field(room: FloatArray) -> ScoreField:
-    return ScoreField.from_points(room)
+WIDE = Window(distance_m=1.0, angle_rad=0.3, step_m=0.1)
+NARROW = Window(distance_m=0.3, angle_rad=0.1, step_m=0.1)
 
 
 def assert_near(found: Pose2, true: Pose2, metres: float, radians: float) -> None:
@@ -46,42 +30,10 @@ def assert_near(found: Pose2, true: Pose2, metres: float, radians: float) -> Non
     assert abs(away.theta) < radians
 
 
-def test_values_are_those_of_the_distance_to_the_nearest_point(room: FloatArray) -> None:
-    field = ScoreField.from_points(room, 0.05, 0.1)
-    places = np.random.default_rng(1).uniform(-3.2, 4.2, (500, 2))
-    distance, _ = cKDTree(room).query(places)
-    expected = np.exp(-(distance**2) / (2 * 0.1**2))
-    # both ends are rounded to cells of 5 cm
-    nearest = np.exp(-(np.maximum(distance - 0.085, 0) ** 2) / (2 * 0.1**2))
-    farthest = np.exp(-((distance + 0.085) ** 2) / (2 * 0.1**2))
-    values = field.at(places)
-    assert (values <= nearest + 1e-6).all()
-    assert (values >= farthest - 3e-3).all()  # nought beyond 3.5 sigma of the walls
-    assert np.abs(values - expected).mean() < 0.05
-
-
-def test_field_of_a_grid_is_one_on_its_walls_and_starts_at_its_origin() -> None:
-    cells = np.full((40, 60), FREE, dtype=np.uint8)
-    cells[10, 5:50] = OCCUPIED
-    grid = GridMap(cells, 0.05, (2.0, -1.0))
-    field = ScoreField.from_grid(grid)
-    on_wall = grid.centres_of(np.argwhere(grid.occupied))
-    assert np.allclose(field.at(on_wall), 1.0)
-    assert field.score(on_wall + (0.0, 0.5), IDENTITY) < 1e-3
-
-
-def test_a_stray_point_far_away_costs_no_memory(room: FloatArray) -> None:
-    stray = np.vstack([room, [[1e6, -1e6]]])
-    field = ScoreField.from_points(stray, max_side=40.0)
-    assert field.values.shape[0] < 900
-    assert field.values.shape[1] < 900
-    assert field.score(room, IDENTITY) > 0.95
-
-
 def test_without_points_every_answer_is_the_guess(field: ScoreField) -> None:
     nothing = np.zeros((0, 2))
     guess = Pose2(1.0, 2.0, 0.3)
-    assert search(field, nothing, guess, Window(1.0, 0.3, 0.1)).pose == guess
+    assert search(field, nothing, guess, WIDE).pose == guess
     assert refine(field, nothing, guess).pose == guess
     assert search_everywhere(field, nothing) == []
     assert ScoreField.from_points(nothing).score(np.ones((3, 2)), IDENTITY) == 0.0
@@ -95,7 +47,7 @@ def test_a_scan_is_found_from_a_guess(
     true = Pose2(0.4, -0.3, heading)
     scan = true.inverse().apply(room[::3])
     guess = Pose2(true.x + dx, true.y + dy, heading + turn)
-    rough = search(field, scan, guess, Window(0.4, 0.35, 0.05))
+    rough = search(field, scan, guess, Window(distance_m=0.4, angle_rad=0.35, step_m=0.05))
     assert_near(rough.pose, true, 0.1, 0.05)
     # walls on the very edge of cells are drawn half a cell away
     assert_near(refine(field, scan, rough.pose).pose, true, 0.04, 0.01)
@@ -121,11 +73,12 @@ def test_places_found_everywhere_are_apart(field: ScoreField, room: FloatArray) 
             assert gap >= 0.99 or abs(wrap_angle(a.pose.theta - b.pose.theta)) >= 0.29
 
 
-def test_a_penalty_keeps_the_pose_near_the_guess() -> None:
-    corridor = np.vstack([wall(-9, 0, 9, 0), wall(-9, 2, 9, 2)])
+def test_a_penalty_keeps_the_pose_near_the_guess(corridor: FloatArray) -> None:
     field = ScoreField.from_points(corridor)
     scan = corridor[np.abs(corridor[:, 0]) < 4]
-    window = Window(1.0, 0.1, 0.05, None, 0.1, 0.1)
+    window = Window(
+        distance_m=1.0, angle_rad=0.1, step_m=0.05, penalty_per_m2=0.1, penalty_per_rad2=0.1
+    )
     found = search(field, scan, Pose2(0.5, 0.1, 0.05), window)
     assert found.pose.x == pytest.approx(0.5, abs=0.06)
     assert found.pose.y == pytest.approx(0.0, abs=0.06)
@@ -133,26 +86,27 @@ def test_a_penalty_keeps_the_pose_near_the_guess() -> None:
 
 def test_search_covers_the_whole_window_and_no_more(field: ScoreField, room: FloatArray) -> None:
     scan = room[::3]
-    found = search(field, scan, Pose2(0.6, 0.0, 0.0), Window(0.3, 0.1, 0.1)).pose
+    found = search(field, scan, Pose2(0.6, 0.0, 0.0), NARROW).pose
     assert abs(found.x - 0.6) <= 0.3 + 1e-9
     assert abs(found.theta) <= 0.1 + 1e-9
 
 
 def test_points_off_the_field_never_count(field: ScoreField) -> None:
     lone = np.array([[100.0, 100.0], [-200.0, 3.0], [50.0, -70.0]])
-    assert search(field, lone, IDENTITY, Window(1.0, 0.3, 0.1)).score == 0.0
+    assert search(field, lone, IDENTITY, WIDE).score == 0.0
 
 
 def test_refinement_never_makes_it_worse_nor_wanders(field: ScoreField, room: FloatArray) -> None:
     rng = np.random.default_rng(2)
     for _ in range(20):
         guess = Pose2(*rng.uniform(-1.0, 1.0, 3).tolist())
-        match = refine(field, room[::4], guess, max_shift=0.3)
+        match = refine(field, room[::4], guess, max_shift_m=0.3)
         assert (guess.inverse() @ match.pose).distance <= 0.3 + 1e-9
 
 
-def test_covariance_is_long_along_a_corridor(field: ScoreField, room: FloatArray) -> None:
-    corridor = np.vstack([wall(-9, 0, 9, 0), wall(-9, 2, 9, 2)])
+def test_covariance_is_long_along_a_corridor(
+    field: ScoreField, room: FloatArray, corridor: FloatArray
+) -> None:
     scan = corridor[np.abs(corridor[:, 0]) < 4]
     spread = covariance(ScoreField.from_points(corridor), scan, IDENTITY)
     assert spread[0, 0] > 20 * spread[1, 1]
@@ -161,23 +115,97 @@ def test_covariance_is_long_along_a_corridor(field: ScoreField, room: FloatArray
     assert np.linalg.eigvalsh(inside).min() >= 0.0
 
 
-def test_the_coarser_field_is_nowhere_below_the_fine_one(field: ScoreField) -> None:
-    coarse = field.coarser(4)
-    places = np.random.default_rng(3).uniform(-4, 5, (2000, 2))
-    assert (coarse.at(places) >= field.at(places)).all()
+def lattice(window: Window, resolution: float, turns: int) -> list[tuple[float, float, float]]:
+    """Every pose of a window, those nearest the guess first: shifts in cells, angles either way."""
+    stride = round(window.step_m / resolution)
+    n = round(window.distance_m / resolution) // stride
+    shifts = stride * resolution * np.arange(-n, n + 1)
+    angles = window.angle_rad * np.arange(-turns, turns + 1) / max(turns, 1)
+    poses = [(x, y, a) for x in shifts for y in shifts for a in angles]
+    return sorted(poses, key=lambda pose: (abs(pose[2]), pose[0] ** 2 + pose[1] ** 2))
 
 
-def test_the_sharper_field_has_half_the_sigma(room: FloatArray) -> None:
-    wide, sharp = ScoreField.from_points(room, sigma=0.2), ScoreField.from_points(room, sigma=0.1)
-    places = np.random.default_rng(4).uniform(-3, 3, (500, 2))
-    assert np.allclose(wide.sharper().at(places), sharp.at(places), atol=1e-3)
+@given(seeds, st.sampled_from([0.0, 0.4]))
+@settings(max_examples=12)
+def test_the_search_finds_what_trying_every_pose_finds(seed: int, penalty: float) -> None:
+    rng = np.random.default_rng(seed)
+    resolution = 0.0625  # a power of two, so that shifts by whole cells are exact
+    field = ScoreField.from_points(rng.uniform(-2.0, 2.0, (60, 2)), resolution)
+    points, guess = rng.uniform(-1.5, 1.5, (25, 2)), Pose2(*rng.uniform(-0.5, 0.5, 3).tolist())
+    window = Window(
+        distance_m=4 * resolution,
+        angle_rad=0.2,
+        step_m=2 * resolution,
+        angle_step_rad=0.1,
+        penalty_per_m2=penalty,
+        penalty_per_rad2=penalty,
+    )
+    values = [
+        field.score(points, Pose2(guess.x + x, guess.y + y, guess.theta + a))
+        - penalty * (x**2 + y**2 + a**2)
+        for x, y, a in lattice(window, resolution, 2)
+    ]
+    found = search(field, points, guess, window)
+    assert found.score == pytest.approx(field.score(points, found.pose), abs=1e-6)
+    moved = np.array(found.pose) - guess
+    assert found.score - penalty * (moved**2).sum() == pytest.approx(max(values), abs=1e-6)
 
 
-@settings(max_examples=25, derandomize=True, deadline=None)
-@given(st.integers(0, 200), st.floats(0.02, 1.0), st.sampled_from([2, 3]))
-def test_thinning_keeps_one_point_a_cell(count: int, cell: float, dimensions: int) -> None:
-    points = np.random.default_rng(count).uniform(-3, 3, (count, dimensions))
-    kept = thinned(points, cell)
-    cells = {tuple(row) for row in np.floor(points / cell).astype(int).tolist()}
-    assert len(kept) == len(cells)
-    assert {tuple(row) for row in np.floor(kept / cell).astype(int).tolist()} == cells
+def test_of_poses_that_fit_alike_the_search_takes_the_nearest(corridor: FloatArray) -> None:
+    field = ScoreField.from_points(corridor)
+    middle = corridor[np.abs(corridor[:, 0]) < 2]
+    empty = ScoreField(np.zeros((50, 50), dtype=np.float32), 0.1, (0.0, 0.0))
+    for place in (field, empty):
+        guess = Pose2(0.013, 0.0, 0.0)
+        assert search(place, middle, guess, NARROW).pose == guess
+
+
+@given(seeds)
+@settings(max_examples=10)
+def test_a_wider_or_finer_window_never_fits_worse(
+    field: ScoreField, room: FloatArray, seed: int
+) -> None:
+    guess = Pose2(*np.random.default_rng(seed).uniform(-0.5, 0.5, 3).tolist())
+    steps = replace(NARROW, angle_step_rad=0.05)
+    wider = replace(steps, distance_m=0.6, angle_rad=0.2)
+    finer = replace(steps, step_m=0.05, angle_step_rad=0.025)
+    score = search(field, room[::4], guess, steps).score
+    assert search(field, room[::4], guess, wider).score >= score
+    assert search(field, room[::4], guess, finer).score >= score
+
+
+@given(seeds)
+@settings(max_examples=8)
+def test_covariance_is_that_of_weights_summed_pose_by_pose(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    resolution = 0.0625
+    field = ScoreField.from_points(rng.uniform(-2.0, 2.0, (60, 2)), resolution)
+    points, pose = rng.uniform(-1.5, 1.5, (25, 2)), Pose2(*rng.uniform(-0.5, 0.5, 3).tolist())
+    reach, turn = 6 * resolution, 0.06
+    window = Window(distance_m=reach, angle_rad=turn, step_m=resolution)
+    offsets = np.array(lattice(window, resolution, 6))
+    scores = np.array([field.score(points, Pose2(*(pose + o).tolist())) for o in offsets])
+    weights = np.exp((scores - scores.max()) / 0.05)
+    expected = np.cov(offsets.T, aweights=weights, ddof=0)
+    found = covariance(field, points, pose, 0.05, reach, turn)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9)
+
+
+def test_a_match_that_is_sharper_has_a_smaller_covariance(
+    field: ScoreField, room: FloatArray
+) -> None:
+    cold, hot = (covariance(field, room, IDENTITY, temperature=t) for t in (0.01, 1.0))
+    assert np.trace(cold) < 0.5 * np.trace(hot)
+    assert hot[0, 0] <= 0.3**2
+    assert hot[2, 2] <= 0.09**2
+
+
+def test_scores_found_everywhere_are_never_below_the_true_ones(
+    field: ScoreField, room: FloatArray
+) -> None:
+    scan = Pose2(2.0, -1.0, 1.1).inverse().apply(room[::3])
+    for match in search_everywhere(field, scan, count=5):
+        near = search(field, scan, match.pose, NARROW)
+        assert 0.0 <= match.score <= 1.0
+        assert field.score(scan, match.pose) <= match.score + 1e-9
+        assert near.score >= field.score(scan, match.pose)

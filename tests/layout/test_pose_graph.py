@@ -1,13 +1,16 @@
 """The pose graph solver against scipy's least squares, and on graphs solved by hand."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
-from specmap_cli.layout.pose_graph import Edges, Link, errors, solve, squared
+from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
+from specmap_cli.layout.pose_graph import Link, LinkArrays, errors, solve, squared
+from tests.layout.driving import link
 
 
 def random_graph(
@@ -26,18 +29,18 @@ def random_graph(
         root = rng.normal(size=(3, 3))
         information = root @ root.T + np.diag([50.0, 50.0, 200.0])
         kind = "odometry" if j == i + 1 else "nearby"
-        links.append(Link(i, j, Pose2(*z.tolist()), information, kind))  # type: ignore[arg-type]
+        links.append(link(i, j, z.tolist(), kind, information))  # type: ignore[arg-type]
     start = np.array(truth)
-    for link in links[: nodes - 1]:
-        start[link.target] = compose(start[link.source], np.array(link.source_from_target))
+    for edge in links[: nodes - 1]:
+        start[edge.target] = compose(start[edge.source], np.array(edge.source_from_target))
     return truth, start, links
 
 
-def arrays(links: list[Link], nodes: int, width: float = np.inf) -> Edges:
-    return Edges.of(links, {k: k for k in range(nodes)}, {"nearby": width})
+def arrays(links: list[Link], nodes: int, width: float = np.inf) -> LinkArrays:
+    return LinkArrays.of(links, {k: k for k in range(nodes)}, {"nearby": width})
 
 
-def oracle(start: FloatArray, edges: Edges) -> FloatArray:
+def oracle(start: FloatArray, edges: LinkArrays) -> FloatArray:
     """scipy's answer to the same squares."""
     roots = np.linalg.cholesky(edges.w).transpose(0, 2, 1)
 
@@ -49,6 +52,12 @@ def oracle(start: FloatArray, edges: Edges) -> FloatArray:
     return np.vstack([start[:1], found.x.reshape(-1, 3)])
 
 
+def robust_cost(poses: FloatArray, edges: LinkArrays) -> float:
+    """Cauchy's kernel over the edges, as its textbook formula."""
+    c = np.where(np.isinf(edges.width), 1e6, edges.width)
+    return float((c**2 * np.log1p(squared(poses, edges) / c**2)).sum())
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_agrees_with_scipy_least_squares(seed: int) -> None:
     _, start, links = random_graph(seed, nodes=12, loops=6)
@@ -57,6 +66,21 @@ def test_agrees_with_scipy_least_squares(seed: int) -> None:
     assert ours.cost == pytest.approx(float(squared(theirs, edges).sum()), rel=1e-5)
     assert np.abs(ours.poses[:, :2] - theirs[:, :2]).max() < 1e-3
     assert np.abs(wrap_angles(ours.poses[:, 2] - theirs[:, 2])).max() < 1e-3
+    assert np.allclose(ours.chi2, squared(ours.poses, edges))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robust_solution_is_where_scipy_finds_nothing_lower(seed: int) -> None:
+    _, start, links = random_graph(seed, nodes=7, loops=4, noise=0.2)
+    edges = arrays(links, 7, width=2.0)
+    ours = solve(start, edges, 100)
+
+    def cost(x: FloatArray) -> float:
+        return robust_cost(np.vstack([start[:1], x.reshape(-1, 3)]), edges)
+
+    theirs = minimize(cost, ours.poses[1:].ravel(), method="BFGS")
+    assert ours.cost == pytest.approx(cost(ours.poses[1:].ravel()), rel=1e-5)
+    assert ours.cost == pytest.approx(float(theirs.fun), rel=1e-4)
 
 
 def test_a_square_with_a_closing_edge_solved_by_hand() -> None:
@@ -66,10 +90,9 @@ def test_a_square_with_a_closing_edge_solved_by_hand() -> None:
     fourth grows by it, the other two, at right angles to it, lean by it.
     """
     sides = [1.1, 1.4, 1.1, 1.1]
-    quarter = np.pi / 2
     stiff = np.diag([100.0, 100.0, 1e8])  # turns are as good as certain
     links = [
-        Link(k, (k + 1) % 4, Pose2(side, 0.0, quarter), stiff, "odometry")
+        link(k, (k + 1) % 4, (side, 0.0, np.pi / 2), "odometry", stiff)
         for k, side in enumerate(sides)
     ]
     start = np.zeros((4, 3))
@@ -83,7 +106,7 @@ def test_a_square_with_a_closing_edge_solved_by_hand() -> None:
 
 def test_a_wrong_loop_is_outvoted() -> None:
     truth, start, links = random_graph(5, nodes=30, loops=15, noise=0.01)
-    wrong = Link(2, 25, Pose2(40.0, -30.0, 2.0), np.diag([1e3, 1e3, 1e3]), "nearby")
+    wrong = link(2, 25, (40.0, -30.0, 2.0), "nearby", np.diag([1e3, 1e3, 1e3]))
     robust = solve(start, arrays([*links, wrong], 30, width=2.0), 50)
     assert np.hypot(*(robust.poses - truth)[:, :2].T).max() < 0.2
     assert robust.chi2[-1] > 1e4
@@ -94,6 +117,7 @@ def test_a_perfect_graph_stays_as_it_is(seed: int, nodes: int) -> None:
     truth, _, links = random_graph(seed, nodes, loops=3, noise=0.0)
     solution = solve(truth, arrays(links, nodes, width=2.0))
     assert solution.cost < 1e-12
+    assert solution.converged
     assert np.allclose(solution.poses[:, :2], truth[:, :2], atol=1e-6)
 
 
@@ -106,7 +130,66 @@ def test_a_moved_start_moves_the_solution(seed: int, x: float, turn: float) -> N
     assert np.allclose(moved.poses[:, :2], compose(motion, plain.poses)[:, :2], atol=1e-2)
 
 
+@given(st.integers(0, 1000), st.integers(0, 6), st.sampled_from([np.inf, 2.0]))
+def test_a_solution_costs_no_more_than_its_start(seed: int, loops: int, width: float) -> None:
+    _, start, links = random_graph(seed, nodes=8, loops=loops, noise=0.3)
+    edges, before = arrays(links, 8, width), np.array(start)
+    one, many = solve(start, edges, 1), solve(start, edges, 30)
+    assert many.cost <= one.cost <= robust_cost(start, edges) * (1 + 1e-6)
+    assert np.array_equal(start, before), "the argument is left alone"
+    assert (many.poses[:, 2] >= -np.pi).all()
+    assert (many.poses[:, 2] < np.pi).all()
+
+
+@given(st.integers(0, 1000))
+def test_two_equal_edges_are_one_of_twice_the_information(seed: int) -> None:
+    _, start, links = random_graph(seed, nodes=6, loops=2)
+    twice = dataclasses.replace(links[-1], information=2.0 * links[-1].information)
+    pair = solve(start, arrays([*links, links[-1]], 6), 50)
+    single = solve(start, arrays([*links[:-1], twice], 6), 50)
+    assert pair.cost == pytest.approx(single.cost, rel=1e-4, abs=1e-9)
+    assert np.allclose(pair.poses, single.poses, atol=1e-3)
+
+
+@given(st.integers(0, 1000), st.randoms(use_true_random=False))
+def test_the_order_of_the_edges_does_not_matter(seed: int, random) -> None:  # type: ignore[no-untyped-def]
+    _, start, links = random_graph(seed, nodes=7, loops=3)
+    shuffled = random.sample(links, len(links))
+    plain, other = solve(start, arrays(links, 7), 50), solve(start, arrays(shuffled, 7), 50)
+    assert np.allclose(plain.poses, other.poses, atol=1e-4)
+
+
+def test_the_number_of_steps_is_a_limit_that_is_told() -> None:
+    _, start, links = random_graph(3, nodes=12, loops=6)
+    edges = arrays(links, 12)
+    stopped, settled = solve(start, edges, 1), solve(start, edges, 50)
+    assert (stopped.iterations, stopped.converged) == (1, False)
+    assert settled.converged
+    assert 1 < settled.iterations < 50
+    again = solve(settled.poses, edges, 50)
+    assert again.iterations <= 2
+    assert again.cost == pytest.approx(settled.cost, rel=1e-6)
+
+
 def test_the_first_pose_never_moves_and_nothing_needs_solving_alone() -> None:
     _, start, links = random_graph(7, nodes=9, loops=3)
     assert np.array_equal(solve(start, arrays(links, 9)).poses[0], start[0])
-    assert np.array_equal(solve(start[:1], arrays([], 1)).poses, start[:1])
+    alone = solve(start[:1], arrays([], 1))
+    assert np.array_equal(alone.poses, start[:1])
+    assert (alone.cost, alone.iterations, alone.converged) == (0.0, 0, True)
+    assert np.array_equal(solve(start, arrays([], 9)).poses, start)
+
+
+def test_a_pose_that_no_edge_holds_stays_where_it_is() -> None:
+    truth, start, links = random_graph(2, nodes=5, loops=2)
+    start = np.vstack([start, [7.0, 8.0, 0.5]])
+    assert np.allclose(solve(start, arrays(links, 6)).poses[5], [7.0, 8.0, 0.5])
+    assert truth.shape == (5, 3)
+
+
+def test_edges_need_the_rows_of_their_ends_and_kinds_without_a_width_are_plain() -> None:
+    edge = link(4, 7, (1.0, 2.0, 0.5), "loose")
+    edges = LinkArrays.of([edge], {4: 0, 7: 1}, {"nearby": 2.0})
+    assert (edges.i.tolist(), edges.j.tolist(), edges.width.tolist()) == ([0], [1], [np.inf])
+    with pytest.raises(KeyError):
+        LinkArrays.of([edge], {4: 0}, {})

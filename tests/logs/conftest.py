@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import sqlite3
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,6 +36,23 @@ def write_drive(path: Path, scans: int = 30, beams: int = 40) -> None:
             ranges = rng.uniform(1.0, 5.0, beams)
             stamp = START + number * SECOND // 10 + SECOND // 40
             log.scan("/scan", "laser", stamp, -1.5, 3.0 / (beams - 1), ranges, range_max=8.0)
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Install a package of one module that offers a reader, as pip would, for one test."""
+
+    def add(module: str, code: str, *, entry: str, name: str = "") -> None:
+        site = tmp_path / f"site-{module}"
+        info = site / f"{module}-1.0.dist-info"
+        info.mkdir(parents=True)
+        (site / f"{module}.py").write_text(code)
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[specmap.readers]\n{name or module} = {entry}\n")
+        monkeypatch.syspath_prepend(site)
+        monkeypatch.delitem(sys.modules, module, raising=False)
+
+    return add
 
 
 @pytest.fixture

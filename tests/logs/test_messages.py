@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.clouds import cloud_points
 from specmap_cli.logs.messages import (
     BadMessageError,
     CloudRecord,
+    ScanLayout,
     ScanRecord,
     decode_odometry,
     decode_scan,
     decode_transforms,
+    frame_name,
 )
 from specmap_cli.logs.readers.encoding import odometry_cdr, scan_cdr, transform_cdr
 from specmap_cli.logs.readers.recording import Message
@@ -35,6 +39,7 @@ from specmap_cli.logs.readers.typestore import (
 
 DATATYPES = {"u1": 2, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 STAMP = 1_700_000_000_250_000_000
+SETTINGS = LogConfig()
 
 
 def header(stamp_ns: int = STAMP, frame: str = "/lidar") -> Any:
@@ -118,7 +123,7 @@ def test_any_layout_gives_the_points_and_their_times(
     table["time"] = np.linspace(0.0, 0.1, table.size).reshape(shape)
     flat = table.reshape(-1)
     flat["y"][:holes] = np.nan
-    points, times = cloud_points(decoded_cloud(cloud_message(table, padding)), STAMP, 100.0)
+    points, times, _ = cloud_points(decoded_cloud(cloud_message(table, padding)), STAMP, SETTINGS)
     kept = flat[holes:]
     np.testing.assert_array_equal(points, np.column_stack([kept[axis] for axis in "xyz"]))
     if len(kept) > 1:
@@ -142,7 +147,7 @@ def test_point_times_of_every_kind(name: str, kind: str, values: list[float]) ->
     layout = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), (name, f"<{kind}")])
     table = np.ones((1, 3), dtype=layout)
     table[name] = values
-    _, times = cloud_points(decoded_cloud(cloud_message(table)), STAMP, 100.0)
+    _, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
     assert times is not None
     np.testing.assert_allclose(times, [0.0, 0.05, 0.1], atol=3e-7)
 
@@ -150,7 +155,7 @@ def test_point_times_of_every_kind(name: str, kind: str, values: list[float]) ->
 def test_times_before_the_stamp_are_kept() -> None:
     table = np.ones((1, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4")])
     table["time"] = [-0.1, -0.05, 0.0]
-    _, times = cloud_points(decoded_cloud(cloud_message(table)), STAMP, 100.0)
+    _, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
     np.testing.assert_allclose(times, [-0.1, -0.05, 0.0], atol=1e-7)  # type: ignore[arg-type]
 
 
@@ -158,7 +163,7 @@ def test_times_before_the_stamp_are_kept() -> None:
 def test_times_that_cannot_be_relied_on_are_none(values: list[float]) -> None:
     table = np.ones((1, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f8")])
     table["time"] = values
-    points, times = cloud_points(decoded_cloud(cloud_message(table)), STAMP, 100.0)
+    points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
     assert len(points) == 3
     assert times is None
 
@@ -170,7 +175,7 @@ def test_points_at_the_origin_and_beyond_range_are_left_out_with_their_times() -
         table[axis][0, 1] = 0.0
     table["x"][1, 0] = 300.0
     table["z"][1, 2] = np.inf
-    points, times = cloud_points(decoded_cloud(cloud_message(table)), STAMP, 100.0)
+    points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
     assert len(points) == 3
     np.testing.assert_allclose(times, [0.0, 20e-9, 40e-9])  # type: ignore[arg-type]
 
@@ -191,7 +196,7 @@ def test_impossible_clouds_are_refused(changes: dict[str, Any], said: str) -> No
 
 def test_an_empty_cloud_has_no_points() -> None:
     table = np.ones((0, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
-    points, times = cloud_points(decoded_cloud(cloud_message(table)), STAMP, 100.0)
+    points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
     assert points.shape == (0, 3)
     assert times is None
 
@@ -201,8 +206,10 @@ def test_a_scan_is_decoded() -> None:
     record = decode_scan(Message("/scan", LASER_SCAN, 1, data))
     assert isinstance(record, ScanRecord)
     assert (record.stamp_ns, record.frame) == (STAMP, "laser")
-    assert (record.angle_min, record.angle_max, record.angle_increment) == (-1.0, -0.75, 0.25)
-    assert (record.range_max, record.time_increment) == (9.0, 0.5)
+    assert record.layout == ScanLayout(
+        angle_min=-1.0, angle_max=-0.75, angle_increment=0.25, time_increment=0.5, beams=2
+    )
+    assert record.range_max == 9.0
     assert record.ranges.tolist() == [1.0, math.inf]
 
 
@@ -249,3 +256,115 @@ def test_every_cut_of_a_message_is_refused() -> None:
     for end in range(0, len(whole) - 4, 3):
         with pytest.raises(BadMessageError):
             decode_scan(Message("/scan", LASER_SCAN, 1, whole[:end]))
+
+
+XYZ = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+
+
+@pytest.mark.parametrize(
+    ("longest", "kept", "far"), [(10.0, True, False), (0.2, True, False), (0.1, False, True)]
+)
+def test_times_are_used_as_far_from_the_stamp_as_the_settings_allow(
+    longest: float, kept: bool, far: bool
+) -> None:
+    table = np.ones((1, 3), dtype=[*XYZ, ("time", "<f4")])
+    table["time"] = [-0.15, -0.05, 0.0]
+    found = cloud_points(
+        decoded_cloud(cloud_message(table)), STAMP, LogConfig(cloud_time_max_s=longest)
+    )
+    assert (found.times_s is not None) is kept
+    assert found.far_times is far
+
+
+@pytest.mark.parametrize("values", [[0.1, 0.1, 0.1], [0.0, math.nan, 0.1]])
+def test_times_of_no_use_are_not_far(values: list[float]) -> None:
+    table = np.ones((1, 3), dtype=[*XYZ, ("time", "<f4")])
+    table["time"] = values
+    assert not cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS).far_times
+
+
+def test_a_time_that_is_not_finite_counts_only_with_its_point() -> None:
+    table = np.ones((1, 3), dtype=[*XYZ, ("time", "<f4")])
+    table["time"] = [0.0, math.nan, 0.1]
+    table["x"][0, 1] = math.nan
+    found = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
+    np.testing.assert_allclose(found.times_s, [0.0, 0.1], atol=1e-7)  # type: ignore[arg-type]
+
+
+def test_a_field_of_another_name_is_no_time() -> None:
+    table = np.ones((1, 3), dtype=[*XYZ, ("intensity", "<f4")])
+    table["intensity"] = [0.0, 0.1, 0.2]
+    assert cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS).times_s is None
+
+
+@pytest.mark.parametrize(("reach", "count"), [(100.0, 3), (5.1, 2), (4.9, 1), (1.0, 0)])
+def test_points_beyond_the_range_of_the_settings_are_left_out(reach: float, count: int) -> None:
+    table = np.zeros((1, 3), dtype=XYZ)
+    table["x"] = [3.0, 3.0, 30.0]
+    table["y"] = [0.0, 4.0, 0.0]
+    config = LogConfig(cloud_range_max_m=reach)
+    points, times_s, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, config)
+    assert len(points) == count
+    assert times_s is None
+
+
+def test_fields_of_unknown_datatypes_are_passed_over() -> None:
+    table = np.ones((2, 2), dtype=[*XYZ, ("odd", "<f4")])
+    field = message_class("sensor_msgs/msg/PointField")
+    fields = [field(name, 4 * i, 7, 1) for i, name in enumerate("xyz")]
+    fields += [field("odd", 12, 99, 1), field("", 12, 7, 1)]
+    record = decoded_cloud(cloud_message(table, fields=fields))
+    assert record.points.dtype.names == ("x", "y", "z")
+    assert len(cloud_points(record, STAMP, SETTINGS).points) == 4
+
+
+def test_a_message_of_another_type_is_no_scan() -> None:
+    data = odometry_cdr("odom", "base", STAMP, Pose2(0.0, 0.0, 0.0))
+    with pytest.raises(BadMessageError, match=r"^nav_msgs/msg/Odometry is no scan$"):
+        decode_scan(Message("/odom", ODOMETRY, 1, data))
+
+
+def test_all_transforms_of_a_message_are_read_and_those_not_finite_left_out() -> None:
+    stamped = message_class("geometry_msgs/msg/TransformStamped")
+    vector = message_class("geometry_msgs/msg/Vector3")
+    turn = message_class("geometry_msgs/msg/Quaternion")(0.0, 0.0, 0.0, 0.0)
+    transform = message_class("geometry_msgs/msg/Transform")
+    sent = [
+        stamped(header(frame="/a"), f"/{name}", transform(vector(x, 0.0, 0.0), turn))
+        for name, x in (("b", 1.0), ("c", math.nan), ("d", 2.0))
+    ]
+    data = bytes(typestore().serialize_cdr(message_class(TF_MESSAGE)(sent), TF_MESSAGE))
+    found = decode_transforms(Message("/tf", TF_MESSAGE, 1, data))
+    assert [(r.parent, r.child, r.parent_from_child[0, 3]) for r in found] == [
+        ("a", "b", 1.0),
+        ("a", "d", 2.0),
+    ]
+    np.testing.assert_array_equal(found[0].parent_from_child[:3, :3], np.eye(3))
+
+
+@pytest.mark.parametrize("decode", [decode_odometry, decode_transforms, decode_scan])
+@pytest.mark.parametrize("kind", ["geometry_msgs/msg/Twist", "foxglove.LaserScan (protobuf)"])
+def test_messages_of_another_type_on_a_topic_are_refused(
+    decode: Callable[[Message], object], kind: str
+) -> None:
+    with pytest.raises(BadMessageError) as caught:
+        decode(Message("/topic", kind, 1, bytes(100)))
+    assert str(caught.value).startswith(kind)
+
+
+@pytest.mark.parametrize("far", [1.1e8, 1e20, 1e308, -1e9])
+def test_places_beyond_the_earth_are_refused(far: float) -> None:
+    near = odometry_cdr("odom", "base", STAMP, Pose2(4e7, -4e7, 0.5))
+    assert decode_odometry(Message("/odom", ODOMETRY, 1, near)).frame_from_child[0, 3] == 4e7
+    data = odometry_cdr("odom", "base", STAMP, Pose2(0.0, far, 0.5))
+    with pytest.raises(BadMessageError, match="beyond all bounds"):
+        decode_odometry(Message("/odom", ODOMETRY, 1, data))
+    data = transform_cdr("base", "laser", STAMP, (0.0, 0.0, far), (0.0, 0.0, 0.0, 1.0))
+    assert decode_transforms(Message("/tf", TF_MESSAGE, 1, data)) == []
+
+
+@pytest.mark.parametrize(
+    ("recorded", "name"), [("/laser", "laser"), ("laser", "laser"), ("//a/b", "a/b"), ("", "")]
+)
+def test_frames_lose_the_slash_of_ros_1(recorded: str, name: str) -> None:
+    assert frame_name(recorded) == name

@@ -1,13 +1,20 @@
-"""What is no recording gets one clear line."""
+"""Opening files and directories; what is no recording gets one clear line."""
 
 from __future__ import annotations
 
+import gzip
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import lz4.frame
 import pytest
 
 from specmap_cli.core.errors import LogError
 from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.readers.mcap import McapFile
+from specmap_cli.logs.readers.recording import Message
 
 
 def test_missing_paths_are_refused(tmp_path: Path) -> None:
@@ -50,7 +57,7 @@ def test_a_directory_is_searched_for_recordings(tmp_path: Path, drive: Path) -> 
     (folder / "notes").write_bytes(drive.read_bytes())
     with open_log(folder) as log:
         assert log.paths == [folder / "notes"]
-        assert log.given == [folder]
+        assert log.given == (folder,)
 
 
 def test_an_unreadable_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,3 +70,132 @@ def test_an_unreadable_file_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(LogError, match=r"log\.mcap: cannot read: Permission denied"):
         open_log(path)
+
+
+@pytest.mark.parametrize(
+    ("paths", "found"), [(None, "None"), (7, "7"), ([Path("a"), None], "None"), (b"log", "")]
+)
+def test_what_is_no_path_is_refused_at_once(paths: Any, found: str) -> None:
+    with pytest.raises(TypeError, match=rf"^paths: expected a path.*, found .*{found}"):
+        open_log(paths)
+
+
+def test_paths_may_be_strings(drive: Path, drive_messages: list[Message]) -> None:
+    for paths in (str(drive), [str(drive)], (drive,)):
+        with open_log(paths) as log:
+            assert list(log.messages()) == drive_messages
+            assert log.given == (drive,)
+
+
+def test_a_file_counts_once_however_it_is_named(tmp_path: Path, drive: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "link.mcap").symlink_to(drive)
+    for paths in (
+        [drive, drive],
+        [folder, drive],
+        [drive, tmp_path / "folder" / ".." / drive.name],
+    ):
+        with pytest.raises(LogError, match="given twice; name each file of a recording once"):
+            open_log(paths)
+
+
+def test_hidden_files_and_folders_in_a_directory_are_passed_over(
+    tmp_path: Path, drive: Path
+) -> None:
+    folder = tmp_path / "folder"
+    (folder / "inner.mcap").mkdir(parents=True)
+    (folder / ".part.mcap").write_bytes(drive.read_bytes())
+    with pytest.raises(LogError) as caught:
+        open_log(folder)
+    assert str(caught.value) == (
+        f"{folder}: no recording in this directory; "
+        "expected MCAP, rosbag2 (SQLite), ROS 1 bag or CARMEN log"
+    )
+
+
+def test_a_directory_that_cannot_be_listed_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: Path) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(LogError) as caught:
+        open_log(tmp_path)
+    assert str(caught.value) == f"{tmp_path}: cannot read: Permission denied"
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, lz4.frame.compress])
+def test_a_compressed_log_is_read_in_all_its_blocks(
+    drive: Path, drive_messages: list[Message], pack: Callable[[bytes], bytes]
+) -> None:
+    whole = drive.read_bytes()
+    drive.write_bytes(pack(whole[:3000]) + pack(whole[3000:]))
+    with open_log(drive) as log:
+        assert list(log.messages()) == drive_messages
+        assert log.damage == []
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (gzip.compress(b"MCAP", mtime=0), "compressed twice; unpack it first"),
+        (b"#ROSBAG V1.2\n", "bag format 1.2 is not supported; bring it to 2.0 with `rosbag fix` "),
+        (b"hello", "a text file, not a recording; expected MCAP, rosbag2 (SQLite), ROS 1 bag or"),
+    ],
+)
+def test_what_is_inside_a_compressed_file_is_told_under_its_name(
+    tmp_path: Path, content: bytes, said: str
+) -> None:
+    path = tmp_path / "log.gz"
+    path.write_bytes(gzip.compress(content))
+    with pytest.raises(LogError) as caught:
+        open_log(path)
+    assert str(caught.value).startswith(f"{path}: {said}")
+    assert "specmap-" not in str(caught.value)
+
+
+def test_no_room_to_unpack_is_told(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drive.write_bytes(gzip.compress(drive.read_bytes()))
+    missing = drive.parent / "missing"
+    monkeypatch.setattr(tempfile, "tempdir", str(missing))
+    with pytest.raises(LogError) as caught:
+        open_log(drive)
+    assert str(caught.value) == (
+        f"{drive}: cannot unpack into the temporary directory: No such file or directory; "
+        "set TMPDIR to another one"
+    )
+
+
+def test_a_failure_releases_what_was_opened_before_it(
+    tmp_path: Path, drive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed = []
+    monkeypatch.setattr(McapFile, "close", lambda self: closed.append(self.path))
+    with pytest.raises(LogError, match="no such file"):
+        open_log([drive, tmp_path / "missing"])
+    assert closed == [drive]
+
+
+def test_a_damaged_file_beside_a_sound_one_is_no_error(
+    tmp_path: Path, drive: Path, drive_messages: list[Message]
+) -> None:
+    rubble = tmp_path / "rubble.mcap"
+    rubble.write_bytes(drive.read_bytes()[:40])
+    with open_log([rubble, drive]) as log:
+        assert list(log.messages()) == drive_messages
+        assert log.damage == [f"{rubble}: cut off at byte 40: everything is lost"]
+    with pytest.raises(LogError, match="cut off at byte 40: everything is lost; no message can be"):
+        open_log(rubble)
+
+
+def test_garbage_behind_a_compressed_log_is_told(
+    drive: Path, drive_messages: list[Message]
+) -> None:
+    drive.write_bytes(gzip.compress(drive.read_bytes()) + b"garbage")
+    with open_log(drive) as log:
+        assert list(log.messages()) == drive_messages
+        assert log.damage == [
+            f"{drive}: what follows the gzip compression is no part of it and was left out"
+        ]

@@ -12,12 +12,20 @@ from numpy.typing import ArrayLike
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from specmap_cli.core.config import LogConfig
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.logs.messages import BadMessageError, ScanRecord
-from specmap_cli.logs.planar import CloudFlattener, Mount, ScanLeveller
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
+from specmap_cli.logs.planar import (
+    CloudFlattener,
+    Mount,
+    ScanLeveller,
+    duration_s,
+    lowest_returns,
+)
 
 LEVEL = Mount.from_matrix(np.eye(4))
+SETTINGS = LogConfig()
 
 
 def record(
@@ -32,8 +40,23 @@ def record(
 ) -> ScanRecord:
     values = np.asarray(ranges, dtype=np.float32)
     return ScanRecord(
-        7, "laser", angle_min, angle_max, step, time_increment, range_min, range_max, values
+        stamp_ns=7,
+        frame="laser",
+        layout=ScanLayout(
+            angle_min=angle_min,
+            angle_max=angle_max,
+            angle_increment=step,
+            time_increment=time_increment,
+            beams=len(values),
+        ),
+        range_min=range_min,
+        range_max=range_max,
+        ranges=values,
     )
+
+
+def levelled(scan: ScanRecord, stamp_ns: int = 5) -> PlanarScan:
+    return ScanLeveller(LEVEL, SETTINGS).level(scan, stamp_ns)
 
 
 def mounted(roll: float, pitch: float, yaw: float, x: float, y: float, z: float) -> FloatArray:
@@ -61,7 +84,7 @@ def test_returns_are_where_the_mounted_laser_saw_them(
     flat = np.column_stack([in_laser, np.zeros(beams), np.ones(beams)])
     expected = (flat @ base_from_laser.T)[:, :2]
     mount = Mount.from_matrix(base_from_laser)
-    scan = ScanLeveller(mount).level(record(ranges, 0.3, step), 5)
+    scan = ScanLeveller(mount, SETTINGS).level(record(ranges, 0.3, step), 5)
     found = mount.base_from_laser.apply(scan.hits())
     assert (np.diff(scan.bearings) > 0.0).all()
     order = np.argsort(expected[:, 0] + 10.0 * expected[:, 1])
@@ -71,21 +94,21 @@ def test_returns_are_where_the_mounted_laser_saw_them(
 
 def test_codes_of_no_return_and_of_invalid_readings() -> None:
     ranges = [0.0, 0.05, -1.0, 1.0, 7.99, 8.0, 9.5, math.inf, math.nan, -math.inf]
-    scan = ScanLeveller(LEVEL).level(record(ranges), 5)
+    scan = levelled(record(ranges))
     inf, nan = math.inf, math.nan
     expected = [inf, nan, nan, 1.0, 7.99, inf, inf, inf, nan, nan]
     np.testing.assert_allclose(scan.ranges, expected, rtol=1e-6)
 
 
 def test_an_unknown_maximum_range_limits_nothing() -> None:
-    scan = ScanLeveller(LEVEL).level(record([1.0, 500.0], range_max=0.0), 5)
+    scan = levelled(record([1.0, 500.0], range_max=0.0))
     assert scan.ranges.tolist() == [1.0, 500.0]
     assert scan.range_max == math.inf
 
 
 @pytest.mark.parametrize("beams", [720, 721])
 def test_a_full_circle_counts_each_direction_once(beams: int) -> None:
-    scan = ScanLeveller(LEVEL).level(record(np.ones(beams), -math.pi, 2 * math.pi / 720), 5)
+    scan = levelled(record(np.ones(beams), -math.pi, 2 * math.pi / 720), 5)
     assert scan.full_circle
     assert len(scan.bearings) == len(scan.ranges) == 720
 
@@ -94,14 +117,14 @@ def test_a_full_circle_counts_each_direction_once(beams: int) -> None:
 def test_less_than_a_circle_is_not_full(degrees: float, full: bool) -> None:
     step = math.radians(0.5)
     beams = int(degrees * 2) + 1
-    scan = ScanLeveller(LEVEL).level(record(np.ones(beams), 0.0, step), 5)
+    scan = levelled(record(np.ones(beams), 0.0, step))
     assert scan.full_circle is full
     assert len(scan.bearings) == beams
 
 
 def test_beam_times_follow_the_beams() -> None:
-    forward = ScanLeveller(LEVEL).level(record([1.0, 2.0, 3.0], time_increment=0.01), 5)
-    backward = ScanLeveller(LEVEL).level(record([1.0, 2.0, 3.0], step=-0.1, time_increment=0.01), 5)
+    forward = levelled(record([1.0, 2.0, 3.0], time_increment=0.01))
+    backward = levelled(record([1.0, 2.0, 3.0], step=-0.1, time_increment=0.01), 5)
     assert forward.beam_times_s is not None
     assert backward.beam_times_s is not None
     np.testing.assert_allclose(forward.beam_times_s, [0.0, 0.01, 0.02])
@@ -111,12 +134,12 @@ def test_beam_times_follow_the_beams() -> None:
 
 @pytest.mark.parametrize("increment", [0.0, -0.1, math.nan, 5.0])
 def test_times_that_cannot_be_are_none(increment: float) -> None:
-    scan = ScanLeveller(LEVEL).level(record([1.0, 2.0], time_increment=increment), 5)
+    scan = levelled(record([1.0, 2.0], time_increment=increment))
     assert scan.beam_times_s is None
 
 
 def test_a_missing_increment_is_found_from_the_angles() -> None:
-    scan = ScanLeveller(LEVEL).level(record([1.0, 1.0, 1.0], -1.0, 0.0, angle_max=1.0), 5)
+    scan = levelled(record([1.0, 1.0, 1.0], -1.0, 0.0, angle_max=1.0))
     np.testing.assert_allclose(scan.bearings, [-1.0, 0.0, 1.0])
 
 
@@ -127,15 +150,17 @@ def test_a_missing_increment_is_found_from_the_angles() -> None:
         record([1.0, 1.0], math.nan),
         record([1.0, 1.0], 0.0, 0.0),
         record([1.0, 1.0], 0.0, math.nan, angle_max=math.inf),
+        record([1.0, 1.0], 0.0, 100.0),
+        record([1.0, 1.0], 0.0, -6.3),
     ],
 )
 def test_scans_without_beams_or_angles_are_refused(bad: ScanRecord) -> None:
     with pytest.raises(BadMessageError):
-        ScanLeveller(LEVEL).level(bad, 5)
+        levelled(bad)
 
 
 def test_bearings_are_shared_between_scans_and_renewed_when_the_laser_changes() -> None:
-    leveller = ScanLeveller(LEVEL)
+    leveller = ScanLeveller(LEVEL, SETTINGS)
     first, second = leveller.level(record([1.0, 2.0]), 5), leveller.level(record([2.0, 1.0]), 6)
     assert first.bearings is second.bearings
     third = leveller.level(record([1.0, 2.0, 3.0]), 7)
@@ -205,3 +230,102 @@ def test_an_unknown_floor_is_where_the_lowest_returns_are() -> None:
     )
     assert np.isfinite(scan.ranges).sum() == 1
     assert np.nanmin(scan.ranges) == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize(
+    ("increment", "longest", "timed"),
+    [(0.1, 1.0, True), (0.1, 0.9, True), (0.1, 0.8, False), (0.2, 1.0, False), (0.2, 2.0, True)],
+)
+def test_the_settings_say_how_long_a_sweep_may_take(
+    increment: float, longest: float, timed: bool
+) -> None:
+    leveller = ScanLeveller(LEVEL, LogConfig(scan_time_max_s=longest))
+    scan = record(np.ones(10), time_increment=increment)
+    assert (leveller.level(scan, 5).beam_times_s is not None) is timed
+    assert duration_s(scan) == pytest.approx(9 * increment)
+
+
+def test_a_scan_of_one_beam_takes_no_time() -> None:
+    assert duration_s(record([1.0], time_increment=0.5)) == 0.0
+    assert duration_s(record([], time_increment=0.5)) == 0.0
+    scan = levelled(record([1.5], 0.3, 0.0, time_increment=0.5))
+    assert scan.bearings.tolist() == [0.3]
+    assert scan.beam_times_s is None
+
+
+@given(
+    ranges=st.lists(st.floats(0, 20, width=32), min_size=1, max_size=30),
+    range_min=st.floats(0, 2),
+    range_max=st.floats(3, 15),
+)
+def test_every_reading_is_a_return_or_none_or_invalid(
+    ranges: list[float], range_min: float, range_max: float
+) -> None:
+    scan = levelled(record(ranges, range_min=range_min, range_max=range_max))
+    for recorded, found in zip(ranges, scan.ranges.tolist(), strict=True):
+        if recorded == 0.0 or recorded >= range_max:
+            assert found == math.inf
+        elif recorded < range_min:
+            assert math.isnan(found)
+        else:
+            assert found == recorded
+    assert scan.hits().shape == (int(np.isfinite(scan.ranges).sum()), 2)
+
+
+def test_a_leveller_leaves_the_message_as_it_is() -> None:
+    scan = record([0.0, 0.05, 9.0])
+    levelled(scan)
+    assert scan.ranges.tolist() == pytest.approx([0.0, 0.05, 9.0])
+
+
+@pytest.mark.parametrize(
+    ("settings_", "floor"),
+    [
+        ({}, -1.0),
+        ({"floor_radius_m": 30.0}, -3.0),
+        ({"floor_radius_m": 3.0}, -0.5),
+        ({"floor_percentile": 75.0}, -0.5),
+    ],
+)
+def test_the_settings_say_where_a_floor_of_unknown_height_is_sought(
+    settings_: dict[str, float], floor: float
+) -> None:
+    angles = np.linspace(0, 6, 100)
+    ring = np.column_stack([np.cos(angles), np.sin(angles), np.ones(100)])
+    cloud = np.vstack([ring * scale for scale in ((2, 2, -0.5), (6, 6, -1.0), (20, 20, -3.0))])
+    mast = np.array([[1.0, 1.0, floor + 1.0]])
+    config = LogConfig.model_validate(
+        {"band_min_m": 0.99, "band_max_m": 1.01, "cloud_beams": 16, **settings_}
+    )
+    scan = CloudFlattener(np.eye(4), None, config).flatten(np.vstack([cloud, mast]), 1)
+    assert scan.hits() == pytest.approx(np.array([[1.0, 1.0]]), abs=0.3)
+
+
+def test_the_lowest_returns_of_nothing_are_at_the_origin() -> None:
+    assert lowest_returns(np.zeros((0, 3)), 2.0) == 0.0
+    heights = np.column_stack([np.zeros((101, 2)), np.arange(101.0)])
+    assert lowest_returns(heights, 2.0) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("share", "beams", "full"), [(0.9, 180, True), (0.5, 360, True), (0.2, 720, False)]
+)
+def test_the_settings_say_how_many_bearings_must_be_filled(
+    share: float, beams: int, full: bool
+) -> None:
+    angles = np.radians(np.arange(0, 360, 2) + 0.25)
+    ring = np.column_stack([3 * np.cos(angles), 3 * np.sin(angles), np.ones(180)])
+    config = LogConfig(cloud_beams=720, cloud_filled_share=share)
+    scan = CloudFlattener(np.eye(4), 0.0, config).flatten(ring, 1)
+    assert len(scan.bearings) == beams
+    assert scan.full_circle is (full or share <= 0.25)
+    assert np.isfinite(scan.ranges).sum() == 180
+
+
+def test_a_planar_scan_of_a_cloud_reaches_as_far_as_the_cloud() -> None:
+    cloud = np.array([[5.0, 0.1, 1.0], [0.1, 9.0, 1.0]])
+    config = LogConfig(cloud_beams=16, cloud_range_max_m=6.0)
+    scan = CloudFlattener(np.eye(4), 0.0, config).flatten(cloud, 1)
+    assert np.isfinite(scan.ranges).sum() == 1
+    assert np.isposinf(scan.ranges).sum() == 1, "it has looked there"
+    assert scan.range_max == 6.0

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import FrozenInstanceError, fields
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
-from specmap_cli.core.config import LogConfig
 from specmap_cli.core.errors import LogError, UsageError
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.messages import TransformRecord
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.selection import Selection, select
+from specmap_cli.logs.selection import Selection, odometry_ancestor, select
+from specmap_cli.logs.transforms import TransformTree
 from specmap_cli.logs.writer import LogWriter
 
 START = 100_000_000_000
@@ -138,5 +143,161 @@ def test_a_mounting_only_on_tf_is_found_late(tmp_path: Path) -> None:
         log.scan("/scan", "laser", START, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
         log.transform("base_link", "laser", START + 4_000_000_000, Pose2(0.3, 0.0, 0.0))
     chosen = choose(path)
-    assert chosen.warnings == []
+    assert chosen.warnings == ()
     assert chosen.base_from_laser[0, 3] == 0.3
+
+
+def write_scan(log: LogWriter, frame: str = "laser") -> None:
+    log.scan("/scan", frame, START, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
+
+
+def test_a_selection_is_a_value(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write(path, ["/scan"], ["/odom"])
+    chosen = choose(path)
+    assert (chosen.scan_topic, chosen.scan_type) == ("/scan", "sensor_msgs/msg/LaserScan")
+    assert (chosen.laser_frame, chosen.base_frame) == ("laser", "base_link")
+    assert (chosen.odometry, chosen.odom_topics, chosen.band_m) == ("topic", ("/odom",), None)
+    assert len(fields(chosen)) <= 8
+    with pytest.raises(FrozenInstanceError):
+        chosen.warnings = ()  # type: ignore[misc]
+
+
+def test_a_cloud_is_noted_with_its_band(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write(path, ["/points"], [])
+    chosen = choose(path, band_min_m=0.5, band_max_m=2.0)
+    assert chosen.band_m == (0.5, 2.0)
+    assert chosen.note == (
+        "scans from /points (PointCloud2, 1), height band 0.5 to 2 m above the floor, "
+        "no odometry, base frame base_link"
+    )
+
+
+@pytest.mark.parametrize(
+    ("tried", "said"),
+    [(3, "no usable scan: not a sensor_msgs/msg/LaserScan: .*; tried 3 messages"), (4, None)],
+)
+def test_the_settings_say_how_long_a_readable_scan_is_looked_for(
+    tmp_path: Path, tried: int, said: str | None
+) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for _ in range(3):
+            log.raw("/scan", "sensor_msgs/msg/LaserScan", b"rubbish", START)
+        write_scan(log)
+    if said is None:
+        assert choose(path, tried_messages=tried).laser_frame == "laser"
+        return
+    with pytest.raises(LogError, match=said):
+        choose(path, tried_messages=tried)
+
+
+def test_odometry_that_cannot_be_read_names_no_base(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for _ in range(3):
+            log.raw("/odom", "nav_msgs/msg/Odometry", b"rubbish", START)
+        log.odometry("/odom", "odom", "robot", START, Pose2(0.0, 0.0, 0.0))
+        write_scan(log)
+    assert choose(path, tried_messages=3).base_frame == "laser"
+    assert choose(path, tried_messages=4).base_frame == "robot"
+
+
+@pytest.mark.parametrize(("most", "found"), [(2_500, False), (3_001, True)])
+def test_the_settings_say_how_long_the_lasers_place_is_searched(
+    tmp_path: Path, most: int, found: bool
+) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for i in range(3000):
+            log.transform("odom", "base_link", START + i, Pose2(0.001 * i, 0.0, 0.0))
+        write_scan(log)
+        log.transform("base_link", "laser", START + 4000, Pose2(0.3, 0.0, 0.0))
+    chosen = choose(path, transform_messages=most)
+    assert chosen.base_frame == "base_link"
+    assert bool(chosen.base_from_laser[0, 3] == 0.3) is found
+    said = (
+        f"the laser's place was searched in the first {most:,} messages of transforms only: "
+        "log.transform_messages says how many"
+    )
+    assert (said in chosen.warnings) is not found
+    assert len(chosen.warnings) == (0 if found else 2)
+
+
+def test_a_base_that_is_asked_for_is_searched_on_its_own(tmp_path: Path) -> None:
+    """Another base that is joined early must not end the search."""
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        log.static_transform("base_link", "laser", (0.1, 0.0, 0.0), stamp_ns=START)
+        for i in range(2500):
+            log.transform("odom", "base_link", START + i, Pose2(0.001 * i, 0.0, 0.0))
+        write_scan(log)
+        log.transform("trailer", "odom", START + 4000, Pose2(0.0, 0.0, 0.0))
+    assert choose(path, base_frame="trailer").base_frame == "trailer"
+
+
+@pytest.mark.parametrize(
+    ("transforms", "base", "floor"),
+    [
+        ([("base_footprint", "base_link", 0.1), ("base_link", "laser", 0.3)], "base_link", -0.1),
+        ([("base_link", "laser", 0.3)], "base_link", 0.0),
+        ([("base", "laser", 0.3)], "base", 0.0),
+        ([("base_footprint", "laser", 0.3)], "base_footprint", 0.0),
+        ([("body", "laser", 0.3)], "laser", None),
+        ([("base_link", "camera", 0.3)], "base_link", None),
+        ([], "laser", None),
+    ],
+)
+def test_the_base_is_the_first_usual_frame_that_is_joined_to_the_laser(
+    tmp_path: Path, transforms: list[tuple[str, str, float]], base: str, floor: float | None
+) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for parent, child, z in transforms:
+            log.static_transform(parent, child, (0.0, 0.0, z), stamp_ns=START)
+        write_scan(log)
+    chosen = choose(path)
+    assert chosen.base_frame == base
+    assert chosen.placement.floor_m == pytest.approx(floor)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "limit", "said"),
+    [(8, {}, False), (12, {}, True), (12, {"tilt_max_rad": 0.3}, False), (172, {}, False)],
+)
+def test_only_a_tilted_laser_is_warned_of(
+    tmp_path: Path, degrees: float, limit: dict[str, Any], said: bool
+) -> None:
+    half = math.radians(degrees) / 2
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        roll = (math.sin(half), 0.0, 0.0, math.cos(half))
+        log.static_transform("base_link", "laser", (0.0, 0.0, 1.0), roll, START)
+        write_scan(log)
+    warnings = choose(path, **limit).warnings
+    assert any(f"is tilted by {degrees} degrees" in line for line in warnings) is said
+
+
+@pytest.mark.parametrize(
+    ("edges", "found"),
+    [
+        ([("odom", "base_link", True)], "odom"),
+        (
+            [("wheel_odom", "base_footprint", True), ("base_footprint", "base_link", False)],
+            "wheel_odom",
+        ),
+        ([("odom", "base_footprint", True), ("base_footprint", "base_link", True)], "odom"),
+        ([("odom", "base_link", False)], None),
+        ([("map", "base_link", True)], None),
+        ([("map", "ODOM", True), ("ODOM", "base_link", True)], "ODOM"),
+        ([], None),
+    ],
+)
+def test_odometry_comes_from_a_moving_frame_of_that_name_above_the_base(
+    edges: list[tuple[str, str, bool]], found: str | None
+) -> None:
+    tree = TransformTree()
+    for parent, child, moving in edges:
+        tree.add(TransformRecord(0, parent, child, np.eye(4)), dynamic=moving)
+    assert odometry_ancestor(tree, "base_link") == found

@@ -7,18 +7,20 @@ import tracemalloc
 from collections.abc import Callable, Collection, Iterator
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import LogConfig
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
+from specmap_cli.core.settings import Config, LogConfig
+from specmap_cli.logs.log import Log
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.encoding import odometry_cdr, scan_cdr
-from specmap_cli.logs.readers.recording import Contents, Log, Message, Recording, survey
+from specmap_cli.logs.readers.recording import Contents, Message, Recording, survey
 from specmap_cli.logs.readers.typestore import LASER_SCAN, ODOMETRY
-from specmap_cli.logs.stream import MAX_WAITING, SweepStream
+from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
 
 SECOND = 1_000_000_000
@@ -106,7 +108,7 @@ def test_a_scan_waits_for_late_odometry_but_not_long() -> None:
     spy = Spy(lambda: iter(late))
     stream = SweepStream(Log([spy], [Path("spy")]), LogConfig())
     for sweep in stream:
-        assert spy.handed_out - 1 - sweep.index <= MAX_WAITING + 2
+        assert spy.handed_out - 1 - sweep.index <= stream.config.odometry_wait_scans + 2
     assert stream.counts["scans"] == 39
 
 
@@ -291,3 +293,142 @@ def test_a_lidar_without_transforms_is_its_own_base(tmp_path: Path) -> None:
     assert stream.selection.base_frame == "lidar"
     assert sweep.cloud_times_s is None
     assert any("lowest returns of the first cloud" in line for line in stream.warnings)
+
+
+@pytest.mark.parametrize(
+    ("log", "config", "said"),
+    [
+        ("log.mcap", LogConfig(), r"^log: expected .*Log, found 'log.mcap'$"),
+        (None, LogConfig(), r"^log: expected .*Log, found None$"),
+        (
+            Log([], [Path("spy")]),
+            {"use_odometry": False},
+            r"^config: expected .*LogConfig, found {",
+        ),
+        (Log([], [Path("spy")]), Config(), r"^config: expected .*LogConfig, found Config"),
+    ],
+)
+def test_wrong_types_are_refused_at_once(log: Any, config: Any, said: str) -> None:
+    with pytest.raises(TypeError, match=said):
+        SweepStream(log, config)
+
+
+@pytest.mark.parametrize("most", [0, 1, 7])
+def test_the_settings_say_how_many_scans_wait(most: int) -> None:
+    late = [odometry(START, 0.0)]
+    late += [scan(START + i * SECOND // 1000) for i in range(1, 40)]
+    spy = Spy(lambda: iter(late))
+    config = LogConfig(odometry_wait_scans=most)
+    stream = SweepStream(Log([spy], [Path("spy")]), config)
+    held = [spy.handed_out - 2 - sweep.index for sweep in stream]
+    assert max(held) == most
+
+
+@pytest.mark.parametrize(("wait_s", "x"), [(0.5, None), (1.5, 0.25)])
+def test_the_settings_say_how_long_a_scan_waits(wait_s: float, x: float | None) -> None:
+    messages = [odometry(START, 0.0), scan(START + SECOND // 4)]
+    messages += [scan(START + SECOND)]
+    messages += [odometry(START + SECOND, 1.0, START + SECOND + 1)]
+    first = next(iter(stream_of(messages, odometry_wait_s=wait_s)))
+    assert first.odom_from_base == (None if x is None else pytest.approx((x, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize(("longest", "counted"), [(1.0, 3), (2.0, 0)])
+def test_beam_times_that_reach_too_far_are_counted_and_said(
+    tmp_path: Path, longest: float, counted: int
+) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for i in range(3):
+            ranges = np.full(11, 2.0)
+            stamp = START + i * SECOND
+            log.scan("/scan", "laser", stamp, -1.0, 0.2, ranges, range_max=8.0, time_increment=0.15)
+    sweeps, stream = read(path, scan_time_max_s=longest)
+    assert stream.counts["far_times"] == counted
+    assert all((sweep.planar.beam_times_s is None) is (counted > 0) for sweep in sweeps)
+    said = (
+        "scans whose point times reach beyond log.scan_time_max_s or log.cloud_time_max_s "
+        f"and were not used: {counted}"
+    )
+    assert (said in stream.warnings) is (counted > 0)
+
+
+@pytest.mark.parametrize(("longest", "counted"), [(10.0, 0), (0.05, 2)])
+def test_point_times_that_reach_too_far_are_counted(
+    tmp_path: Path, longest: float, counted: int
+) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for i in range(2):
+            log.cloud("/points", "lidar", START + i * SECOND, np.eye(3), times_s=[0.0, 0.05, 0.1])
+        log.cloud("/points", "lidar", START + 2 * SECOND, np.eye(3), times_s=[0.1, 0.1, 0.1])
+    sweeps, stream = read(path, cloud_time_max_s=longest)
+    assert stream.counts["far_times"] == counted
+    assert [sweep.cloud_times_s is None for sweep in sweeps] == [counted > 0, counted > 0, True]
+
+
+def test_counts_are_of_the_iteration_so_far(drive: Path) -> None:
+    with open_log(drive) as log:
+        stream = SweepStream(log, LogConfig())
+        assert set(stream.counts.values()) == {0}
+        iterator = iter(stream)
+        for _ in range(3):
+            next(iterator)
+        assert stream.counts["scans"] == 3
+        assert stream.counts["odometry"] >= 3
+        assert len(list(stream)) == stream.counts["scans"] == 30
+
+
+def test_an_unstamped_odometry_message_is_taken_when_it_was_recorded() -> None:
+    messages = [scan(START), odometry(0, 1.0, START), odometry(0, 3.0, START + SECOND)]
+    messages += [scan(START + SECOND // 2, time=START + SECOND)]
+    first, second = stream_of(messages)
+    assert first.odom_from_base == (1.0, 0.0, 0.0)
+    assert second.odom_from_base == pytest.approx((2.0, 0.0, 0.0))
+
+
+def test_transforms_of_other_frames_and_rubbish_are_no_odometry(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        log.static_transform("base_link", "laser", (0.2, 0.0, 0.3), stamp_ns=START)
+        for i in range(5):
+            stamp = START + i * SECOND // 10
+            log.transform("odom", "base_link", stamp, Pose2(float(i), 0.0, 0.0))
+            log.transform("odom", "other_robot", stamp, Pose2(9.0, 9.0, 9.0))
+            log.transform("odom", "base_link", stamp, Pose2(math.nan, 0.0, 0.0))
+            log.scan("/scan", "laser", stamp, -1.0, 0.2, np.full(10, 2.0), range_max=8.0)
+        log.raw("/tf", "tf2_msgs/msg/TFMessage", b"rubbish", START + SECOND)
+    sweeps, stream = read(path)
+    assert [s.odom_from_base and s.odom_from_base.x for s in sweeps] == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert (stream.counts["odometry"], stream.counts["unusable_odometry"]) == (5, 1)
+
+
+def test_a_cloud_without_a_usable_point_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        log.cloud("/points", "lidar", START, np.eye(3))
+        log.cloud("/points", "lidar", START + SECOND, np.full((3, 3), np.nan))
+        log.cloud("/points", "lidar", START + 2 * SECOND, np.eye(3))
+    sweeps, stream = read(path)
+    assert [sweep.index for sweep in sweeps] == [0, 1]
+    assert stream.counts["unusable_scans"] == 1
+
+
+@pytest.mark.parametrize("topic", ["/scan", "/odom"])
+def test_a_message_of_another_type_on_a_topic_is_counted(topic: str) -> None:
+    """A topic that changed its type, as when a driver was exchanged."""
+    twist = Message(topic, "geometry_msgs/msg/Twist", START + 1, bytes(100))
+    stream = stream_of([odometry(START, 0.0), scan(START), twist, scan(START + SECOND)])
+    assert len(list(stream)) == 2
+    assert stream.counts["unusable_scans"] == (topic == "/scan")
+    assert stream.counts["unusable_odometry"] == (topic == "/odom")
+
+
+def test_a_topic_of_transforms_may_carry_another_type(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        log.static_transform("base_link", "laser", (0.2, 0.0, 0.3), stamp_ns=START)
+        log.odometry("/tf_static", "odom", "base_link", START, Pose2(0.0, 0.0, 0.0))
+        log.scan("/scan", "laser", START, -1.0, 0.2, np.full(10, 2.0), range_max=8.0)
+    (sweep,), _ = read(path)
+    assert sweep.base_from_laser == (0.2, 0.0, 0.0)

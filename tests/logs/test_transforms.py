@@ -1,20 +1,16 @@
-"""The tree of frames against SciPy, and odometry between stamps."""
+"""The tree of frames against SciPy."""
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.logs.messages import TransformRecord
-from specmap_cli.logs.transforms import OdometryBuffer, TransformTree
-
-MS = 1_000_000
+from specmap_cli.logs.transforms import TransformTree, tilt_of
 
 
 def random_transform(rng: np.random.Generator) -> FloatArray:
@@ -58,65 +54,57 @@ def test_later_transforms_replace_earlier_ones_and_loops_end() -> None:
     assert tree.lookup("c", "a") is None
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
-@given(share=st.floats(0.0, 1.0), start=st.floats(-3.1, 3.1), turn=st.floats(-1.5, 1.5))
-def test_poses_between_stamps_lie_on_the_way(share: float, start: float, turn: float) -> None:
-    buffer = OdometryBuffer()
-    buffer.add(1000 * MS, Pose2(1.0, 2.0, start))
-    buffer.add(1100 * MS, Pose2(3.0, -2.0, start + turn))
-    pose = buffer.at(1000 * MS + round(share * 100 * MS))
-    assert pose is not None
-    assert pose.x == pytest.approx(1.0 + 2.0 * share)
-    assert pose.y == pytest.approx(2.0 - 4.0 * share)
-    assert math.remainder(pose.theta - start - share * turn, 2 * math.pi) == pytest.approx(
-        0.0, abs=1e-6
-    )
+def chain(length: int) -> TransformTree:
+    """frame0 -> frame1 -> ..., each a metre ahead of its parent."""
+    step = np.eye(4)
+    step[0, 3] = 1.0
+    tree = TransformTree()
+    for number in range(length):
+        record = TransformRecord(0, f"frame{number}", f"frame{number + 1}", step)
+        tree.add(record, dynamic=number % 2 == 1)
+    return tree
 
 
-def test_the_order_of_arrival_does_not_matter() -> None:
-    rng = np.random.default_rng(6)
-    stamps = rng.permutation(50)
-    buffer = OdometryBuffer()
-    for stamp in stamps.tolist():
-        buffer.add(1000 * MS + stamp * 20 * MS, Pose2(float(stamp), 0.0, 0.0))
-    for tenth in range(490):
-        pose = buffer.at(1000 * MS + tenth * 2 * MS)
-        assert pose is not None
-        assert pose.x == pytest.approx(tenth / 10)
+def test_ancestors_are_the_frames_up_to_the_root() -> None:
+    tree = chain(3)
+    assert list(tree.ancestors("frame3")) == ["frame3", "frame2", "frame1", "frame0"]
+    assert list(tree.ancestors("elsewhere")) == ["elsewhere"]
+    found = tree.lookup("frame0", "frame3")
+    assert found is not None
+    assert found[0, 3] == 3.0
 
 
-def test_there_is_no_pose_in_holes_nor_far_outside() -> None:
-    buffer = OdometryBuffer()
-    assert buffer.at(5) is None
-    buffer.add(1000 * MS, Pose2(1.0, 0.0, 0.0))
-    buffer.add(9000 * MS, Pose2(9.0, 0.0, 0.0))
-    assert buffer.at(5000 * MS) is None
-    assert buffer.at(1000 * MS) == (1.0, 0.0, 0.0)
-    assert buffer.at(950 * MS) == (1.0, 0.0, 0.0), "held for a tenth of a second"
-    assert buffer.at(9050 * MS) == (9.0, 0.0, 0.0)
-    assert buffer.at(800 * MS) is None
-    assert buffer.at(9200 * MS) is None
+def test_a_chain_of_frames_without_end_is_a_loop() -> None:
+    assert chain(90).lookup("frame0", "frame90") is not None
+    assert chain(200).lookup("frame0", "frame200") is None
+    tree = chain(3)
+    tree.add(TransformRecord(0, "frame3", "frame0", np.eye(4)), dynamic=False)
+    assert tree.lookup("frame0", "elsewhere") is None
+    assert len(list(tree.ancestors("frame0"))) == 100
 
 
-def test_a_repeated_stamp_replaces_the_pose() -> None:
-    buffer = OdometryBuffer()
-    buffer.add(1000 * MS, Pose2(1.0, 0.0, 0.0))
-    buffer.add(1000 * MS, Pose2(2.0, 0.0, 0.0))
-    assert buffer.at(1000 * MS) == (2.0, 0.0, 0.0)
+def test_edges_are_told_by_child_with_what_moves() -> None:
+    edges = chain(3).edges()
+    assert [(parent, child, moves) for parent, child, _, moves in edges] == [
+        ("frame0", "frame1", False),
+        ("frame1", "frame2", True),
+        ("frame2", "frame3", False),
+    ]
 
 
-def test_a_clock_set_back_starts_anew() -> None:
-    buffer = OdometryBuffer()
-    buffer.add(100_000 * MS, Pose2(1.0, 0.0, 0.0))
-    buffer.add(1000 * MS, Pose2(5.0, 0.0, 0.0))
-    assert buffer.latest_ns == 1000 * MS
-    assert buffer.at(100_000 * MS) is None
+def test_a_copy_changes_on_its_own() -> None:
+    tree = chain(2)
+    copy = tree.copy()
+    copy.add(TransformRecord(0, "frame2", "hand", np.eye(4)), dynamic=True)
+    copy.add(TransformRecord(0, "frame0", "frame1", np.eye(4)), dynamic=True)
+    assert "hand" not in tree.frames
+    assert tree.edges()[0][2][0, 3] == 1.0
+    assert not tree.edges()[0][3]
 
 
-def test_memory_is_bounded() -> None:
-    buffer = OdometryBuffer()
-    for number in range(20_000):
-        buffer.add(number * MS, Pose2(float(number), 0.0, 0.0))
-    assert len(buffer._stamps) <= OdometryBuffer.MAX_POSES
-    assert buffer.at(19_990 * MS) == (19_990.0, 0.0, 0.0)
-    assert buffer.at(0) is None
+@given(roll=st.floats(-3.14, 3.14), pitch=st.floats(-1.5, 1.5), yaw=st.floats(-3.14, 3.14))
+def test_the_tilt_is_the_angle_between_the_z_axes(roll: float, pitch: float, yaw: float) -> None:
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    expected = np.arccos(np.clip(np.cos(roll) * np.cos(pitch), -1, 1))
+    assert tilt_of(matrix) == pytest.approx(expected, abs=1e-6)

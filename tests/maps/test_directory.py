@@ -1,3 +1,5 @@
+"""Output directories appear complete or not at all, whatever happens meanwhile."""
+
 from __future__ import annotations
 
 import os
@@ -6,16 +8,19 @@ import subprocess
 import sys
 import textwrap
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.maps.directory import MARKER, OutputDirectory
+from specmap_cli.maps.directory import OutputDirectory
+from specmap_cli.maps.filenames import TOPOLOGY
 
 
 def fill(directory: Path, words: str = "new") -> None:
-    (directory / MARKER).write_text(words)
+    (directory / TOPOLOGY).write_text(words)
     (directory / "submaps").mkdir()
     (directory / "submaps" / "000.png").write_text(words)
 
@@ -56,14 +61,14 @@ def test_an_interruption_keeps_the_old_map(tmp_path: Path) -> None:
     out = a_map(tmp_path / "out")
     with pytest.raises(KeyboardInterrupt), OutputDirectory(out, overwrite=True) as partial:
         fill_and_raise(partial, KeyboardInterrupt)
-    assert (out / MARKER).read_text() == "old"
+    assert (out / TOPOLOGY).read_text() == "old"
     assert hidden(tmp_path) == []
 
 
 def test_missing_parents_are_made(tmp_path: Path) -> None:
     with OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
         fill(partial)
-    assert (tmp_path / "a" / "b" / "out" / MARKER).is_file()
+    assert (tmp_path / "a" / "b" / "out" / TOPOLOGY).is_file()
 
 
 def test_an_existing_map_needs_overwrite(tmp_path: Path) -> None:
@@ -78,8 +83,8 @@ def test_overwrite_replaces_the_whole_map(tmp_path: Path) -> None:
     (out / "submaps" / "007.png").write_text("stale")
     with OutputDirectory(out, overwrite=True) as partial:
         fill(partial)
-        assert (out / MARKER).read_text() == "old"
-    assert (out / MARKER).read_text() == "new"
+        assert (out / TOPOLOGY).read_text() == "old"
+    assert (out / TOPOLOGY).read_text() == "new"
     assert os.listdir(out / "submaps") == ["000.png"]
     assert hidden(tmp_path) == []
 
@@ -88,7 +93,7 @@ def test_an_empty_directory_is_used(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with OutputDirectory(tmp_path / "out") as partial:
         fill(partial)
-    assert (tmp_path / "out" / MARKER).is_file()
+    assert (tmp_path / "out" / TOPOLOGY).is_file()
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
@@ -126,14 +131,14 @@ def test_a_link_to_a_map_stays_a_link(tmp_path: Path) -> None:
     with OutputDirectory(link, overwrite=True) as partial:
         fill(partial)
     assert link.is_symlink()
-    assert (tmp_path / "real" / MARKER).read_text() == "new"
+    assert (tmp_path / "real" / TOPOLOGY).read_text() == "new"
 
 
 def test_a_dangling_link_leads_to_its_target(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to("real")
     with OutputDirectory(tmp_path / "link") as partial:
         fill(partial)
-    assert (tmp_path / "real" / MARKER).read_text() == "new"
+    assert (tmp_path / "real" / TOPOLOGY).read_text() == "new"
 
 
 def test_links_in_an_old_map_are_not_followed(tmp_path: Path) -> None:
@@ -156,7 +161,7 @@ def test_a_target_that_turns_up_meanwhile_is_not_replaced(tmp_path: Path) -> Non
     out = tmp_path / "out"
     with pytest.raises(UsageError, match="--overwrite"), OutputDirectory(out):
         a_map(out)
-    assert (out / MARKER).read_text() == "old"
+    assert (out / TOPOLOGY).read_text() == "old"
     assert hidden(tmp_path) == []
 
 
@@ -177,7 +182,7 @@ def test_a_failing_swap_restores_the_old_map(
         OutputDirectory(out, overwrite=True) as partial,
     ):
         fill(partial)
-    assert (out / MARKER).read_text() == "old"
+    assert (out / TOPOLOGY).read_text() == "old"
     assert hidden(tmp_path) == []
 
 
@@ -194,14 +199,66 @@ def test_a_signal_in_the_middle_of_the_swap_waits(
     monkeypatch.setattr(os, "rename", interrupted)
     with pytest.raises(KeyboardInterrupt), OutputDirectory(out, overwrite=True) as partial:
         fill(partial)
-    assert (out / MARKER).read_text() == "new"
+    assert (out / TOPOLOGY).read_text() == "new"
     assert hidden(tmp_path) == []
+
+
+def test_a_path_may_be_text_and_relative(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with OutputDirectory("maps/out/") as partial:
+        assert partial.is_absolute()
+        monkeypatch.chdir("/")  # whoever runs inside may go elsewhere
+        fill(partial)
+    assert (tmp_path / "maps" / "out" / TOPOLOGY).is_file()
+
+
+def test_parents_that_somebody_uses_meanwhile_stay(tmp_path: Path) -> None:
+    with suppress(KeyboardInterrupt), OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
+        (tmp_path / "a" / "notes.txt").write_text("mine")
+        fill_and_raise(partial, KeyboardInterrupt)
+    assert os.listdir(tmp_path) == ["a"]
+    assert os.listdir(tmp_path / "a") == ["notes.txt"]
+
+
+def test_of_two_writers_of_one_place_the_first_wins(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    first, second = OutputDirectory(out), OutputDirectory(out)
+    for writer, words in ((first, "first"), (second, "second")):
+        fill(writer.__enter__(), words)
+    first.__exit__(None, None, None)
+    with pytest.raises(UsageError, match="already holds a map: use --overwrite"):
+        second.__exit__(None, None, None)
+    assert (out / TOPOLOGY).read_text() == "first"
+    assert hidden(tmp_path) == []
+
+
+def test_another_thread_writes_as_well(tmp_path: Path) -> None:
+    """Only the main thread can hold signals back; others must not try."""
+
+    def write() -> Path:
+        with OutputDirectory(tmp_path / "out", overwrite=True) as partial:
+            fill(partial)
+        return partial
+
+    a_map(tmp_path / "out")
+    with ThreadPoolExecutor(1) as threads:
+        partial = threads.submit(write).result()
+    assert not partial.exists()
+    assert (tmp_path / "out" / TOPOLOGY).read_text() == "new"
+
+
+def test_handlers_of_signals_are_those_from_before(tmp_path: Path) -> None:
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    with OutputDirectory(tmp_path / "out") as partial:
+        fill(partial)
+    assert {number: signal.getsignal(number) for number in before} == before
 
 
 WRITER = """
 import signal, sys
 from pathlib import Path
-from specmap_cli.maps.directory import MARKER, OutputDirectory
+from specmap_cli.maps.directory import OutputDirectory
+from specmap_cli.maps.filenames import TOPOLOGY
 
 def stop(number, frame):
     raise SystemExit(143)
@@ -210,7 +267,7 @@ signal.signal(signal.SIGTERM, stop)
 print("ready", flush=True)
 while True:
     with OutputDirectory(Path(sys.argv[1]), overwrite=True) as partial:
-        for name in (MARKER, "a", "b", "c"):
+        for name in (TOPOLOGY, "a", "b", "c"):
             (partial / name).write_text("x")
 """
 
@@ -228,4 +285,4 @@ def test_sigterm_at_any_moment_leaves_a_whole_map_or_none(tmp_path: Path) -> Non
             assert process.wait(timeout=20) == 143
         assert set(os.listdir(parent)) <= {"out"}
         if (parent / "out").exists():
-            assert sorted(os.listdir(parent / "out")) == sorted([MARKER, "a", "b", "c"])
+            assert sorted(os.listdir(parent / "out")) == sorted([TOPOLOGY, "a", "b", "c"])

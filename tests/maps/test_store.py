@@ -1,63 +1,21 @@
+"""Reading map directories back, and what is said about damaged ones."""
+
 from __future__ import annotations
 
-import csv
 import dataclasses
-import hashlib
 import json
 import math
 from pathlib import Path
 from typing import Any
 
-import cv2
-import jsonschema
-import networkx as nx
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import Config
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import Pose2
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.map_server import read_grid
-from specmap_cli.maps import schema
-from specmap_cli.maps.store import MapResult, read_map, write_map, write_segmentation
-from specmap_cli.topology.regions import NOBODY, Regions, divide
-from specmap_cli.topology.topological_map import Edge, LogInfo, Submap, TopologicalMap
-from tests.house import whole_of
-
-FILES = {
-    "classifiers.json",
-    "labels.csv",
-    "map.png",
-    "map.yaml",
-    "overview.png",
-    "run.json",
-    "submaps/000.png",
-    "submaps/000.yaml",
-    "submaps/001.png",
-    "submaps/001.yaml",
-    "submaps/002.png",
-    "submaps/002.yaml",
-    "topology.json",
-    "trajectory.g2o",
-    "trajectory.tum",
-}
-
-
-@pytest.fixture
-def stored(tmp_path: Path, result: MapResult) -> Path:
-    out = tmp_path / "out"
-    out.mkdir()
-    write_map(out, result)
-    return out
-
-
-def digests(directory: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(directory)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(directory.rglob("*"))
-        if path.is_file()
-    }
+from specmap_cli.core.records import NO_SUBMAP
+from specmap_cli.core.settings import Config
+from specmap_cli.maps.store import read_map
+from specmap_cli.maps.writing import MapResult, write_map
 
 
 def edit(path: Path, **changes: Any) -> None:
@@ -70,58 +28,6 @@ def edit(path: Path, **changes: Any) -> None:
             place = place[int(parent) if parent.isdigit() else parent]
         place[last] = value
     path.write_text(json.dumps(document))
-
-
-def test_all_files_and_no_other(stored: Path) -> None:
-    assert set(digests(stored)) == FILES
-
-
-def test_the_same_bytes_every_time(stored: Path, tmp_path: Path, result: MapResult) -> None:
-    again = tmp_path / "again"
-    again.mkdir()
-    write_map(again, result)
-    assert digests(again) == digests(stored)
-
-
-def test_topology_follows_its_schema(stored: Path) -> None:
-    document = json.loads((stored / "topology.json").read_text())
-    jsonschema.Draft202012Validator.check_schema(schema.json_schema())
-    jsonschema.validate(document, schema.json_schema())
-    with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate({**document, "nodes": [{"id": 0}]}, schema.json_schema())
-
-
-def test_the_shipped_schema_is_that_of_the_models() -> None:
-    shipped = json.loads(schema.SCHEMA_FILE.read_text())
-    assert shipped == schema.json_schema(), "run specmap_cli.maps.schema.write_schema()"
-
-
-def test_networkx_reads_topology_as_it_is(stored: Path) -> None:
-    document = json.loads((stored / "topology.json").read_text())
-    graph = nx.node_link_graph(document, edges="edges")
-    assert list(graph.nodes) == [0, 1, 2]
-    assert sorted(graph.edges) == [(0, 1), (0, 2)]
-    assert graph.edges[0, 1]["kind"] == "traversed"
-    assert graph.graph["log"]["scans"] == 30
-    assert nx.is_connected(graph)
-
-
-def test_numbers_in_topology(stored: Path) -> None:
-    text = (stored / "topology.json").read_text()
-    document = json.loads(text)
-    assert text.endswith("}\n")
-    assert "NaN" not in text
-    assert document["graph"]["closures"][1]["score"] is None
-    assert document["graph"]["log"]["start"] == 1_700_000_000.123456
-    assert json.dumps(document) == json.dumps(document, sort_keys=True)
-    corridor, room, _ = document["nodes"]
-    assert corridor["area_m2"] == pytest.approx(24.0, rel=1e-3)
-    assert room["centroid"] == pytest.approx([-3.0, 3.5], abs=0.1)
-    link, closure = document["edges"]
-    assert (link["x"], link["y"]) == (-3.0, 1.25)
-    way = math.dist(corridor["centroid"], (-3.0, 1.25)) + math.dist((-3.0, 1.25), room["centroid"])
-    assert link["distance_m"] == pytest.approx(way, abs=1e-5)
-    assert closure["x"] is None
 
 
 def test_there_and_back(stored: Path, result: MapResult) -> None:
@@ -167,81 +73,60 @@ def test_grids_are_read_when_asked_for(stored: Path) -> None:
         read.grid(1)
 
 
-def test_the_grid_of_the_whole_map_is_that_of_the_regions(
-    tmp_path: Path, result: MapResult
+def test_grids_are_a_mapping_of_the_submaps_there_are(stored: Path) -> None:
+    grids = read_map(stored).grids
+    assert (list(grids), len(grids)) == ([0, 1, 2], 3)
+    assert 1 in grids
+    assert grids[1] is grids[1]
+    for stranger in (3, -1):
+        assert stranger not in grids
+        assert grids.get(stranger) is None
+    with pytest.raises(KeyError):
+        read_map(stored).grid(99)
+
+
+def test_paths_may_be_text_and_are_resolved_when_read(
+    stored: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = GridMap(np.zeros((40, 50), dtype=np.uint8), 0.1, (-2.0, -2.0))
-    regions = divide(whole, result.labels)
-    write_map(tmp_path, dataclasses.replace(result, regions=regions))
-    assert read_grid(tmp_path / "map.yaml").cells.shape == (40, 50)
+    monkeypatch.chdir(stored.parent)
+    assert read_map("out").map_grid.cells.shape == read_map(stored).map_grid.cells.shape
 
 
-def test_a_submap_that_owns_nothing_is_written(tmp_path: Path, result: MapResult) -> None:
-    empty = GridMap(np.full((3, 3), 2, dtype=np.uint8), 0.1)
-    submaps = {**result.topology.submaps}
-    submaps[2] = dataclasses.replace(submaps[2], grid=empty)
-    topology = TopologicalMap(submaps, result.topology.edges, [])
-    regions = divide(whole_of(submaps.values()), result.labels)
-    write_map(tmp_path, dataclasses.replace(result, topology=topology, regions=regions))
-    node = read_map(tmp_path).record.nodes[2]
-    assert (node.centroid, node.polygon, node.area_m2) == (None, [], 0.0)
+def test_ids_are_ascending_whatever_the_order_of_the_nodes(stored: Path) -> None:
+    document = json.loads((stored / "topology.json").read_text())
+    edit(stored / "topology.json", nodes=document["nodes"][::-1])
+    read = read_map(stored)
+    assert read.ids == [0, 1, 2]
+    assert list(read.grids) == [0, 1, 2]
+    assert read.grid(1).cells.shape == read_map(stored).topology.submaps[1].grid.cells.shape
 
 
-def test_a_map_without_links(tmp_path: Path, result: MapResult) -> None:
-    only = TopologicalMap({0: result.topology.submaps[0]}, {}, [])
-    write_map(tmp_path, dataclasses.replace(result, topology=only))
-    assert read_map(tmp_path).topology.edges == {}
+def test_a_file_is_read_once_and_not_before_it_is_asked_for(stored: Path) -> None:
+    read = read_map(stored)
+    (stored / "map.png").rename(stored / "hidden.png")
+    with pytest.raises(MapError, match=r"map\.png"):
+        _ = read.map_grid
+    (stored / "hidden.png").rename(stored / "map.png")
+    grid, labels, config = read.map_grid, read.labels, read.config
+    for name in ("map.png", "map.yaml", "labels.csv", "run.json"):
+        (stored / name).unlink()
+    assert (read.map_grid, read.labels, read.config) == (grid, labels, config)
 
 
-def test_a_finished_map_cut_into_regions(tmp_path: Path) -> None:
-    grid = GridMap(np.zeros((20, 40), dtype=np.uint8), 0.1, (1.0, 2.0))
-    owner = np.zeros((20, 40), dtype=np.int64)
-    owner[:, 20:] = 1
-    owner[0, :] = NOBODY
-    submaps = {}
-    for id_ in (0, 1):
-        cells = np.where(owner == id_, 0, 2).astype(np.uint8)
-        part = GridMap(cells, grid.resolution, grid.origin)
-        submaps[id_] = Submap(id_, Pose2(0.0, 0.0, 0.0), [], [], part)
-    edges = {(0, 1): Edge(0, 1, "doorway", doorway=(3.0, 3.0), width_m=1.9)}
-    topology = TopologicalMap(submaps, edges)
-    write_segmentation(
-        tmp_path,
-        topology,
-        Regions.of(grid, owner),
-        LogInfo("plan.yaml"),
-        np.zeros((5, 5, 3), np.uint8),
-    )
-    labels = cv2.imread(str(tmp_path / "labels.png"), cv2.IMREAD_UNCHANGED)
-    assert labels is not None
-    assert labels.dtype == np.uint16
-    assert (labels == owner[::-1] + 1).all()
-    edge = read_map(tmp_path).topology.edges[0, 1]
-    assert (edge.kind, edge.crossing, edge.width_m) == ("doorway", (3.0, 3.0), 1.9)
-    assert (tmp_path / "overview.png").is_file()
-    with pytest.raises(MapError, match="classifiers"):
-        _ = read_map(tmp_path).classifiers
+def test_regions_are_those_the_map_was_drawn_with(stored: Path, result: MapResult) -> None:
+    regions = read_map(stored).regions
+    np.testing.assert_array_equal(regions.owner, result.regions.owner)
+    assert regions.outline(1).area_m2 == pytest.approx(result.regions.outline(1).area_m2)
 
 
-def test_labels_csv(stored: Path) -> None:
-    with (stored / "labels.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["stamp", "x", "y", "theta", "submap"]
-    assert len(rows) == 30
-    assert rows[0]["stamp"] == "1700000000.123456789"
-    assert [row["submap"] for row in rows[8:12]] == ["0", "0", "1", "1"]
-
-
-def test_trajectory_tum(stored: Path, result: MapResult) -> None:
-    table = np.loadtxt(stored / "trajectory.tum")
-    assert table.shape == (30, 8)
-    assert table[:, 1:3] == pytest.approx(result.trajectory.poses[:, :2], abs=1e-6)
-    yaw = 2.0 * np.arctan2(table[:, 6], table[:, 7])
-    turn = yaw - result.trajectory.poses[:, 2]
-    assert np.cos(turn) == pytest.approx(np.ones(30))
-    first = (stored / "trajectory.tum").read_text().splitlines()[0].split()
-    assert first[0] == "1700000000.123456789"
-    assert [len(number.split(".")[1]) for number in first] == [9, 6, 6, 6, 9, 9, 9, 9]
+def test_keyframes_in_no_submap_are_in_none(tmp_path: Path, result: MapResult) -> None:
+    submaps = result.labels.submaps.copy()
+    submaps[5:12] = NO_SUBMAP
+    labels = dataclasses.replace(result.labels, submaps=submaps)
+    write_map(tmp_path, dataclasses.replace(result, labels=labels))
+    read = read_map(tmp_path)
+    np.testing.assert_array_equal(read.labels.submaps, submaps)
+    assert [len(submap.keyframes) for submap in read.topology.submaps.values()] == [5, 8, 10]
 
 
 class TestDamage:
@@ -324,3 +209,38 @@ class TestDamage:
         edit(stored / "run.json", config__grid__resolution_m=-1)
         with pytest.raises(MapError, match=r"config: grid\.resolution_m"):
             _ = read_map(stored).config
+
+    def test_labels_of_another_map(self, stored: Path) -> None:
+        path = stored / "labels.csv"
+        path.write_text(path.read_text().replace(",2\n", ",7\n"))
+        with pytest.raises(MapError, match=r"labels\.csv: submap 7 is not in topology\.json"):
+            _ = read_map(stored).labels
+
+    @pytest.mark.parametrize("text", ["[]", "3", '"run"', "null"])
+    def test_a_run_that_is_no_object(self, stored: Path, text: str) -> None:
+        (stored / "run.json").write_text(text)
+        with pytest.raises(MapError, match=r"run\.json: not a JSON object: build the map again"):
+            _ = read_map(stored).run
+
+    @pytest.mark.parametrize("run", [{}, {"config": None}, {"config": [1]}])
+    def test_a_run_without_configuration(self, stored: Path, run: dict[str, Any]) -> None:
+        (stored / "run.json").write_text(json.dumps(run))
+        with pytest.raises(MapError, match=r"run\.json: config: .*build the map again") as caught:
+            _ = read_map(stored).config
+        assert "\n" not in str(caught.value)
+
+    def test_the_line_and_column_of_broken_json_are_told(self, stored: Path) -> None:
+        (stored / "run.json").write_text('{\n "config": {,}\n}\n')
+        with pytest.raises(MapError, match=r"run\.json: damaged JSON at line 2: Expecting"):
+            _ = read_map(stored).run
+
+    def test_a_directory_in_place_of_a_file(self, stored: Path) -> None:
+        (stored / "classifiers.json").unlink()
+        (stored / "classifiers.json").mkdir()
+        with pytest.raises(MapError, match=r"classifiers\.json: cannot be read: Is a directory"):
+            _ = read_map(stored).classifiers
+
+    def test_a_map_of_a_plan_says_what_it_lacks(self, stored: Path) -> None:
+        (stored / "classifiers.json").unlink()
+        with pytest.raises(MapError, match=r"has no classifiers\.json: `specmap segment` makes"):
+            _ = read_map(stored).classifiers

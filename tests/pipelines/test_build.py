@@ -1,72 +1,105 @@
-"""Algorithm 1 on a simulated flat: from sweeps to a finished map."""
+"""Algorithm 1 and what follows it, on a simulated flat: from scans to a finished map."""
 
 from __future__ import annotations
 
 import gc
 import json
+import math
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import FrozenInstanceError, dataclass, replace
+from pathlib import Path
 
 import networkx as nx
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import Config, load_config
-from specmap_cli.core.errors import NoResultError
+from specmap_cli import build_map, read_map
+from specmap_cli.core.config import load_config
+from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
-from specmap_cli.core.records import PlanarScan, Sweep
+from specmap_cli.core.records import PosedScan, Sweep
+from specmap_cli.core.settings import Config
 from specmap_cli.evaluation.rooms import map_scores
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.pipelines import finishing
-from specmap_cli.pipelines.finishing import FinishedMap, finish_map
-from specmap_cli.pipelines.mapper import Mapper
-from specmap_cli.simulation.worlds import RoomTruth
+from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.logs import open_log
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.logs.writer import LogWriter
+from specmap_cli.pipelines import learning
+from specmap_cli.pipelines.build import explore, finish, map_log
+from specmap_cli.pipelines.exploration import Exploration, Explored, online_labels
+from specmap_cli.pipelines.finished_map import FinishedMap
+from specmap_cli.pipelines.refutation import REFUTED, constraints_of, refute
+from specmap_cli.pipelines.simulate import SimulationResult
+from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.tracking import Tracking
+from specmap_cli.registration.frontend import FrontEnd
+from specmap_cli.simulation.room_truth import RoomTruth
 
 Tour = list[tuple[Sweep, Pose2]]
+TRACKED = Tracking(counts={}, warnings=(), seconds=0.0)
+QUICK = {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
+
+
+@dataclass(frozen=True)
+class Flat:
+    """The flat, explored and finished."""
+
+    scans: Sequence[PosedScan]
+    store: KeyframeStore
+    explored: Explored
+    finished: FinishedMap
+
+
+def registered(sweeps: Iterator[Sweep]) -> Iterator[PosedScan]:
+    """Sweeps with their poses."""
+    front_end = FrontEnd(Config().registration)
+    return (front_end.register(sweep) for sweep in sweeps)
+
+
+def explored_by(
+    scans: Iterator[PosedScan],
+    store: KeyframeStore,
+    config: Config,
+    accepts: Callable[[PosedScan], bool] | None = None,
+) -> Explored:
+    """What Algorithm 1 finds in scans."""
+    accepts = accepts or KeyframeSelector(config.keyframes).accepts
+    return explore(scans, Exploration(config, store, Stopwatch(), None), accepts, Silent())
+
+
+def finished_by(explored: Explored, store: KeyframeStore, config: Config) -> FinishedMap:
+    """The map of what was explored."""
+    return finish(explored, TRACKED, config, store, Silent(), Stopwatch())
 
 
 @pytest.fixture(scope="module")
-def tour(flat_tour: Tour) -> Tour:
-    return flat_tour
+def flat_map(flat_tour: Tour) -> Iterator[Flat]:
+    scans = list(registered(sweep for sweep, _ in flat_tour))
+    with KeyframeStore() as store:
+        explored = explored_by(iter(scans), store, Config())
+        yield Flat(scans, store, explored, finished_by(explored, store, Config()))
 
 
-@pytest.fixture(scope="module")
-def store() -> Iterator[KeyframeStore]:
-    with KeyframeStore() as keyframes:
-        yield keyframes
-
-
-@pytest.fixture(scope="module")
-def mapper(tour: Tour, store: KeyframeStore) -> Mapper:
-    mapper = Mapper(Config(), store)
-    for sweep, _ in tour:
-        mapper.add(sweep)
-    mapper.finish()
-    return mapper
-
-
-@pytest.fixture(scope="module")
-def finished(mapper: Mapper) -> FinishedMap:
-    return finish_map(mapper, Silent())
-
-
-def test_every_scan_has_a_pose_and_every_keyframe_a_region(
-    mapper: Mapper, store: KeyframeStore, tour: Tour
-) -> None:
-    assert len(mapper.trajectory) == len(tour)
-    assert sorted(k for ks in mapper.regions.values() for k in ks) == list(range(len(store)))
-    assert (mapper.labels() >= 0).all()
+def test_every_scan_has_a_pose_and_every_keyframe_a_region(flat_map: Flat) -> None:
+    explored, store = flat_map.explored, flat_map.store
+    assert len(explored.trajectory.stamps_ns) == len(flat_map.scans)
+    assert sorted(k for ks in explored.regions.values() for k in ks) == list(range(len(store)))
+    labels = online_labels(explored.regions, explored.closures, len(store))
+    assert (labels >= 0).all()
+    assert set(labels.tolist()) <= set(explored.regions)
 
 
 def test_the_map_is_connected_and_its_rooms_are_the_flat_s(
-    finished: FinishedMap, store: KeyframeStore, tour: Tour, flat_rooms: RoomTruth
+    flat_map: Flat, flat_tour: Tour, flat_rooms: RoomTruth
 ) -> None:
+    finished = flat_map.finished
     graph = nx.Graph(list(finished.topology.edges))
     graph.add_nodes_from(finished.topology.submaps)
     assert nx.is_connected(graph)
-    true = {sweep.stamp_ns: pose for sweep, pose in tour}
-    places = np.array([true[stamp] for stamp in store.stamps_ns])
+    true = {sweep.stamp_ns: pose for sweep, pose in flat_tour}
+    places = np.array([true[stamp] for stamp in flat_map.store.stamps_ns])
     scores = map_scores(flat_rooms, places, finished.labels.submaps)
     assert scores.whole == 1.0
     assert scores.found == scores.doors
@@ -74,9 +107,8 @@ def test_the_map_is_connected_and_its_rooms_are_the_flat_s(
     assert scores.purity > 0.9
 
 
-def test_ids_follow_the_first_visits_and_grids_hold_the_places_driven(
-    finished: FinishedMap,
-) -> None:
+def test_ids_follow_the_first_visits_and_grids_hold_the_places_driven(flat_map: Flat) -> None:
+    finished = flat_map.finished
     labels = finished.labels.submaps
     first = [int(np.argmax(labels == id_)) for id_ in sorted(finished.topology.submaps)]
     assert first == sorted(first)
@@ -87,69 +119,178 @@ def test_ids_follow_the_first_visits_and_grids_hold_the_places_driven(
         assert (submap.grid.values_at(inside) == 0).mean() > 0.99
 
 
-def test_there_is_a_classifier_for_every_submap(finished: FinishedMap) -> None:
-    document = json.loads(finished.classifiers)
-    assert set(map(int, document["raw"]["classifiers"])) == set(finished.topology.submaps)
+def test_there_is_a_classifier_for_every_submap(flat_map: Flat) -> None:
+    document = json.loads(flat_map.finished.classifiers.to_json())
+    assert set(map(int, document["raw"]["classifiers"])) == set(flat_map.finished.topology.submaps)
 
 
-def test_held_out_scans_are_in_neither_map_nor_regions(tour: Tour) -> None:
+def test_what_was_explored_and_finished_cannot_be_changed(flat_map: Flat) -> None:
+    for value, name in ((flat_map.explored, "breaks"), (flat_map.finished, "labels")):
+        with pytest.raises(FrozenInstanceError):
+            setattr(value, name, ())
+    assert isinstance(flat_map.explored.closures, tuple)
+    assert all(isinstance(ks, tuple) for ks in flat_map.explored.regions.values())
+
+
+def test_to_finish_changes_nothing_of_what_was_explored(flat_map: Flat) -> None:
+    """The same exploration gives the same map again: stages hand on values."""
+    again = finished_by(flat_map.explored, flat_map.store, Config())
+    assert again.labels.submaps.tolist() == flat_map.finished.labels.submaps.tolist()
+    assert again.classifiers.to_json() == flat_map.finished.classifiers.to_json()
+
+
+def test_keyframes_are_those_that_are_accepted(flat_map: Flat) -> None:
+    """As the evaluation's hold-out does it: the rest is registered, and enters nothing else."""
+    selector, turn = KeyframeSelector(Config().keyframes), iter(range(10**6))
     with KeyframeStore() as store, KeyframeStore() as held_out:
-        mapper = Mapper(Config(), store, hold_out=lambda k: k % 5 == 4, held_out=held_out)
-        for sweep, _ in tour[:300]:
-            mapper.add(sweep)
-        mapper.finish()
-        assert len(mapper.trajectory) == 300
+
+        def accepts(scan: PosedScan) -> bool:
+            if not selector.accepts(scan):
+                return False
+            held = next(turn) % 5 == 4
+            if held:
+                held_out.append(scan)
+            return not held
+
+        explored = explored_by(iter(flat_map.scans[:300]), store, Config(), accepts)
+        assert len(explored.trajectory.stamps_ns) == 300
         assert not set(store.stamps_ns) & set(held_out.stamps_ns)
         assert len(held_out) == (len(store) + len(held_out)) // 5
-        assert sum(map(len, mapper.regions.values())) == len(store)
+        assert sum(map(len, explored.regions.values())) == len(store)
 
 
-def test_scans_are_not_kept_in_memory(tour: Tour) -> None:
+def test_scans_are_not_kept_in_memory(flat_tour: Tour) -> None:
     """Of the scans that went in, only those of the front end's window may be alive."""
     taken: list[weakref.ref[np.ndarray]] = []
-    with KeyframeStore() as store:
-        mapper = Mapper(Config(), store)
-        for sweep, _ in tour:
+
+    def sweeps() -> Iterator[Sweep]:
+        for sweep, _ in flat_tour:
             ranges = sweep.planar.ranges.copy()
             taken.append(weakref.ref(ranges))
-            planar = sweep.planar
-            scan = PlanarScan(
-                planar.stamp_ns, planar.bearings, ranges, planar.range_max, planar.full_circle
-            )
-            odometry = sweep.odom_from_base
-            mapper.add(Sweep(sweep.index, sweep.stamp_ns, scan, sweep.base_from_laser, odometry))
-        del scan, ranges
+            yield replace(sweep, planar=replace(sweep.planar, ranges=ranges))
+
+    with KeyframeStore() as store:
+        explored_by(registered(sweeps()), store, Config())
         gc.collect()
         assert len(store) > 200
         assert sum(ref() is not None for ref in taken) < 60
 
 
-def test_a_log_without_a_usable_scan_gives_no_map(tour: Tour) -> None:
-    blank = np.full_like(tour[0][0].planar.ranges, np.nan)
-    with KeyframeStore() as store:
-        mapper = Mapper(Config(), store)
-        for sweep, _ in tour[:20]:
-            planar = sweep.planar
-            scan = PlanarScan(sweep.stamp_ns, planar.bearings, blank, planar.range_max, False)
-            mapper.add(Sweep(sweep.index, sweep.stamp_ns, scan, sweep.base_from_laser))
-        mapper.finish()
-        with pytest.raises(NoResultError, match="nothing to map"):
-            finish_map(mapper, Silent())
-
-
 @pytest.mark.parametrize("settings", [{"relaxation": {"enabled": False}}, {}], ids=["raw", "paper"])
 def test_without_a_consistent_layout_the_online_submaps_stay(
-    tour: Tour, settings: dict[str, dict[str, bool]], monkeypatch: pytest.MonkeyPatch
+    flat_map: Flat, settings: dict[str, dict[str, bool]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(finishing, "regions_of")
+    monkeypatch.delattr(learning, "regions_of")
     config = load_config(None, None if settings else "paper", settings)
     with KeyframeStore() as store:
-        mapper = Mapper(config, store)
-        for sweep, _ in tour[:400]:
-            mapper.add(sweep)
-        mapper.finish()
-        finished = finish_map(mapper, Silent())
-        assert len(finished.topology.submaps) <= len(mapper.regions)
-        joined = np.column_stack([mapper.labels(), finished.labels.submaps])
+        explored = explored_by(iter(flat_map.scans[:400]), store, config)
+        finished = finished_by(explored, store, config)
+        online = online_labels(explored.regions, explored.closures, len(store))
+        assert len(finished.topology.submaps) <= len(explored.regions)
+        joined = np.column_stack([online, finished.labels.submaps])
         commonest = np.unique(joined, axis=0, return_counts=True)[1].max()
-        assert commonest >= np.bincount(mapper.labels()).max()
+        assert commonest >= np.bincount(online).max()
+
+
+def test_where_tracking_starts_afresh_a_new_submap_begins(flat_map: Flat) -> None:
+    """A scan marked as restarted breaks the path, and the user hears of it."""
+    scans = [replace(s, restarted=k == 150) for k, s in enumerate(flat_map.scans[:300])]
+    progress = Silent()
+    config = Config()
+    with KeyframeStore() as store:
+        exploration = Exploration(config, store, Stopwatch(), None)
+        accepts = KeyframeSelector(config.keyframes).accepts
+        explored = explore(scans, exploration, accepts, progress)
+        (first,) = explored.breaks
+        assert store.stamps_ns[first] == scans[150].stamp_ns
+        assert all(min(ks) >= first or max(ks) < first for ks in explored.regions.values())
+        assert len(progress.warnings) == 1
+        assert f"before {scans[150].stamp_ns * 1e-9:.3f} s" in progress.warnings[0]
+
+
+def test_a_merge_that_the_layout_drops_is_taken_back(flat_map: Flat) -> None:
+    """A closure that puts two far places on each other goes; the others stay as they were."""
+    explored, store, config = flat_map.explored, flat_map.store, Config()
+    merged = [closure for closure in explored.closures if closure.merged]
+    assert merged
+    wrong = replace(merged[0], old_from_new=Pose2(25.0, 25.0, 1.0))
+    closures = tuple(wrong if c is merged[0] else c for c in explored.closures)
+    constraints = constraints_of(closures, explored.regions, store, config.relaxation)
+    assert set(constraints) == {(c.old, c.new) for c in merged}
+    finished = finished_by(replace(explored, closures=closures), store, config)
+    kept = refute(closures, constraints, finished.layout)
+    assert [c.reason for c in kept if c.reason == REFUTED] == [REFUTED]
+    for before, after in zip(closures, kept, strict=True):
+        if before is wrong:
+            assert (after.merged, after.verified, after.old_from_new) == (False, False, None)
+        else:
+            assert after is before
+
+
+def test_constraints_hold_between_the_nearest_keyframes_of_both_regions(flat_map: Flat) -> None:
+    explored, store, config = flat_map.explored, flat_map.store, Config()
+    constraints = constraints_of(explored.closures, explored.regions, store, config.relaxation)
+    for (old, new), constraint in constraints.items():
+        assert constraint.source in explored.regions[old]
+        assert constraint.target in explored.regions[new]
+        assert math.hypot(*constraint.source_from_target[:2]) < 1.0  # merged: the tracks overlap
+        np.testing.assert_allclose(
+            np.diag(constraint.information), [625.0, 625.0, 0.0087**-2], rtol=1e-12
+        )
+
+
+class TestBuildMap:
+    """The whole way, from a file to a directory."""
+
+    def test_paths_may_be_text(self, flat_log: SimulationResult, tmp_path: Path) -> None:
+        config = load_config(overrides={"recognition": {"rounds": 4}})
+        report = build_map(str(flat_log.log), str(tmp_path / "map"), config)
+        assert report.out == tmp_path / "map"
+        stored = read_map(str(tmp_path / "map"))
+        assert report.run["counts"]["submaps"] == len(stored.ids)
+        assert report.run["counts"] == stored.run["counts"]
+        assert stored.run["inputs"] == ["flat.mcap"]
+        seconds = stored.run["seconds"]
+        stages = {"registration", "segmentation", "recognition", "layout", "grids", "training"}
+        assert set(seconds) == stages
+        assert all(value >= 0.0 for value in seconds.values())
+        assert report.as_dict()["out"] == str(tmp_path / "map")
+        assert report.lines()[0].startswith(f"{tmp_path / 'map'}: {len(stored.ids)} submaps, ")
+
+    def test_a_log_of_blank_scans_gives_no_map(self, tmp_path: Path) -> None:
+        log = tmp_path / "blank.mcap"
+        with LogWriter(log) as writer:
+            for k in range(20):
+                ranges = np.full(90, np.inf)
+                writer.scan("/scan", "laser", k * 10**8, 0.0, 0.07, ranges, range_max=9.0)
+        with pytest.raises(NoResultError, match="none of 20 scans could be registered"):
+            build_map(log, tmp_path / "map")
+        assert not (tmp_path / "map").exists()
+
+    def test_a_grid_that_may_hold_nothing_gives_no_map(
+        self, flat_log: SimulationResult, tmp_path: Path
+    ) -> None:
+        config = load_config(overrides={**QUICK, "grid": {"max_area_m2": 0.01}})
+        with pytest.raises(NoResultError, match=r"grid\.max_extent_m"):
+            build_map(flat_log.log, tmp_path / "map", config)
+        assert list(tmp_path.iterdir()) == []
+
+    def test_every_test_of_a_split_is_drawn_when_asked_for(
+        self, flat_log: SimulationResult, tmp_path: Path
+    ) -> None:
+        pictures = tmp_path / "pictures"
+        build_map(flat_log.log, tmp_path / "map", load_config(overrides=QUICK), explain=pictures)
+        names = sorted(path.name for path in pictures.iterdir())
+        assert names == [f"test_{k:04d}.png" for k in range(1, len(names) + 1)]
+        assert len(names) > 10
+        with pytest.raises(UsageError, match="holds pictures of an earlier run"):
+            build_map(flat_log.log, tmp_path / "again", explain=pictures)
+        assert not (tmp_path / "again").exists()
+
+    def test_a_log_is_mapped_into_a_store_of_the_caller(self, flat_log: SimulationResult) -> None:
+        config = load_config(overrides=QUICK)
+        with open_log(flat_log.log) as log, KeyframeStore() as store:
+            finished = map_log(SweepStream(log, config.log), config, store, Silent())
+            assert len(finished.labels.stamps_ns) == len(store)
+            assert finished.counts["scans"] == flat_log.scans
+            assert finished.labels.stamps_ns.tolist() == list(store.stamps_ns)

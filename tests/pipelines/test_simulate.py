@@ -18,17 +18,14 @@ from rosbags.typesys import Stores, get_typestore
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import Sweep
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.pipelines.simulate import (
+from specmap_cli.pipelines.simulate import SimulationResult, simulate
+from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.simulator import (
     SimulationOptions,
-    SimulationResult,
-    record,
-    simulate,
-    simulate_sweeps,
-    simulation_options,
 )
-from specmap_cli.simulation.worlds import RoomTruth
 from tests.conftest import SAMPLE_LOGS
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -112,19 +109,6 @@ def test_the_same_options_give_the_same_bytes(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["again.mcap", "elsewhere.txt"]
 
 
-def test_errors_of_the_sensors_leave_the_route_as_it_is(flat: GridMap) -> None:
-    exact = record(flat, SimulationOptions(seed=5, noise_m=0.0, odometry_drift=0.0))
-    noisy = record(flat, SimulationOptions(seed=5, noise_m=0.05, odometry_drift=3.0, beams=90))
-    np.testing.assert_array_equal(exact.drive.poses, noisy.drive.poses)
-
-
-def test_a_longest_duration_ends_the_recording(flat: GridMap) -> None:
-    options = SimulationOptions(max_duration_s=3.0, rate_hz=4, beams=30, seed=2)
-    sweeps = [sweep for sweep, _ in simulate_sweeps(flat, options)]
-    assert len(sweeps) == 13
-    assert sweeps[-1].stamp_ns - sweeps[0].stamp_ns == 3 * 10**9
-
-
 def test_the_mounting_reaches_the_static_transform(flat: GridMap, tmp_path: Path) -> None:
     options = SimulationOptions(
         max_duration_s=0.1, beams=8, laser_x_m=0.2, laser_y_m=-0.1, laser_yaw_deg=90
@@ -138,26 +122,52 @@ def test_the_mounting_reaches_the_static_transform(flat: GridMap, tmp_path: Path
     assert mounted.transform.rotation.z == pytest.approx(np.sqrt(0.5))
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"beams": 1}, "beams: .*greater than or equal to 8.*found 1"),
-        ({"speed_mps": float("nan")}, "speed_mps: .*finite"),
-        ({"lapse": 3}, "lapse: .*found 3"),
-        ({"sweep_s": 0.3, "rate_hz": 5}, "sweep_s is longer than the 0.2 s between scans"),
-    ],
-)
-def test_options_out_of_range_are_one_line(values: dict[str, Any], message: str) -> None:
-    with pytest.raises(UsageError, match=message) as caught:
-        simulation_options(**values)
-    assert "\n" not in str(caught.value)
-
-
 def test_a_robot_that_just_fits_records_where_it_stands(tmp_path: Path) -> None:
     cells = np.full((30, 30), OCCUPIED, dtype=np.uint8)
     cells[9:22, 9:22] = FREE
     made = simulate(GridMap(cells, 0.05), SimulationOptions(beams=16), tmp_path / "a.mcap")
     assert (made.scans, made.distance_m) == (1, 0.0)
+
+
+def test_paths_may_be_text_and_the_advance_is_told(flat: GridMap, tmp_path: Path) -> None:
+    told: list[tuple[str, int | None]] = []
+
+    class Counting(Silent):
+        steps = 0
+
+        def start(self, stage: str, total: int | None) -> None:
+            told.append((stage, total))
+
+        def advance(self, steps: int = 1) -> None:
+            self.steps += steps
+
+    progress = Counting()
+    options = SimulationOptions(max_duration_s=2.0, beams=8, rate_hz=5)
+    made = simulate(flat, options, str(tmp_path / "a.mcap"), str(tmp_path / "b.tum"), progress)
+    assert told == [("simulate", 11)]
+    assert progress.steps == made.scans == len((tmp_path / "b.tum").read_text().splitlines())
+    assert made.as_dict()["log"] == str(tmp_path / "a.mcap")
+    metres, area = f"{made.distance_m:.0f}", f"{made.area_m2:.0f}"
+    assert made.lines() == [
+        f"{tmp_path}/a.mcap: 11 scans in 2 s over {metres} m through {area} m2",
+        f"true poses in {tmp_path}/b.tum",
+    ]
+
+
+@pytest.mark.parametrize("truth", [None, "log.tum"])
+def test_a_truth_in_place_of_the_recording_is_refused(
+    flat: GridMap, tmp_path: Path, truth: str | None
+) -> None:
+    with pytest.raises(
+        UsageError, match=r"log\.tum: the recording and the true poses would be one"
+    ):
+        simulate(
+            flat,
+            SimulationOptions(),
+            tmp_path / "log.tum",
+            None if truth is None else tmp_path / truth,
+        )
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_truth_that_cannot_be_written_leaves_no_recording(flat: GridMap, tmp_path: Path) -> None:

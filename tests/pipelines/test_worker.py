@@ -5,13 +5,17 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import struct
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -20,8 +24,9 @@ from specmap_cli.core.errors import LogError, SpecmapError
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.pipelines import worker as module
 from specmap_cli.pipelines.build import build_map
-from specmap_cli.pipelines.simulate import SimulationOptions, simulate
-from specmap_cli.pipelines.worker import ahead
+from specmap_cli.pipelines.simulate import simulate
+from specmap_cli.pipelines.worker import ahead, in_background
+from specmap_cli.simulation.simulator import SimulationOptions
 
 
 @pytest.fixture
@@ -29,17 +34,33 @@ def two_processors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_processors", lambda: 2)
 
 
-def pids(count: int) -> Iterator[int]:
-    """The process that makes the items, again and again."""
+Work = Generator[int, None, int]
+
+
+def pids(count: int) -> Work:
+    """The process that makes the items, again and again; returns how many there were."""
     for _ in range(count):
         yield os.getpid()
+    return count
+
+
+def items_of(items: list[Any]) -> Generator[Any, None, None]:
+    """The items, and no result."""
+    yield from items
+
+
+class StubbornError(Exception):
+    """An error that cannot be made again from what it was pickled as."""
+
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__(f"{first} and {second}")
 
 
 @pytest.mark.usefixtures("two_processors")
 class TestChild:
     def test_the_items_come_in_order_and_as_they_were(self) -> None:
         made = [(k, np.arange(k, dtype=np.float32)) for k in range(300)]
-        with ahead(lambda: iter(made)) as items:
+        with ahead(lambda: items_of(made)) as items:
             for (number, array), (expected, original) in zip(items, made, strict=True):
                 assert number == expected
                 np.testing.assert_array_equal(array, original)
@@ -60,7 +81,7 @@ class TestChild:
             os.kill(maker, 0)
 
     def test_an_error_meant_for_the_user_comes_as_it_was_after_the_items_before_it(self) -> None:
-        def work() -> Iterator[int]:
+        def work() -> Generator[int, None, None]:
             yield 1
             raise LogError("log.mcap: damaged")
 
@@ -71,7 +92,7 @@ class TestChild:
         assert not hasattr(caught.value, "__notes__")
 
     def test_a_bug_tells_where_it_is(self) -> None:
-        def faulty() -> Iterator[float]:
+        def faulty() -> Generator[float, None, None]:
             yield 1 / 0
 
         with ahead(faulty) as items, pytest.raises(ZeroDivisionError) as caught:
@@ -79,7 +100,7 @@ class TestChild:
         assert "in faulty" in caught.value.__notes__[0]
 
     def test_errors_of_the_system_keep_their_number(self) -> None:
-        def work() -> Iterator[int]:
+        def work() -> Generator[int, None, None]:
             yield len(Path("/nowhere/log.mcap").read_bytes())
 
         with ahead(work) as items, pytest.raises(FileNotFoundError) as caught:
@@ -87,15 +108,85 @@ class TestChild:
         assert caught.value.filename == "/nowhere/log.mcap"
 
     def test_a_child_that_was_killed_is_an_error(self) -> None:
-        def work() -> Iterator[int]:
+        def work() -> Generator[int, None, None]:
             yield 1
             os.kill(os.getpid(), signal.SIGKILL)
 
         with ahead(work) as items, pytest.raises(SpecmapError, match="status -9"):
             list(items)
 
+    @pytest.mark.parametrize("size", [10, 100_000, 10_000_000])
+    def test_a_child_that_dies_in_the_middle_of_a_message_is_an_error(self, size: int) -> None:
+        """The pipe is smaller than the message: the child waits in the middle of it."""
+
+        def work() -> Generator[bytes, None, None]:
+            yield bytes(1)
+            killer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGKILL))
+            killer.start()
+            while True:
+                yield bytes(size)
+
+        with ahead(work) as items:
+            next(items)
+            time.sleep(0.5)
+            with pytest.raises(SpecmapError, match="status -9"):
+                deque(items, maxlen=0)
+
+    @pytest.mark.parametrize("cut", [1, 3, 4, 5, 40])
+    def test_half_a_message_is_told_as_the_death_of_the_child(self, cut: int) -> None:
+        """Also when the child dies between two bytes: of the length, or of what follows it."""
+        receiver, sender = multiprocessing.get_context("fork").Pipe(duplex=False)
+        whole = struct.pack("!i", 100) + bytes(100)
+        os.write(sender.fileno(), whole[:cut])
+        sender.close()
+        child = multiprocessing.get_context("fork").Process(target=os._exit, args=(7,))
+        child.start()
+        with receiver, pytest.raises(SpecmapError, match="ended with status 7"):
+            next(module._received(receiver, child))
+
+    def test_what_the_work_returns_is_its_result(self) -> None:
+        with ahead(lambda: pids(3)) as running:
+            assert len(list(running)) == 3
+            assert running.result == 3
+            assert running.result == 3
+        with ahead(lambda: pids(3)) as running:
+            next(running)
+            assert running.result == 3  # what was not taken is skipped
+
+    def test_work_without_items_runs_beside(self) -> None:
+        with in_background(os.getpid) as wait:
+            assert wait() != os.getpid()
+
+    def test_an_error_that_cannot_be_sent_is_told_as_itself(self) -> None:
+        def work() -> Work:
+            yield 1
+            raise StubbornError("this", "that")
+
+        with ahead(work) as items, pytest.raises(RuntimeError, match="this and that") as caught:
+            list(items)
+        assert str(caught.value) == "StubbornError: this and that"
+        assert "in work" in caught.value.__notes__[0]
+
+    def test_an_error_that_holds_what_cannot_be_sent(self) -> None:
+        def work() -> Work:
+            yield 1
+            raise ValueError("locked", threading.Lock())
+
+        with ahead(work) as items, pytest.raises(RuntimeError, match=r"ValueError: .*locked"):
+            list(items)
+
+    def test_threads_of_opencv_are_as_before(self) -> None:
+        before = cv2.getNumThreads()
+        try:
+            cv2.setNumThreads(2)
+            with ahead(lambda: pids(1)) as items:
+                list(items)
+            assert cv2.getNumThreads() == 2
+        finally:
+            cv2.setNumThreads(before)
+
     def test_ctrl_c_is_for_the_parent_to_decide(self) -> None:
-        def work() -> Iterator[int]:
+        def work() -> Generator[int, None, None]:
             os.kill(os.getpid(), signal.SIGINT)
             yield 7
 
@@ -106,7 +197,7 @@ class TestChild:
         """What is made ahead waits in the pipe, and no more than fits there."""
         made = multiprocessing.get_context("fork").Value("i", 0)
 
-        def work() -> Iterator[bytes]:
+        def work() -> Generator[bytes, None, None]:
             for _ in range(1000):
                 made.value += 1
                 yield bytes(100_000)
@@ -129,6 +220,20 @@ def test_another_thread_works_in_one_process() -> None:
     thread.start()
     thread.join()
     assert makers == [os.getpid()]
+
+
+@pytest.mark.usefixtures("two_processors")
+def test_other_systems_work_in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "darwin")
+    with ahead(lambda: pids(2)) as items:
+        assert set(items) == {os.getpid()}
+        assert items.result == 2
+
+
+def test_the_module_needs_nothing_that_other_systems_lack() -> None:
+    code = "import sys; sys.modules['fcntl'] = None; import specmap_cli.pipelines.worker; print(1)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert found.stdout == "1\n", found.stderr
 
 
 def test_a_single_processor_works_in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import GridConfig
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.grids.ray_casting import cast_ranges
-from specmap_cli.recognition.closure.loop_closer import SubmapView
-from specmap_cli.recognition.features.sets import scans_features
+from specmap_cli.recognition.closure.stay import Stay
+from specmap_cli.recognition.features.sets import ENTRY_POINTS, feature_sets, scans_features
+from tests import plugins
 
 BEARINGS = np.linspace(-np.pi, np.pi, 180, endpoint=False)
 
@@ -53,21 +59,34 @@ class Building:
             ranges = cast_ranges(
                 self.distance, self.plan, pose[None, :2], BEARINGS + pose[2], 20.0
             )[0]
-            made.append(PlanarScan(0, BEARINGS, ranges, 20.0, True))
+            made.append(PlanarScan(0, BEARINGS, ranges, range_max=20.0, full_circle=True))
         return made
 
-    def visit(
-        self, id_: int, room: int, seed: int = 0, feature_set: str = "full", **known: float
-    ) -> SubmapView:
-        """A submap of one walk through a room, in the frame of the walk's first pose."""
+    @cache  # noqa: B019 (one building lasts for the session)
+    def walk(self, room: int, seed: int, feature_set: str) -> Stay:
+        """A stay of one walk through a room, in the frame of the walk's first pose."""
         poses = self.path(room, seed)
         track = compose(invert(poses[0]), poses)
         grid, scans = OccupancyGrid(GridConfig()), self.scans(poses)
         for pose, scan in zip(track, scans, strict=True):
             grid.integrate(scan, Pose2(*pose.tolist()))
-        frame = Pose2(*poses[0].tolist()) if known else None
         features = scans_features(scans, feature_set)
-        return SubmapView(id_, features, grid.snapshot(), track, frame, **known)
+        return Stay(number=0, features=features, grid=grid.snapshot(), track=track)
+
+    def visit(
+        self,
+        number: int,
+        room: int,
+        seed: int = 0,
+        feature_set: str = "full",
+        travelled_m: float | None = None,
+    ) -> Stay:
+        """A walk as stay `number`; its frame is known when the path driven before it is."""
+        stay = replace(self.walk(room, seed, feature_set), number=number)
+        if travelled_m is None:
+            return stay
+        frame = Pose2(*self.path(room, seed)[0].tolist())
+        return replace(stay, map_from_stay=frame, travelled_m=travelled_m)
 
     def truth(self, room: int, old_seed: int, new_seed: int) -> Pose2:
         """The true `old_from_new` of two visits to a room."""
@@ -85,3 +104,36 @@ def building() -> Building:
 def twins() -> Building:
     """The first two of four rooms are alike."""
     return Building(twins=True)
+
+
+# A package of somebody else: two groups of features, of which the second is a histogram.
+MINE = """
+import numpy as np
+from specmap_cli.recognition.features.group import FeatureGroup
+
+RINGS = ("rings_near", "rings_middle", "rings_far")
+
+def reach(returns):
+    return [float(returns.ranges.max()) if len(returns) else 0.0, float(len(returns))]
+
+def rings(returns):
+    counts = np.histogram(returns.ranges, [0.0, 2.0, 4.0, np.inf])[0]
+    return (counts / max(1, len(returns))).tolist()
+
+GROUPS = (FeatureGroup(reach, ("reach", "returns")), FeatureGroup(rings, RINGS, histogram=RINGS))
+"""
+
+Install = Callable[..., None]
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """Installs a package whose `GROUPS` are offered as a feature set of the given name."""
+
+    def installed(feature_set: str, text: str = MINE) -> None:
+        offered = {feature_set: "GROUPS"}
+        plugins.install(tmp_path, monkeypatch, ENTRY_POINTS, offered, text)
+        feature_sets.cache_clear()
+
+    yield installed
+    feature_sets.cache_clear()

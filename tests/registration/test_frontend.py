@@ -3,84 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
 
-from specmap_cli.core.config import RegistrationConfig
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert, wrap_angles
-from specmap_cli.core.records import PlanarScan, PosedScan, Sweep
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.ray_casting import cast_ranges
-from specmap_cli.registration import FrontEnd
-from specmap_cli.registration.motion import MotionModel
-
-LASER = Pose2(0.2, -0.1, 0.5)
-
-
-@pytest.fixture(scope="module")
-def world() -> GridMap:
-    """Two rooms of 5 m x 4 m that differ, joined by a door, and a third one far away."""
-    cells = np.full((120, 700), OCCUPIED, dtype=np.uint8)
-    cells[10:90, 10:110] = FREE
-    cells[10:90, 114:214] = FREE
-    cells[40:58, 108:116] = FREE
-    cells[10:30, 60:80] = OCCUPIED
-    cells[70:90, 150:190] = OCCUPIED
-    cells[10:25, 200:214] = OCCUPIED
-    cells[10:110, 500:650] = FREE
-    cells[60:110, 560:580] = OCCUPIED
-    return GridMap(cells, 0.05)
-
-
-def path() -> FloatArray:
-    """True base poses every 8 cm from the first room into the second."""
-    x = np.arange(1.5, 9.0, 0.08)
-    y = 2.4 + 0.25 * np.sin(2 * (x - 1.5))
-    heading = np.arctan2(np.gradient(y), np.gradient(x))
-    return np.column_stack([x, y, heading])
-
-
-def sweeps(
-    world: GridMap,
-    truth: FloatArray,
-    field_of_view: float = 2 * np.pi,
-    beams: int = 240,
-    reach: float = 10.0,
-    odometry: bool = True,
-) -> list[Sweep]:
-    """What a laser mounted askew sees from the poses, and slightly wrong odometry."""
-    full = field_of_view > 6.2
-    half = field_of_view / 2
-    bearings = np.linspace(-half, half, beams, endpoint=not full)
-    distance, rng = world.obstacle_distance(), np.random.default_rng(0)
-    odom, result = np.array([3.0, -2.0, 1.0]), []
-    steps = compose(invert(truth[:-1]), truth[1:])
-    for k, pose in enumerate(truth):
-        laser = Pose2(*pose.tolist()) @ LASER
-        origin = np.array([[laser.x, laser.y]])
-        ranges = cast_ranges(distance, world, origin, bearings + laser.theta, reach)[0]
-        ranges += rng.normal(0, 0.01, beams)
-        stamp = (k + 1) * 10**8
-        scan = PlanarScan(stamp, bearings, ranges, reach, full)
-        if k:
-            odom = compose(odom, steps[k - 1] * (1.05, 1.0, 1.0) + rng.normal(0, 0.004, 3))
-        pose2 = Pose2(*odom.tolist()) if odometry else None
-        result.append(Sweep(k, stamp, scan, LASER, pose2))
-    return result
-
-
-def run(items: Sequence[Sweep], **settings: float) -> tuple[FrontEnd, list[PosedScan]]:
-    front_end = FrontEnd(RegistrationConfig.model_validate(settings))
-    return front_end, [front_end.register(sweep) for sweep in items]
-
-
-def worst(scans: Sequence[PosedScan], truth: FloatArray) -> tuple[float, float]:
-    """Largest error of place and heading, seen from the first pose."""
-    found = np.array([scan.map_from_base for scan in scans])
-    away = compose(invert(compose(invert(truth[0]), truth)), compose(invert(found[0]), found))
-    return float(np.hypot(*away[:, :2].T).max()), float(np.abs(away[:, 2]).max())
+from specmap_cli.core.config import load_config
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.grids.gridmap import GridMap
+from tests.registration.drives import circle, cloud_of, path, run, sweeps, worst
+from tests.strategies import poses
 
 
 @pytest.mark.parametrize("odometry", [True, False])
@@ -142,11 +75,7 @@ def test_blank_scans_keep_the_odometry_pose(world: GridMap) -> None:
 
 
 def test_a_log_without_walls_is_lost_but_survived() -> None:
-    bearings = np.linspace(-np.pi, np.pi, 90, endpoint=False)
-    items = [
-        Sweep(k, k, PlanarScan(k, bearings, np.full(90, np.nan), 10.0, True), IDENTITY)
-        for k in range(20)
-    ]
+    items = [circle(k, np.full(90, np.nan)) for k in range(20)]
     front_end, scans = run(items)
     assert front_end.counts["lost"] == 20
     assert all(scan.map_from_base == IDENTITY for scan in scans)
@@ -154,11 +83,7 @@ def test_a_log_without_walls_is_lost_but_survived() -> None:
 
 def test_random_scans_never_make_the_pose_fly_off() -> None:
     rng = np.random.default_rng(3)
-    bearings = np.linspace(-np.pi, np.pi, 120, endpoint=False)
-    items = [
-        Sweep(k, k * 10**8, PlanarScan(k, bearings, rng.uniform(0.2, 9, 120), 10.0, True), IDENTITY)
-        for k in range(60)
-    ]
+    items = [circle(k, rng.uniform(0.2, 9, 120)) for k in range(30)]
     _, scans = run(items)
     poses = np.array([scan.map_from_base for scan in scans])
     assert np.isfinite(poses).all()
@@ -213,23 +138,6 @@ def test_a_resting_robot_without_odometry_does_not_begin_to_swing(world: GridMap
     assert worst(scans, truth)[0] < 0.03
 
 
-def cloud_of(world: GridMap, pose: FloatArray) -> FloatArray:
-    """Walls from floor to ceiling and the floor itself, as a 3D lidar 0.5 m up would see them."""
-    bearings = np.linspace(-np.pi, np.pi, 180, endpoint=False)
-    distance = world.obstacle_distance()
-    ranges = cast_ranges(distance, world, pose[None, :2], bearings + pose[2], 15.0)[0]
-    rings = [
-        np.column_stack(
-            [ranges * np.cos(bearings), ranges * np.sin(bearings), 0.5 + ranges * np.tan(slope)]
-        )
-        for slope in np.radians([-10, -5, 0, 5, 10, 15])
-    ]
-    points = np.concatenate(rings)
-    low = points[:, 2] < 0.0
-    points[low] *= (0.5 / (0.5 - points[low, 2]))[:, None] * (1, 1, 0)
-    return points
-
-
 def test_a_3d_lidar_is_tracked_in_space(world: GridMap) -> None:
     truth = path()[::3]
     items = []
@@ -247,16 +155,83 @@ def test_a_3d_lidar_is_tracked_in_space(world: GridMap) -> None:
         assert scan.map_from_base_3d[2, 2] > np.cos(0.05)
 
 
-def test_the_motion_model_clips_what_it_carries_on() -> None:
-    model = MotionModel()
-    model.conclude(Pose2(3.0, -2.0, 2.0))
-    carried = model.carried_on()
-    assert (carried.x, carried.y, carried.theta) == (0.5, -0.2, 0.8)
-    scan = PlanarScan(0, np.zeros(1), np.ones(1), 1.0, False)
-    first = model.predict(Sweep(0, 10, scan, IDENTITY, Pose2(1, 1, 0)))
-    assert not first.measured
-    second = model.predict(Sweep(1, 5, scan, IDENTITY, Pose2(1.5, 1, 0)))
-    assert second.measured
-    assert second.motion.x == pytest.approx(0.5)
-    assert second.interval_s == 0.0
-    assert np.abs(wrap_angles(np.array([second.motion.theta])))[0] < 1e-12
+@settings(max_examples=8)
+@given(poses)
+def test_the_frame_of_odometry_does_not_matter(world: GridMap, frame: Pose2) -> None:
+    items = sweeps(world, path()[:6])
+    moved = [
+        dataclasses.replace(sweep, odom_from_base=frame @ sweep.odom_from_base)
+        for sweep in items
+        if sweep.odom_from_base is not None
+    ]
+    plain, shifted = (
+        np.array([scan.map_from_base for scan in run(each)[1]]) for each in (items, moved)
+    )
+    assert np.abs(plain - shifted).max() < 1e-3
+
+
+def test_the_map_begins_at_the_first_sweep(world: GridMap) -> None:
+    _, scans = run(sweeps(world, path()[:2]))
+    first = scans[0]
+    assert first.map_from_base == IDENTITY
+    assert (first.score, first.agrees, first.lost, first.restarted) == (1.0, True, False, False)
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_records_of_a_sweep_are_handed_on(world: GridMap, odometry: bool) -> None:
+    items = sweeps(world, path()[:5], odometry=odometry)
+    for sweep, scan in zip(items, run(items)[1], strict=True):
+        assert (scan.index, scan.stamp_ns) == (sweep.index, sweep.stamp_ns)
+        assert scan.base_from_laser == sweep.base_from_laser
+        assert scan.planar is sweep.planar  # its beams share one time: nothing to de-skew
+        assert scan.map_from_base_3d is None
+        assert 0.0 <= scan.score <= 1.0
+
+
+def test_a_fast_turning_robot_without_odometry_is_found_by_the_search(world: GridMap) -> None:
+    """It starts to turn by 25 degrees a scan, which no motion before tells of."""
+    turn = np.cumsum([0.0] * 5 + [0.44] * 5 + [0.0] * 3)
+    truth = np.column_stack([np.full(13, 2.0), np.full(13, 2.4), turn])
+    items = sweeps(world, truth, odometry=False)
+    front_end, scans = run(items)
+    assert worst(scans, truth)[1] < 0.03
+    assert front_end.counts["searched"] > 0
+    assert front_end.counts["lost"] == 0
+
+
+def test_a_hole_in_the_log_is_bridged_by_the_wide_search(world: GridMap) -> None:
+    """Between two scans the robot drove 0.8 m and turned by 50 degrees; nothing measured it."""
+    before, after = np.tile([2.0, 2.4, 0.0], (6, 1)), np.tile([2.6, 2.9, 0.87], (6, 1))
+    truth = np.vstack([before, after])
+    front_end, scans = run(sweeps(world, truth, odometry=False))
+    assert worst(scans, truth)[0] < 0.08
+    assert front_end.counts["wide_searched"] > 0
+
+
+def test_old_walls_are_forgotten_when_a_room_is_left(world: GridMap) -> None:
+    """A window of few keyframes registers as well, since only what is near counts."""
+    truth = path()
+    metres, radians = worst(run(sweeps(world, truth), window_keyframes=8)[1], truth)
+    assert metres < 0.12
+    assert radians < 0.03
+
+
+@pytest.mark.parametrize("kernels", [(1.0,), (4.0, 1.0, 0.3)])
+def test_other_kernels_register_too(world: GridMap, kernels: tuple[float, ...]) -> None:
+    truth = path()[:30]
+    assert worst(run(sweeps(world, truth), kernel_voxels=kernels)[1], truth)[0] < 0.08
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"kernel_voxels": ()}, "kernel_voxels"),
+        ({"kernel_voxels": (1.0, 0.0)}, "kernel_voxels"),
+        ({"wide_search_m": 500.0}, "wide_search_m"),  # a search of that size would not end
+        ({"max_tilt_rad": 2.0}, "max_tilt_rad"),
+        ({"rebuild_keyframes": 0}, "rebuild_keyframes"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(changes: dict[str, object], key: str) -> None:
+    with pytest.raises(UsageError, match=rf"registration\.{key}"):
+        load_config(overrides={"registration": changes})

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import LogConfig, RegistrationConfig
 from specmap_cli.core.records import Trajectory
+from specmap_cli.core.settings import LogConfig, RegistrationConfig
 from specmap_cli.evaluation.trajectories import read_relations, relation_errors
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream

@@ -5,15 +5,26 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.segmentation.clutter import small_obstacles, working_grid
-from specmap_cli.segmentation.flood import flood_labels, nearest_labels, spread_labels
-from specmap_cli.segmentation.merging import border_widths, join_wide, local_widths
-from specmap_cli.segmentation.visibility import near_pairs, sample_nodes, visible
+from specmap_cli.segmentation.flood import (
+    flood_labels,
+    nearest_labels,
+    nearest_values,
+    spread_labels,
+)
+from specmap_cli.segmentation.visibility import (
+    near_pairs,
+    sample_nodes,
+    visibility_graph,
+    visible,
+)
 
 seeds = st.integers(0, 10_000)
 
@@ -63,6 +74,7 @@ def test_near_pairs_are_all_pairs_in_reach() -> None:
 
 
 @given(seed=seeds)
+@settings(max_examples=15)
 def test_sight_lines_are_those_of_a_cell_by_cell_check(seed: int) -> None:
     clearance = clearance_of(cluttered(seed))
     nodes = sample_nodes(clearance, 7, 1.5, "clearest")
@@ -128,33 +140,6 @@ def test_spreading_reaches_through_a_slit() -> None:
     assert spread[2, 2] == -1
 
 
-def test_border_widths_are_the_clearance_where_labels_touch() -> None:
-    labels = np.array([[0, 0, 1, 1], [0, 0, 1, 1], [2, 2, -1, 1]], dtype=np.int32)
-    clearance = np.arange(12, dtype=np.float64).reshape(3, 4)
-    assert border_widths(labels, clearance) == {(0, 1): 5.0, (0, 2): 5.0}
-
-
-def test_local_width_is_the_largest_disc_that_covers_a_node() -> None:
-    pairs, lengths = np.array([[0, 1], [1, 2]]), np.array([3.0, 5.0])
-    widths = local_widths(np.array([1.0, 4.0, 2.0]), lengths, pairs, 10.0)
-    np.testing.assert_array_equal(widths, [4.0, 4.0, 2.0])
-    np.testing.assert_array_equal(
-        local_widths(np.array([1.0, 4.0, 2.0]), lengths, pairs, 3.0), [3.0, 3.0, 2.0]
-    )
-
-
-def test_only_clusters_with_a_wide_border_are_joined() -> None:
-    borders = {(0, 1): 0.9, (1, 2): 0.4, (2, 3): 2.0}
-    widths = [np.full(4, w) for w in (1.0, 1.0, 2.0, 2.2)]
-    assert join_wide(borders, widths, 0.8, 60.0) == [0, 0, 1, 1]
-    assert join_wide({}, widths, 0.8, 60.0) == [0, 1, 2, 3]
-
-
-def test_borders_with_a_third_cluster_are_joined_too() -> None:
-    borders = {(0, 1): 1.0, (0, 2): 0.3, (1, 2): 0.95}
-    assert join_wide(borders, [np.ones(3)] * 3, 0.9, 60.0) == [0, 0, 0]
-
-
 @pytest.mark.parametrize(("size", "small"), [(4, True), (10, True), (11, False)])
 def test_small_obstacles_end_at_their_size(size: int, small: bool) -> None:
     free = np.zeros((60, 60), dtype=bool)
@@ -189,3 +174,203 @@ def test_a_working_cell_is_free_when_all_of_it_is() -> None:
     fine = work.refine(np.arange(30).reshape(5, 6), free.shape)
     assert fine.shape == free.shape
     assert fine[8, 10] == 29
+
+
+@given(seed=seeds, choice=st.sampled_from(["clearest", "centre"]), step=st.integers(1, 9))
+def test_a_block_has_one_node_or_none(seed: int, choice: str, step: int) -> None:
+    rng = np.random.default_rng(seed)
+    clearance = np.maximum(rng.normal(1.0, 1.5, (rng.integers(1, 25), rng.integers(1, 25))), 0.0)
+    expected = []
+    for row in range(0, clearance.shape[0], step):
+        for column in range(0, clearance.shape[1], step):
+            block = clearance[row : row + step, column : column + step]
+            inner = divmod(int(block.argmax()), block.shape[1])
+            if choice == "centre":
+                inner = step // 2, step // 2
+            inside = inner[0] < block.shape[0] and inner[1] < block.shape[1]
+            if inside and block[inner] > 1.0:
+                expected.append([row + inner[0], column + inner[1]])
+    assert sample_nodes(clearance, step, 1.0, choice).tolist() == expected
+
+
+def test_without_a_clearance_asked_for_nodes_still_stand_in_free_cells() -> None:
+    clearance = np.zeros((6, 6))
+    clearance[1, 1] = 0.5
+    assert sample_nodes(clearance, 3, 0.0, "clearest").tolist() == [[1, 1]]
+    assert sample_nodes(clearance, 3, -1.0, "clearest").tolist() == [[1, 1]]
+
+
+@given(seed=seeds, sight=st.floats(1.0, 40.0))
+def test_in_open_space_all_see_all_in_sight(seed: int, sight: float) -> None:
+    nodes = np.unique(np.random.default_rng(seed).integers(0, 30, (20, 2)), axis=0)
+    graph = visibility_graph(np.full((30, 30), 9.0), nodes, sight, 1.0)
+    np.testing.assert_array_equal(graph.pairs, near_pairs(nodes, sight))
+    delta = nodes[graph.pairs[:, 0]] - nodes[graph.pairs[:, 1]]
+    np.testing.assert_allclose(graph.lengths, np.linalg.norm(delta, axis=1))
+    assert (graph.lengths <= sight + 1e-6).all()
+
+
+@given(seed=seeds)
+def test_more_clearance_asked_for_leaves_fewer_sight_lines(seed: int) -> None:
+    clearance = clearance_of(cluttered(seed))
+    nodes = sample_nodes(clearance, 7, 2.0, "clearest")
+    pairs = near_pairs(nodes, 40.0)
+    wide, narrow = (visible(clearance, nodes, pairs, least) for least in (2.0, 0.5))
+    assert not (wide & ~narrow).any()
+
+
+def test_nobody_sees_through_a_wall_however_thin_and_slanted() -> None:
+    free = np.ones((40, 40), dtype=bool)
+    rows = np.arange(40)
+    free[rows, rows] = free[rows[1:], rows[:-1]] = False  # closed also over corners
+    nodes = np.array([[5, 30], [10, 25], [30, 5], [25, 12], [2, 38]])
+    pairs = near_pairs(nodes, 90.0)
+    apart = (nodes[pairs[:, 0], 0] < nodes[pairs[:, 0], 1]) != (
+        nodes[pairs[:, 1], 0] < nodes[pairs[:, 1], 1]
+    )
+    np.testing.assert_array_equal(visible(clearance_of(free), nodes, pairs, 0.0), ~apart)
+
+
+def test_more_pairs_than_are_traced_at_once() -> None:
+    free = dumbbell()
+    nodes = np.argwhere(free)[::4]
+    pairs = near_pairs(nodes, 30.0)
+    assert len(pairs) > 1 << 16
+    clearance = clearance_of(free)
+    whole = visible(clearance, nodes, pairs, 0.0)
+    for part in (slice(0, 50), slice((1 << 16) - 20, (1 << 16) + 20), slice(-50, None)):
+        np.testing.assert_array_equal(visible(clearance, nodes, pairs[part], 0.0), whole[part])
+
+
+@given(seed=seeds)
+def test_labels_of_cells_are_those_of_the_nearest_of_all_nodes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    free = cluttered(seed)
+    nodes, labels = rng.integers(0, 60, (6, 2)), rng.integers(0, 4, 6).astype(np.int32)
+    found = nearest_labels(free, nodes, labels)
+    for row, column in rng.integers(0, 60, (40, 2)):
+        if not free[row, column]:
+            assert found[row, column] == -1
+            continue
+        gaps = np.hypot(*(nodes - (row, column)).T)
+        assert found[row, column] in labels[gaps == gaps.min()]
+
+
+def narrowest(clearance: FloatArray, nodes: np.ndarray) -> FloatArray:
+    """(n, h, w) the least clearance on the best way from each node to each cell."""
+    found = np.zeros((len(nodes), *clearance.shape))
+    for level in np.unique(clearance[clearance > 0.0]):
+        pieces, _ = ndimage.label(clearance >= level)
+        for number, node in enumerate(nodes):
+            if pieces[tuple(node)]:
+                found[number][pieces == pieces[tuple(node)]] = level
+    return found
+
+
+@given(seed=seeds)
+@settings(max_examples=15)
+def test_a_flooded_cell_belongs_to_the_node_with_the_widest_way_to_it(seed: int) -> None:
+    free = cluttered(seed)
+    clearance = np.round(clearance_of(free), 1)
+    nodes = sample_nodes(clearance, 19, 1.0, "clearest")
+    flooded = flood_labels(clearance, nodes, np.arange(len(nodes), dtype=np.int32))
+    ways = narrowest(clearance, nodes)
+    mine = np.take_along_axis(ways, np.maximum(flooded, 0)[None], axis=0)[0]
+    step = 2.0 * clearance.max() / 126  # heights are rounded, and each step counts two of them
+    worse = (flooded >= 0) & (mine < ways.max(axis=0) - step)
+    assert worse.mean() < 0.003  # where two fronts meet they stand a cell apart
+
+
+def test_without_nodes_nothing_is_labelled() -> None:
+    none, labels = np.zeros((0, 2), dtype=np.intp), np.zeros(0, dtype=np.int32)
+    free = dumbbell()
+    assert (flood_labels(clearance_of(free), none, labels) == -1).all()
+    assert (nearest_labels(free, none, labels) == -1).all()
+
+
+@given(seed=seeds, rings=st.integers(1, 6))
+def test_labels_spread_to_their_whole_piece_and_change_nothing_that_is_there(
+    seed: int, rings: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    free = rng.random((20, 20)) < 0.6
+    labels = np.where(free & (rng.random(free.shape) < 0.05), 7, -1).astype(np.int32)
+    labels[(labels == 7) & (rng.random(free.shape) < 0.5)] = 2
+    spread = spread_labels(labels.copy(), free, rings)
+    piece, _ = ndimage.label(free, np.ones((3, 3)))
+    held = np.isin(piece, np.unique(piece[labels >= 0])) & free
+    np.testing.assert_array_equal(spread >= 0, held)
+    np.testing.assert_array_equal(spread[labels >= 0], labels[labels >= 0])
+
+
+def test_labels_creep_round_a_wall_as_far_as_they_are_told() -> None:
+    free = np.ones((9, 21), dtype=bool)
+    free[:, 10] = False
+    free[0, 10] = True  # the two halves hang together at the top
+    labels = np.full(free.shape, -1, dtype=np.int32)
+    labels[5:, 9], labels[:, 20] = 1, 2  # on the wall's left side; far on its right
+    np.testing.assert_array_equal(spread_labels(labels, free, 9)[5:, 11:], 2)
+    assert (spread_labels(labels, free, 1)[5:, 12] == 1).all()  # nearer, through the wall
+
+
+@given(seed=seeds)
+def test_the_nearest_value_is_that_of_a_cell_no_farther_than_the_nearest(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.integers(0, 40, (15, 18)) * (rng.random((15, 18)) < 0.1)
+    values[rng.integers(15), rng.integers(18)] = 1
+    found = nearest_values(values.astype(np.uint16))
+    spots = np.argwhere(values)
+    gaps, _ = cKDTree(spots).query(np.argwhere(np.ones_like(values)))
+    for (row, column), gap in zip(np.ndindex(15, 18), gaps, strict=True):
+        same = spots[values[tuple(spots.T)] == found[row, column]]
+        assert np.hypot(*(same - (row, column)).T).min() <= 1.03 * gap
+
+
+def isolated(free: BoolArray, largest: float, bulky: float, thick: float) -> BoolArray:
+    """`small_obstacles` piece by piece with SciPy."""
+    piece, count = ndimage.label(np.pad(~free, 1, constant_values=True), np.ones((3, 3)))
+    taken = np.zeros(piece.shape, dtype=bool)
+    for number in range(1, count + 1):
+        mine = piece == number
+        side = max(np.ptp(axis) + 1 for axis in np.nonzero(mine))
+        depth = ndimage.distance_transform_edt(np.pad(mine, 1)).max()
+        taken |= mine & (side <= largest or (side <= bulky and 2.0 * depth >= thick))
+    return taken[1:-1, 1:-1]
+
+
+@given(seed=seeds, largest=st.integers(0, 12), bulky=st.integers(0, 25), thick=st.integers(1, 9))
+def test_small_obstacles_are_those_taken_piece_by_piece(
+    seed: int, largest: int, bulky: int, thick: int
+) -> None:
+    free = cluttered(seed)
+    found = small_obstacles(free, largest, bulky, thick)
+    if bulky > largest:
+        np.testing.assert_array_equal(found, isolated(free, largest, bulky, thick))
+    else:
+        np.testing.assert_array_equal(found, isolated(free, largest, 0.0, thick))
+
+
+@pytest.mark.parametrize(("shape", "taken"), [((20, 10), True), ((20, 3), False)])
+def test_a_table_is_furniture_and_a_piece_of_wall_as_long_is_not(
+    shape: tuple[int, int], taken: bool
+) -> None:
+    free = np.ones((60, 60), dtype=bool)
+    free[20 : 20 + shape[0], 20 : 20 + shape[1]] = False
+    assert small_obstacles(free, 8.0, 25.0, 8.0).any() == taken
+    assert not small_obstacles(free, 8.0).any()
+
+
+@given(seed=seeds, step=st.integers(1, 4))
+def test_coarse_cells_and_the_fine_ones_under_them_belong_together(seed: int, step: int) -> None:
+    free = cluttered(seed)
+    work = working_grid(free, 0.05, 0.05 * step)
+    height, width = work.clearance.shape
+    for row, column in np.ndindex(height, width):
+        block = free[row * step : (row + 1) * step, column * step : (column + 1) * step]
+        assert work.free[row, column] == (block.all() and block.size == step * step)
+    exact = ndimage.distance_transform_edt(np.pad(work.free, 1))[1:-1, 1:-1]
+    np.testing.assert_allclose(work.clearance, exact)
+    cells = np.argwhere(work.free)
+    middles = np.rint(work.fine_cells(cells) - 1e-9).astype(int)
+    numbers = work.refine(np.arange(height * width).reshape(height, width), free.shape)
+    np.testing.assert_array_equal(numbers[tuple(middles.T)], cells @ (width, 1))

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from specmap_cli.core.config import SegmentationConfig
 from specmap_cli.core.errors import NoResultError
+from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.drawing.split_tests import draw_segmentation
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.segmentation.floorplan import label_image, segment_floorplan, submap_grid
+from specmap_cli.segmentation.floorplan import (
+    FloorplanSubmap,
+    label_image,
+    segment_floorplan,
+    submap_grid,
+)
 
 CONFIG = SegmentationConfig()
 PlanBuilder = Callable[..., GridMap]
@@ -56,7 +63,7 @@ def test_two_doors_between_two_rooms_are_one_edge(plan: PlanBuilder) -> None:
 
 def test_contacts_too_narrow_for_a_door_make_no_edge(two_rooms: GridMap) -> None:
     wide_only = CONFIG.model_copy(update={"door_min_m": 1.5})
-    assert segment_floorplan(two_rooms, wide_only).edges == []
+    assert segment_floorplan(two_rooms, wide_only).edges == ()
 
 
 def test_the_label_picture_is_upright_and_counts_from_one(office: GridMap) -> None:
@@ -83,8 +90,12 @@ def test_the_grid_of_a_submap_is_its_region_where_it_lies(two_rooms: GridMap) ->
 def test_a_map_without_room_for_a_node_says_so() -> None:
     cells = np.full((40, 40), OCCUPIED, dtype=np.uint8)
     cells[5:8] = FREE
-    with pytest.raises(NoResultError, match="no free space wider than"):
+    with pytest.raises(NoResultError) as caught:
         segment_floorplan(GridMap(cells, 0.05), CONFIG)
+    assert str(caught.value) == (
+        "no free space wider than 0.5 m in the map (0.3 m2 free): "
+        "check the resolution and the thresholds"
+    )
 
 
 def test_a_divided_map_is_drawn(office: GridMap, tmp_path: Path) -> None:
@@ -94,3 +105,79 @@ def test_a_divided_map_is_drawn(office: GridMap, tmp_path: Path) -> None:
     hues = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)
     coloured = hues[hues[..., 1] > 150][:, 0]
     assert len(np.unique(coloured)) >= found.count
+
+
+@pytest.mark.parametrize("width", [0.7, 1.0, 1.4])
+def test_a_door_is_as_wide_as_its_opening(plan: PlanBuilder, width: float) -> None:
+    door = (5.3, 1.5, 5.5, 1.5 + width)
+    grid = plan(9.8, 4.6, (0.3, 0.3, 5.3, 4.3), (5.5, 0.3, 9.5, 4.3), door)
+    (edge,) = segment_floorplan(grid, CONFIG).edges
+    assert [found.width_m for found in edge.doorways] == [pytest.approx(width, abs=0.11)]
+    assert edge.doorways[0].y == pytest.approx(1.5 + width / 2, abs=0.06)
+
+
+def test_the_parts_of_a_result_agree(office: GridMap) -> None:
+    result = segment_floorplan(office, CONFIG)
+    labels = result.segmentation.labels
+    assert [submap.id for submap in result.submaps] == list(range(result.segmentation.count))
+    cell_m2 = office.resolution**2
+    for submap in result.submaps:
+        region = labels == submap.id
+        assert submap.area_m2 == pytest.approx(region.sum() * cell_m2)
+        assert ndimage.label(region, np.ones((3, 3)))[1] == 1
+        cells = office.cells_of(submap.polygon)
+        near = ndimage.binary_dilation(region, np.ones((3, 3)))
+        assert near[cells[:, 0], cells[:, 1]].all()
+    pairs = [(edge.source, edge.target) for edge in result.edges]
+    assert pairs == sorted(set(pairs))
+    assert all(source < target for source, target in pairs)
+    for edge in result.edges:
+        widths = [door.width_m for door in edge.doorways]
+        assert widths == sorted(widths, reverse=True)
+        assert min(widths) >= CONFIG.door_min_m
+
+
+def test_every_doorway_lies_where_its_two_regions_touch(office: GridMap) -> None:
+    result = segment_floorplan(office, CONFIG)
+    labels = result.segmentation.labels
+    for edge in result.edges:
+        for door in edge.doorways:
+            row, column = office.cells_of(np.array([[door.x, door.y]]))[0]
+            around = labels[row - 2 : row + 3, column - 2 : column + 3]
+            assert {edge.source, edge.target} <= set(np.unique(around))
+
+
+def test_the_grids_of_all_submaps_show_all_that_is_labelled(office: GridMap) -> None:
+    result = segment_floorplan(office, CONFIG)
+    labelled = office.centres_of(np.argwhere((result.segmentation.labels >= 0) & office.free))
+    seen = np.zeros(len(labelled), dtype=int)
+    for submap in result.submaps:
+        grid = submap_grid(result, submap.id)
+        seen += grid.values_at(labelled) == FREE
+        walls = grid.centres_of(np.argwhere(grid.occupied))
+        assert (office.values_at(walls) == OCCUPIED).all()
+        region = office.centres_of(np.argwhere(result.segmentation.labels == submap.id))
+        low, high = region.min(axis=0), region.max(axis=0)
+        assert (walls >= low - 0.11).all()  # no more than two cells of wall round it
+        assert (walls <= high + 0.11).all()
+    assert (seen == 1).all()
+
+
+def test_more_regions_than_a_picture_can_number_are_refused(two_rooms: GridMap) -> None:
+    result = segment_floorplan(two_rooms, CONFIG)
+    many: tuple[FloorplanSubmap, ...] = result.submaps * 2**15
+    with pytest.raises(NoResultError, match=r"^65536 regions do not fit a 16-bit picture$"):
+        label_image(replace(result, submaps=many))
+    label_image(replace(result, submaps=many[:-1]))
+
+
+def test_of_a_region_in_scraps_the_largest_stays() -> None:
+    cells = np.full((120, 200), OCCUPIED, dtype=np.uint8)
+    cells[10:110, 10:110] = FREE
+    cells[58:62, 110:150] = FREE  # a slit into a closet that is too small for a node
+    cells[55:65, 150:160] = FREE
+    wide = CONFIG.model_copy(update={"labels": "nearest", "fill": False})
+    result = segment_floorplan(GridMap(cells, 0.05), wide)
+    (room,) = result.submaps
+    assert ndimage.label(result.segmentation.labels == 0, np.ones((3, 3)))[1] == 1
+    assert room.area_m2 >= 25.0

@@ -8,15 +8,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import GridConfig, SegmentationConfig, load_config
+from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
-from specmap_cli.drawing.split_tests import Picture, draw_test
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.core.settings import GridConfig, SegmentationConfig
+from specmap_cli.drawing.canvas import Image
+from specmap_cli.drawing.split_tests import draw_test
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.ray_casting import cast_ranges
+from specmap_cli.segmentation.coarse_submap import CoarseSubmap, way_driven
 from specmap_cli.segmentation.online import OnlineSegmenter, Region
-from specmap_cli.segmentation.sketch import Sketch, path_length
 from specmap_cli.segmentation.splitting import SplitTest, examine
 
 DEFAULT = SegmentationConfig()
@@ -44,7 +46,15 @@ def record(grid: GridMap, poses: list[Pose2]) -> KeyframeStore:
             0
         ]
         scan = PlanarScan(number, BEARINGS, ranges, RANGE_M, True)
-        store.append(PosedScan(number, number, pose, scan, IDENTITY))
+        store.append(
+            PosedScan(
+                index=number,
+                stamp_ns=number,
+                map_from_base=pose,
+                planar=scan,
+                base_from_laser=IDENTITY,
+            )
+        )
     return store
 
 
@@ -94,31 +104,11 @@ def test_a_loss_of_track_ends_the_region_and_joins_nothing(two_room_tour: Keyfra
     segmenter = OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour)
     first = [region for number in range(30) for region in segmenter.add(number)]
     first += segmenter.flush()
-    assert [region.keyframes for region in first] == [list(range(30))]
+    assert [region.keyframes for region in first] == [tuple(range(30))]
     assert segmenter.flush() == []
     rest = [r for number in range(30, len(two_room_tour)) for r in segmenter.add(number)]
     rest += segmenter.flush()
     assert all(region.continues != 0 for region in rest)
-
-
-def test_a_tail_too_short_to_stand_alone_is_appended(two_room_tour: KeyframeStore) -> None:
-    split_at = next(
-        number for number, segmenter in _running(two_room_tour) if segmenter.add(number)
-    )
-    longer = DEFAULT.model_copy(update={"region_min_m": 1.0})
-    segmenter = OnlineSegmenter(longer, GridConfig(), two_room_tour)
-    regions = [r for number in range(split_at + 1) for r in segmenter.add(number)]
-    assert len(regions) == 1
-    demanding = longer.model_copy(update={"region_min_m": 50.0})
-    segmenter.config = demanding
-    (tail,) = segmenter.flush()
-    assert tail.continues == regions[0].number
-
-
-def _running(store: KeyframeStore) -> Iterator[tuple[int, OnlineSegmenter]]:
-    segmenter = OnlineSegmenter(DEFAULT, GridConfig(), store)
-    for number in range(len(store)):
-        yield number, segmenter
 
 
 @pytest.mark.parametrize("width", [3.0, 12.0])
@@ -142,7 +132,7 @@ def test_looking_into_a_room_does_not_split_the_corridor(office: GridMap) -> Non
 def test_tests_come_by_the_way_travelled_or_by_keyframes(two_room_tour: KeyframeStore) -> None:
     tests: list[SplitTest] = []
     count = len(two_room_tour)
-    whole = path_length(two_room_tour, list(range(count)))
+    whole = way_driven(two_room_tour, range(count))
     run(OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour, lambda t, _: tests.append(t)), count)
     assert len(tests) == pytest.approx(whole / DEFAULT.test_metres, abs=0.1 * whole)
     tests.clear()
@@ -168,13 +158,13 @@ def test_the_paper_compares_the_second_eigenvalue(two_room_tour: KeyframeStore) 
 def test_the_outcome_of_a_test_does_not_depend_on_where_the_map_lies(
     two_room_tour: KeyframeStore,
 ) -> None:
-    sketch = Sketch(GridConfig(resolution_m=0.1), two_room_tour)
+    submap = CoarseSubmap(DEFAULT, GridConfig(), two_room_tour)
     for number in range(90):
-        sketch.add(number)
-    here = examine(sketch.grid(), sketch.poses, DEFAULT)
-    grid = sketch.grid()
+        submap.add(number)
+    here = examine(submap.grid(), submap.poses, DEFAULT)
+    grid = submap.grid()
     far = GridMap(grid.cells, grid.resolution, (grid.origin[0] + 512.0, grid.origin[1] - 256.0))
-    there = examine(far, sketch.poses + (512.0, -256.0, 0.0), DEFAULT)
+    there = examine(far, submap.poses + (512.0, -256.0, 0.0), DEFAULT)
     assert here.eigenvalue == there.eigenvalue
     assert (here.stays != there.stays).sum() <= 1  # a pose on the line between two cells
     np.testing.assert_allclose(here.nodes + (512.0, -256.0), there.nodes)
@@ -184,9 +174,9 @@ def test_the_number_of_nodes_is_bounded(office: GridMap) -> None:
     poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5))
     few = DEFAULT.model_copy(update={"split_nodes": 20})
     with record(office, poses) as store:
-        sketch = Sketch(GridConfig(resolution_m=0.1), store).rebuilt(list(range(len(store))))
-        assert 3 <= len(examine(sketch.grid(), sketch.poses, few).nodes) <= 20
-        assert len(examine(sketch.grid(), sketch.poses, DEFAULT).nodes) > 20
+        submap = CoarseSubmap(DEFAULT, GridConfig(), store).rebuilt(range(len(store)))
+        assert 3 <= len(examine(submap.grid(), submap.poses, few).nodes) <= 20
+        assert len(examine(submap.grid(), submap.poses, DEFAULT).nodes) > 20
 
 
 def test_a_map_too_small_for_a_graph_is_not_split(plan: Callable[..., GridMap]) -> None:
@@ -215,9 +205,159 @@ def test_a_test_is_drawn(two_room_tour: KeyframeStore) -> None:
         assert near_colour(picture, blue) or not split
 
 
-def near_colour(picture: Picture, colour: tuple[int, int, int]) -> bool:
+def near_colour(picture: Image, colour: tuple[int, int, int]) -> bool:
     """Whether a pixel has the colour or a fainter one."""
     away = 255.0 - np.array(colour)
     strength = (255.0 - picture.reshape(-1, 3)) @ away / (away @ away)
     residual = np.abs(255.0 - picture.reshape(-1, 3) - strength[:, None] * away).max(axis=1)
     return bool(((strength > 0.2) & (residual < 3.0)).any())
+
+
+TWICE_OVER = (
+    *THERE_AND_BACK,
+    *waypoints_to_poses((1.0, 1.0), (4.0, 1.95), (6.2, 1.95), (8.8, 3.0)),
+)
+
+
+def test_a_region_gone_on_with_twice_is_named_by_its_first_piece(two_rooms: GridMap) -> None:
+    with record(two_rooms, list(TWICE_OVER)) as store:
+        regions = run(OnlineSegmenter(DEFAULT, GridConfig(), store), len(store))
+    assert [region.continues for region in regions] == [None, None, 0, 1]
+    for region in regions:
+        beyond = np.mean([TWICE_OVER[k].x > 5.4 for k in region.keyframes])
+        assert abs(beyond - region.number % 2) < 0.05
+
+
+def test_regions_are_told_once_and_in_the_order_in_which_they_were_left(
+    two_room_tour: KeyframeStore,
+) -> None:
+    segmenter = OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour)
+    told: list[tuple[int, Region]] = []
+    for keyframe in range(len(two_room_tour)):
+        told += [(keyframe, region) for region in segmenter.add(keyframe)]
+    for keyframe, region in told:
+        assert region.keyframes == tuple(sorted(region.keyframes))
+        assert region.keyframes[-1] < keyframe  # the robot has gone on from there
+    assert len(segmenter.flush()) == 1
+    assert segmenter.flush() == []
+
+
+def test_the_observer_sees_what_is_split(two_room_tour: KeyframeStore) -> None:
+    seen: list[tuple[SplitTest, bool]] = []
+    segmenter = OnlineSegmenter(
+        DEFAULT, GridConfig(), two_room_tour, lambda test, split: seen.append((test, split))
+    )
+    for keyframe in range(len(two_room_tour)):
+        before = len(seen)
+        left = segmenter.add(keyframe)
+        assert len(seen) - before <= 1
+        assert len(left) == sum(split for _, split in seen[before:])
+        for region in left:
+            test, _ = seen[-1]
+            gone = two_room_tour.poses_of(region.keyframes)
+            np.testing.assert_array_equal(gone, test.poses[~test.stays])
+    for test, split in seen:
+        assert test.stays[-1]  # the robot is where it is
+        assert not split or test.eigenvalue > DEFAULT.split_eigenvalue
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_glimpse_is_too_short_to_be_split_off(two_room_tour: KeyframeStore, side: int) -> None:
+    config = DEFAULT.model_copy(update={"region_min_m": (7.0, 100.0)[side]})
+    regions = run(OnlineSegmenter(config, GridConfig(), two_room_tour), 150)
+    for region in regions[:-1]:
+        assert way_driven(two_room_tour, region.keyframes) >= config.region_min_m
+    assert (len(regions) == 1) == (side == 1)
+
+
+def driven(grid: GridMap, *corners: tuple[float, float]) -> tuple[GridMap, np.ndarray]:
+    """The whole plan, as if mapped, and the poses along some corners."""
+    return grid, np.array(waypoints_to_poses(*corners))
+
+
+def sides(test: SplitTest, x: float) -> tuple[set[bool], set[bool]]:
+    """Who stays of the poses left and right of `x`."""
+    left = test.poses[:, 0] < x
+    return set(test.stays[left].tolist()), set(test.stays[~left].tolist())
+
+
+def test_a_door_divides_the_way_where_it_is(two_rooms: GridMap) -> None:
+    test = examine(*driven(two_rooms, (1.0, 1.95), (8.5, 1.95)), DEFAULT)
+    assert test.eigenvalue > DEFAULT.split_eigenvalue
+    assert sides(test, 5.1) == ({False}, {True, False}) or sides(test, 5.1) == ({False}, {True})
+    assert sides(test, 5.7)[1] == {True}
+    assert test.reached.all()
+    back = examine(*driven(two_rooms, (8.5, 1.95), (1.0, 1.95)), DEFAULT)
+    assert back.eigenvalue == pytest.approx(test.eigenvalue)
+    assert sides(back, 5.1)[0] == {True}
+
+
+def test_eigenvectors_are_those_of_the_normalised_affinity(two_rooms: GridMap) -> None:
+    test = examine(*driven(two_rooms, (1.0, 1.95), (8.5, 1.95)), DEFAULT)
+    assert test.eigenvalues[0] == pytest.approx(1.0)
+    assert (np.diff(test.eigenvalues) <= 0.0).all()
+    assert len(test.eigenvalues) == DEFAULT.split_eigenpairs
+    assert np.linalg.norm(test.eigenvector) == pytest.approx(1.0)
+    assert test.eigenvector.shape == test.near.shape == (len(test.nodes),)
+
+
+def test_what_lies_beyond_the_band_and_its_margin_changes_nothing(two_rooms: GridMap) -> None:
+    near = examine(*driven(two_rooms, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
+    cells = two_rooms.cells.copy()
+    reach = DEFAULT.path_band_m + DEFAULT.path_margin_m
+    cells[:, round((2.0 + reach) / 0.05) + 2 :] = OCCUPIED
+    other = GridMap(cells, two_rooms.resolution)
+    same = examine(*driven(other, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
+    np.testing.assert_array_equal(near.eigenvalues, same.eigenvalues)
+    np.testing.assert_array_equal(near.grid.cells, same.grid.cells)
+    assert near.grid.cells.size < two_rooms.cells.size
+    whole = examine(
+        *driven(two_rooms, (1.0, 1.0), (2.0, 1.0)), DEFAULT.model_copy(update={"path_band_m": 0.0})
+    )
+    np.testing.assert_array_equal(whole.grid.cells, two_rooms.cells)
+
+
+@pytest.mark.parametrize("margin", [0.0, 1.0])
+def test_the_margin_keeps_obstacles_at_the_band_s_edge_whole(margin: float) -> None:
+    cells = np.full((240, 240), FREE, dtype=np.uint8)
+    cells[50:69, 133:152] = OCCUPIED  # a table of 0.95 m where the window without a margin ends
+    grid, poses = driven(GridMap(cells, 0.05), (3.0, 3.0), (5.6, 3.0))
+    config = DEFAULT.model_copy(update={"path_margin_m": margin})
+    nodes = examine(grid, poses, config).nodes
+    on_it = (np.abs(nodes - (7.12, 2.97)) < 0.47).all(axis=1)
+    assert on_it.any() == (margin > 0.0)
+
+
+def test_a_way_off_the_map_is_not_divided(two_rooms: GridMap) -> None:
+    grid, poses = driven(two_rooms, (1.0, 1.0), (3.0, 1.0))
+    test = examine(grid, poses + (500.0, 0.0, 0.0), DEFAULT)
+    assert (test.eigenvalue, len(test.nodes), test.grid.cells.size) == (0.0, 0, 0)
+    assert test.stays.all()
+
+
+def test_of_rooms_seen_and_not_entered_there_may_be_as_many_as_eigenpairs(
+    office: GridMap,
+) -> None:
+    way = (1.0, 5.5), (14.0, 5.5), (12.4, 5.5), (12.4, 3.0)
+    everywhere = DEFAULT.model_copy(update={"path_band_m": 0.0})
+    found = examine(*driven(office, *way), everywhere)
+    assert found.chosen > 1
+    few = everywhere.model_copy(update={"split_eigenpairs": found.chosen})
+    assert examine(*driven(office, *way), few).eigenvalue == 0.0
+
+
+def test_a_robot_that_never_moved_is_in_one_region(two_rooms: GridMap) -> None:
+    standing = np.tile([2.0, 1.95, 0.0], (30, 1))
+    test = examine(two_rooms, standing, DEFAULT)
+    assert test.stays.all()
+    assert test.eigenvalue == 0.0
+
+
+def test_poses_behind_a_closed_door_stay_where_they_cannot_be_judged(two_rooms: GridMap) -> None:
+    cells = two_rooms.cells.copy()
+    cells[:, round(5.35 / 0.05) : round(5.45 / 0.05)] = OCCUPIED
+    test = examine(*driven(GridMap(cells, 0.05), (3.0, 1.95), (7.5, 1.95)), DEFAULT)
+    left = test.poses[:, 0] < 5.2
+    assert not test.reached[left].any()
+    assert test.reached[test.poses[:, 0] > 5.6].all()
+    assert test.stays[left].all()

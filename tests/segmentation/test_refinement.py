@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+import itertools
 
-from specmap_cli.core.config import SegmentationConfig
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.refinement import regions_of
 
@@ -51,3 +56,36 @@ def test_keyframes_off_the_free_space_go_to_the_nearest_region() -> None:
 def test_a_map_without_free_space_is_one_region() -> None:
     grid = GridMap(np.full((20, 20), UNKNOWN, dtype=np.uint8), 0.05)
     assert regions_of(grid, drive(np.linspace(0.0, 1.0, 5)), CONFIG).tolist() == [0] * 5
+
+
+def without_grazed(labels: list[int], poses: np.ndarray, way_m: float) -> list[int]:
+    """The rule written out: short regions go to the one before, the first ones to the one after."""
+    way = dict.fromkeys(labels, 0.0)
+    for k in range(1, len(labels)):
+        way[labels[k]] += float(np.hypot(*(poses[k, :2] - poses[k - 1, :2])))
+    kept = [label for label in labels if way[label] >= way_m]
+    result, last = [], kept[0] if kept else max(way, key=lambda name: (labels.count(name), -name))
+    for label in labels:
+        last = label if label in kept else last
+        result.append(last)
+    return result
+
+
+@given(seed=st.integers(0, 10_000), way_m=st.sampled_from([0.5, 1.5, 4.0, 1e3]))
+@settings(max_examples=8)
+def test_regions_hardly_driven_through_go_to_the_one_before(seed: int, way_m: float) -> None:
+    rng = np.random.default_rng(seed)
+    stops = np.concatenate([[rng.uniform(0.5, 7.5)], rng.uniform(3.0, 5.5, 4)])
+    xs = np.concatenate([np.linspace(a, b, 15) for a, b in itertools.pairwise(stops)])
+    poses = drive(xs)
+    every = regions_of(two_rooms(), poses, CONFIG.model_copy(update={"region_min_m": 0.0}))
+    found = regions_of(two_rooms(), poses, CONFIG.model_copy(update={"region_min_m": way_m}))
+    assert found.tolist() == without_grazed(every.tolist(), poses, way_m)
+
+
+@pytest.mark.parametrize("x", [-3.0, 12.0])
+def test_keyframes_beyond_the_map_go_to_its_nearest_edge(x: float) -> None:
+    poses = drive(np.concatenate([np.linspace(1.0, 7.0, 31), [x]]))
+    labels = regions_of(two_rooms(), poses, CONFIG.model_copy(update={"region_min_m": 0.0}))
+    assert labels[-1] == (labels[0] if x < 0 else labels[30])
+    assert labels.dtype == np.int64

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from sklearn.metrics import adjusted_rand_score
 
-from specmap_cli.core.config import SegmentationConfig, load_config
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.segmentation.spectral import segment
+from specmap_cli.core.config import load_config
+from specmap_cli.core.settings import SegmentationConfig
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.segmentation.division import segment
 
 DEFAULT = SegmentationConfig()
 PAPER = load_config(preset="paper").segmentation
@@ -164,3 +165,61 @@ def test_the_paper_preset_uses_only_the_paper(office: GridMap) -> None:
     clear = nearest[:, 1] - nearest[:, 0] > 2 * PAPER.cell_m  # ties within a working cell aside
     expected = found.node_labels[distance.argmin(axis=1)]
     np.testing.assert_array_equal(found.labels[cells[:, 0], cells[:, 1]][clear], expected[clear])
+
+
+def test_unknown_cells_are_as_closed_as_walls(office: GridMap) -> None:
+    unknown = GridMap(np.where(office.free, FREE, UNKNOWN).astype(np.uint8), office.resolution)
+    np.testing.assert_array_equal(segment(unknown, DEFAULT).labels, segment(office, DEFAULT).labels)
+
+
+def test_where_the_map_lies_in_the_world_moves_the_nodes_and_nothing_else(
+    two_rooms: GridMap,
+) -> None:
+    here = segment(two_rooms, DEFAULT)
+    there = segment(GridMap(two_rooms.cells, two_rooms.resolution, (-70.0, 12.5)), DEFAULT)
+    np.testing.assert_array_equal(here.labels, there.labels)
+    np.testing.assert_array_equal(here.pairs, there.pairs)
+    np.testing.assert_allclose(here.nodes + (-70.0, 12.5), there.nodes)
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2, 3])
+def test_nodes_keep_clear_of_walls_and_see_each_other(office: GridMap, turn: int) -> None:
+    turned = GridMap(np.ascontiguousarray(np.rot90(office.cells, turn)), office.resolution)
+    found = segment(turned, DEFAULT)
+    clearance = turned.clearance()
+    cells = turned.cells_of(found.nodes)
+    least = DEFAULT.clearance_m - 0.5 * DEFAULT.cell_m  # a node is the middle of a coarse cell
+    assert (clearance[cells[:, 0], cells[:, 1]] > least).all()
+    one, other = found.nodes[found.pairs[:, 0]], found.nodes[found.pairs[:, 1]]
+    assert np.hypot(*(one - other).T).max() <= DEFAULT.sight_m + 1e-6
+    for share in np.linspace(0.0, 1.0, 40):
+        assert (turned.values_at(one + share * (other - one)) == FREE).all()
+
+
+@pytest.mark.parametrize("offset", [1, 2, 6, 9])
+def test_a_wall_of_one_fine_cell_keeps_two_rooms_apart(offset: int) -> None:
+    wall = 400 + offset
+    cells = np.full((250, 804), OCCUPIED, dtype=np.uint8)  # cells of 1 cm, ten a working cell
+    cells[5:245, 5:799] = FREE
+    cells[:, wall] = OCCUPIED
+    found = segment(GridMap(cells, 0.01), DEFAULT)
+    left, right = found.labels[5:245, 5:wall], found.labels[5:245, wall + 1 : 799]
+    assert (len(np.unique(left)), len(np.unique(right))) == (1, 1)
+    assert min(left[0, 0], right[0, 0]) >= 0
+    assert left[0, 0] != right[0, 0]
+
+
+@pytest.mark.parametrize(("merge", "count"), [(True, 1), (False, 4)])
+def test_a_long_hall_is_cut_by_the_sight_and_joined_again(
+    plan: Callable[..., GridMap], merge: bool, count: int
+) -> None:
+    hall = plan(40.6, 3.6, (0.3, 0.3, 40.3, 3.3))
+    found = segment(hall, DEFAULT.model_copy(update={"merge": merge}))
+    assert found.count >= count
+    assert merge == (found.count == 1)
+
+
+def test_halving_finds_what_the_whole_spectrum_passes_over(office: GridMap) -> None:
+    strict = DEFAULT.model_copy(update={"eigenvalue_min": 0.97, "merge": False})
+    whole = segment(office, strict.model_copy(update={"halve": False})).count
+    assert segment(office, strict).count > whole

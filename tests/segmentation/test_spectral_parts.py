@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from sklearn.cluster import KMeans
 from sklearn.metrics import adjusted_rand_score
 
-from specmap_cli.core.config import SegmentationConfig
+from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.segmentation.affinity import local_scales, normalised, similarity
 from specmap_cli.segmentation.halving import split_again, subgraph
 from specmap_cli.segmentation.kmeans import bisect, kmeans_unit
-from specmap_cli.segmentation.spectral import spectral_clusters
-from specmap_cli.segmentation.spectrum import eigenpairs_above, largest_eigenpairs
+from specmap_cli.segmentation.spectral import clusters_of, spectral_clusters
+from specmap_cli.segmentation.spectrum import (
+    eigenpairs_above,
+    largest_eigenpairs,
+    two_largest,
+    with_fixed_signs,
+)
 from specmap_cli.segmentation.visibility import VisibilityGraph, near_pairs
 
 seeds = st.integers(0, 10_000)
@@ -78,7 +85,7 @@ def test_a_node_that_sees_nothing_has_a_row_of_zeros() -> None:
 
 def random_symmetric(size: int) -> sparse.csr_array:
     rng = np.random.default_rng(size)
-    half = sparse.random_array((size, size), density=0.05, rng=rng)
+    half = np.where(rng.random((size, size)) < 0.05, rng.random((size, size)), 0.0)
     return sparse.csr_array(half + half.T)
 
 
@@ -100,11 +107,11 @@ def test_eigenpairs_are_the_same_on_every_run() -> None:
 
 
 def test_all_eigenvalues_above_a_level_are_found() -> None:
-    matrix = random_symmetric(400)
+    matrix = random_symmetric(240)
     every = np.linalg.eigvalsh(matrix.toarray())[::-1]
-    level = float(every[120] + every[121]) / 2.0
+    level = float(every[70] + every[71]) / 2.0
     values, _ = eigenpairs_above(matrix, level)
-    assert (values > level).sum() == 121
+    assert (values > level).sum() == 71
 
 
 @given(seed=seeds)
@@ -130,6 +137,7 @@ def test_bisect_cuts_at_the_step_of_an_eigenvector() -> None:
 
 
 @given(seed=seeds)
+@settings(max_examples=15)
 def test_clusters_are_the_groups_whatever_the_order_of_the_nodes(seed: int) -> None:
     graph = blobs(seed)
     config = SegmentationConfig()
@@ -166,3 +174,200 @@ def test_subgraph_keeps_the_edges_between_its_nodes() -> None:
     part = subgraph(graph, np.arange(25, 50))
     assert len(part.nodes) == 25
     assert len(part.pairs) == ((graph.pairs >= 25).all(axis=1)).sum()
+
+
+def by_the_paper(graph: VisibilityGraph, least: float) -> tuple[list[float], list[int]]:
+    """Algorithm 2 in dense matrices, line by line; all eigenvalues of L, and the labels.
+
+    The k-means is scikit-learn's, from many random starts.
+    """
+    n = len(graph.nodes)
+    distance = np.full((n, n), np.inf)
+    for (i, j), length in zip(graph.pairs.tolist(), graph.lengths.tolist(), strict=True):
+        distance[i, j] = distance[j, i] = length
+    sigma = np.array([np.median(row[np.isfinite(row)]) for row in distance])
+    S = np.exp(-(distance**2) / np.outer(sigma, sigma))  # 1
+    D = np.diag(S.sum(axis=1))  # 2
+    L = np.diag(np.diag(D) ** -0.5) @ S @ np.diag(np.diag(D) ** -0.5)
+    values, vectors = np.linalg.eigh(L)
+    k = int((values > least).sum())  # 3
+    X = vectors[:, -k:]  # 4
+    Y = X / np.linalg.norm(X, axis=1, keepdims=True)  # 5
+    labels = KMeans(k, n_init=5, random_state=0).fit_predict(Y)  # 6, 7
+    return values[::-1].tolist(), labels.tolist()
+
+
+@given(seed=seeds, clusters=st.integers(1, 4))
+@settings(max_examples=8)
+def test_algorithm_2_is_the_paper_s_in_dense_matrices(seed: int, clusters: int) -> None:
+    graph = blobs(seed, clusters, each=12)
+    config = SegmentationConfig()
+    values, labels = by_the_paper(graph, config.eigenvalue_min)
+    found = spectral_clusters(graph, config)
+    np.testing.assert_allclose(found.eigenvalues, values[: len(found.eigenvalues)], atol=1e-6)
+    assert found.used == sum(value > config.eigenvalue_min for value in values)
+    assert adjusted_rand_score(labels, found.labels) == 1.0
+    assert sorted(set(found.labels.tolist())) == list(range(found.labels.max() + 1))
+
+
+@given(seed=seeds)
+@settings(max_examples=15)
+def test_the_spectrum_of_a_graph_in_pieces_is_that_of_the_whole(seed: int) -> None:
+    graph = in_pieces(seed)
+    count = len(graph.nodes)
+    scales = local_scales(graph.lengths, graph.pairs, count)
+    L = normalised(similarity(graph.lengths, graph.pairs, scales, count))[0].toarray()
+    found = spectral_clusters(graph, SegmentationConfig())
+    every = np.linalg.eigvalsh(L)[::-1]
+    np.testing.assert_allclose(found.eigenvalues, every[: len(found.eigenvalues)], atol=1e-6)
+    np.testing.assert_allclose(
+        L @ found.eigenvectors, found.eigenvectors * found.eigenvalues, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        found.eigenvectors.T @ found.eigenvectors, np.eye(len(found.eigenvalues)), atol=1e-6
+    )
+    _, piece = connected_components(L, directed=False)
+    for vector in found.eigenvectors.T:
+        assert len(np.unique(piece[np.abs(vector) > 0])) == 1
+    for label in np.unique(found.labels):
+        assert len(np.unique(piece[found.labels == label])) == 1
+
+
+def in_pieces(seed: int) -> VisibilityGraph:
+    """Three groups of nodes without a sight line between them."""
+    graph = blobs(seed, clusters=3, each=8)
+    group = graph.pairs // 8
+    inner = group[:, 0] == group[:, 1]
+    return VisibilityGraph(graph.nodes, graph.pairs[inner], graph.lengths[inner])
+
+
+def test_nodes_that_see_nothing_are_clusters_of_their_own() -> None:
+    nodes = np.array([[0, 0], [0, 3], [40, 40], [80, 0]])
+    found = spectral_clusters(
+        VisibilityGraph(nodes, np.array([[0, 1]]), np.array([3.0])), SegmentationConfig()
+    )
+    assert found.labels.tolist() == [0, 0, 1, 2]
+    assert found.used == 3
+    alone = spectral_clusters(
+        VisibilityGraph(nodes[:0], np.zeros((0, 2), dtype=np.intp), np.zeros(0)),
+        SegmentationConfig(),
+    )
+    assert alone.labels.shape == alone.eigenvalues.shape == (0,)
+    assert (alone.eigenvectors.shape, alone.used) == ((0, 0), 0)
+
+
+@pytest.mark.parametrize("used", [1, 2, 5, 24])
+def test_k_is_the_number_of_eigenvalues_above_the_level(used: int) -> None:
+    graph = blobs(0, clusters=2, each=12)
+    scales = local_scales(graph.lengths, graph.pairs, 24)
+    L, degrees = normalised(similarity(graph.lengths, graph.pairs, scales, 24))
+    every = np.append(np.linalg.eigvalsh(L.toarray())[::-1], -2.0)
+    found = clusters_of(L, degrees, float(every[used - 1] + every[used]) / 2.0)
+    assert found.used == used
+    assert len(np.unique(found.labels)) <= used
+    assert len(found.eigenvalues) >= min(used + 1, 24)  # one below, where there is one
+
+
+def test_a_level_that_no_eigenvalue_passes_leaves_one_cluster() -> None:
+    graph = blobs(0, clusters=2, each=12)
+    L, degrees = normalised(similarity(graph.lengths, graph.pairs, np.full(24, 9.0), 24))
+    found = clusters_of(L, degrees, 1.0 + 1e-6)
+    assert found.used == 1
+    assert not found.labels.any()
+
+
+@given(seed=seeds, factor=st.sampled_from([0.01, 3.0, 250.0]))
+def test_eq_1_does_not_change_with_the_unit_of_length(seed: int, factor: float) -> None:
+    graph = blobs(seed, each=6)
+    here, there = (
+        similarity(lengths, graph.pairs, local_scales(lengths, graph.pairs, 18), 18).toarray()
+        for lengths in (graph.lengths, factor * graph.lengths)
+    )
+    np.testing.assert_allclose(here, there, rtol=1e-9)
+
+
+@given(seed=seeds)
+def test_no_eigenvalue_of_a_normalised_affinity_lies_outside_minus_one_to_one(seed: int) -> None:
+    graph = in_pieces(seed)
+    scales = local_scales(graph.lengths, graph.pairs, 24)
+    L, _ = normalised(similarity(graph.lengths, graph.pairs, scales, 24))
+    values = np.linalg.eigvalsh(L.toarray())
+    assert np.abs(values).max() <= 1.0 + 1e-9
+    assert (values > 1.0 - 1e-9).sum() == 3  # one a piece
+
+
+def test_scales_of_nodes_that_see_no_other_are_one() -> None:
+    scales = local_scales(np.array([2.0, 6.0]), np.array([[1, 3], [3, 4]]), 6)
+    assert scales.tolist() == [1.0, 2.0, 1.0, 4.0, 6.0, 1.0]
+    assert local_scales(np.zeros(0), np.zeros((0, 2), dtype=np.intp), 2).tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("size", [2, 7, 60])
+def test_the_two_largest_are_those_of_all(size: int) -> None:
+    matrix = random_symmetric(size).toarray()
+    values, vectors = two_largest(matrix)
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(matrix)[::-1][:2], atol=1e-9)
+    np.testing.assert_allclose(matrix @ vectors, vectors * values, atol=1e-9)
+
+
+def test_eigenpairs_asked_for_in_excess_are_all_there_are() -> None:
+    matrix = random_symmetric(9)
+    values, vectors = largest_eigenpairs(matrix, 40)
+    assert (values.shape, vectors.shape) == ((9,), (9, 9))
+    assert (np.diff(values) <= 0.0).all()
+    assert len(eigenpairs_above(matrix, -100.0)[0]) == 9
+
+
+def test_as_many_equal_eigenvalues_as_there_are_pieces_are_found() -> None:
+    ring = np.array([[0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]])
+    many = sparse.block_diag([ring] * 60, format="csr")  # more than are asked for at first
+    values, vectors = eigenpairs_above(many, 0.9)
+    assert (values > 0.9).sum() == 60
+    np.testing.assert_allclose(many @ vectors, vectors * values, atol=1e-4)
+
+
+@given(seed=seeds)
+def test_the_sign_of_an_eigenvector_is_its_cubes(seed: int) -> None:
+    vectors = np.random.default_rng(seed).normal(size=(6, 4))
+    fixed = with_fixed_signs(vectors)
+    np.testing.assert_array_equal(np.abs(fixed), np.abs(vectors))
+    assert ((fixed**3).sum(axis=0) >= 0.0).all()
+    np.testing.assert_array_equal(with_fixed_signs(-vectors), fixed)
+
+
+@given(seed=seeds, level=st.sampled_from([0.5, 0.7, 0.95]))
+@settings(max_examples=20)
+def test_halving_only_divides_and_every_piece_hangs_together(seed: int, level: float) -> None:
+    graph = blobs(seed, clusters=4, each=7)
+    before = np.repeat([0, 0, 1, 1], 7).astype(np.int32)
+    after = split_again(graph, before, 0, level)
+    for label in np.unique(after):
+        members = np.flatnonzero(after == label)
+        assert len(np.unique(before[members])) == 1
+        part = subgraph(graph, members)
+        links = sparse.coo_array(
+            (np.ones(len(part.pairs)), part.pairs.T), shape=(len(members), len(members))
+        )
+        assert len(members) < 4 or connected_components(links, directed=False)[0] == 1
+    assert sorted(set(after.tolist())) == list(range(after.max() + 1))
+
+
+def test_a_cluster_of_four_rooms_is_halved_until_each_stands_alone() -> None:
+    graph = blobs(2, clusters=4, each=20)
+    halves = split_again(graph, np.zeros(80, dtype=np.int32), 0, 0.7)
+    assert adjusted_rand_score(np.repeat(np.arange(4), 20), halves) == 1.0
+    assert not split_again(graph, np.zeros(80, dtype=np.int32), 0, 1.0).any()
+
+
+def test_a_cluster_in_pieces_falls_into_them_whatever_the_level() -> None:
+    graph = in_pieces(5)
+    parts = split_again(graph, np.zeros(24, dtype=np.int32), 0, 0.999)
+    assert adjusted_rand_score(np.repeat(np.arange(3), 8), parts) == 1.0
+
+
+@pytest.mark.parametrize("nodes", [0, 1, 3])
+def test_a_cluster_too_small_for_two_stays_whole(nodes: int) -> None:
+    apart = VisibilityGraph(
+        np.arange(2 * nodes).reshape(nodes, 2), np.zeros((0, 2), dtype=np.intp), np.zeros(0)
+    )
+    assert split_again(apart, np.zeros(nodes, dtype=np.int32), 0, 0.5).tolist() == [0] * nodes

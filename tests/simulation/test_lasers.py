@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, replace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +12,7 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.driving import Drive, drive
+from specmap_cli.simulation.driving import Drive, Limits, drive
 from specmap_cli.simulation.lasers import (
     Laser,
     OdometryErrors,
@@ -39,6 +42,21 @@ def true_ranges(x: float, y: float, angles: FloatArray) -> FloatArray:
     return np.minimum(np.abs(to_x), np.abs(to_y))
 
 
+def laser_of(field_of_view: float, beams: int, **changes: Any) -> Laser:
+    """A laser without errors, in the middle of the robot unless told otherwise."""
+    laser = Laser(
+        bearings=laser_bearings(field_of_view, beams),
+        range_max_m=20.0,
+        base_from_laser=Pose2(0.0, 0.0, 0.0),
+    )
+    return replace(laser, **changes)
+
+
+def errors_of(**errors: float) -> OdometryErrors:
+    """Wheels that err in the ways named only."""
+    return replace(OdometryErrors().times(0.0), **errors)
+
+
 def measure(laser: Laser, world: World, times: int = 1) -> FloatArray:
     rng = np.random.default_rng(RNG_SEED)
     return np.array(list(laser.scans(world, STILL, 0.1 * np.arange(times, dtype=np.float64), rng)))
@@ -46,14 +64,14 @@ def measure(laser: Laser, world: World, times: int = 1) -> FloatArray:
 
 def test_without_errors_ranges_are_those_of_the_mounted_laser(hall: World) -> None:
     mounting = Pose2(0.3, -0.1, np.pi / 2)
-    laser = Laser(laser_bearings(np.radians(270), 181), 20.0, mounting)
+    laser = laser_of(np.radians(270), 181, base_from_laser=mounting)
     at = Pose2(3.0, 2.0, 0.7) @ mounting
     expected = true_ranges(at.x, at.y, laser.bearings + at.theta)
     np.testing.assert_allclose(measure(laser, hall)[0], expected, atol=1e-5)
 
 
 def test_noise_has_the_asked_spread_and_no_bias(hall: World) -> None:
-    laser = Laser(laser_bearings(2 * np.pi, 360), 20.0, Pose2(0, 0, 0), noise_m=0.02, step_m=0.001)
+    laser = laser_of(2 * np.pi, 360, noise_m=0.02, step_m=0.001)
     errors = measure(laser, hall, 40) - true_ranges(3.0, 2.0, laser.bearings + 0.7)
     assert abs(errors.mean()) < 4 * 0.02 / np.sqrt(errors.size)
     assert errors.std() == pytest.approx(0.02, rel=0.05)
@@ -63,17 +81,17 @@ def test_noise_has_the_asked_spread_and_no_bias(hall: World) -> None:
 
 
 def test_dropouts_and_far_walls_are_beams_without_a_return(hall: World) -> None:
-    bearings = laser_bearings(2 * np.pi, 360)
-    dropped = measure(Laser(bearings, 20.0, Pose2(0, 0, 0), dropouts=0.2), hall, 40)
+    dropped = measure(laser_of(2 * np.pi, 360, dropouts=0.2), hall, 40)
     assert np.isinf(dropped).mean() == pytest.approx(0.2, abs=0.02)
-    short = measure(Laser(bearings, 2.1, Pose2(0, 0, 0)), hall)[0]
-    expected = true_ranges(3.0, 2.0, bearings + 0.7)
+    laser = laser_of(2 * np.pi, 360, range_max_m=2.1)
+    short = measure(laser, hall)[0]
+    expected = true_ranges(3.0, 2.0, laser.bearings + 0.7)
     np.testing.assert_array_equal(np.isinf(short), expected > 2.1)
 
 
 def test_beams_of_a_sweep_are_cast_from_where_the_robot_then_is(hall: World) -> None:
     turning = Drive(np.array([0.0, 1.0]), np.array([[3.0, 2.0, 0.0], [3.5, 2.5, 2.0]]))
-    laser = Laser(laser_bearings(np.pi, 91), 20.0, Pose2(0.1, 0.0, 0.0), sweep_s=0.1)
+    laser = laser_of(np.pi, 91, base_from_laser=Pose2(0.1, 0.0, 0.0), sweep_s=0.1)
     rng = np.random.default_rng(RNG_SEED)
     ranges = next(laser.scans(hall, turning, np.array([0.4]), rng))
 
@@ -99,7 +117,7 @@ def test_a_full_circle_has_no_bearing_twice() -> None:
 
 def zigzag() -> FloatArray:
     path = np.array([[0, 0], [4, 0], [4, 3], [1, 3], [1, 1], [3, 1]], dtype=np.float64)
-    driven = drive(path + 5.0, 0.5, 1.0)
+    driven = drive(path + 5.0, Limits(0.5, 1.0, 0.5))
     return driven.at(np.arange(0.0, driven.duration_s, 0.1))
 
 
@@ -114,7 +132,7 @@ def test_odometry_without_errors_is_the_truth_seen_from_the_start(seed: int) -> 
 
 
 def test_random_odometry_errors_spread_with_the_root_of_the_way_at_any_rate() -> None:
-    errors = OdometryErrors(0.05, 0.03, 0.0, 0.0, 0.0, 0.0)
+    errors = errors_of(translation_per_m=0.05, rotation_per_m=0.03)
     for step in (0.01, 0.1):
         straight = np.zeros((round(4.0 / step) + 1, 3))
         straight[:, 0] = np.arange(len(straight)) * step
@@ -127,12 +145,72 @@ def test_random_odometry_errors_spread_with_the_root_of_the_way_at_any_rate() ->
 
 
 def test_calibration_errors_scale_way_and_turns() -> None:
-    errors = OdometryErrors(0.0, 0.0, 0.0, 0.1, 0.05, 0.0)
+    errors = errors_of(distance_scale=0.1, turn_scale=0.05)
     poses = np.array([[0, 0, 0], [2, 0, 0], [2, 0, np.pi / 2], [2, 1, np.pi / 2]], dtype=np.float64)
     end = drifting_odometry(poses, errors, np.random.default_rng(0))[-1]
     assert end[2] == pytest.approx(1.05 * np.pi / 2)
     assert end[0] == pytest.approx(2.2 + 1.1 * np.cos(1.05 * np.pi / 2))
-    veering = drifting_odometry(
-        poses[:2], OdometryErrors(0, 0, 0, 0, 0, 0.02), np.random.default_rng(0)
-    )
+    veering = drifting_odometry(poses[:2], errors_of(veer_per_m=0.02), np.random.default_rng(0))
     assert veering[-1, 2] == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "beams", "full"),
+    [(360, 8, True), (360, 541, True), (359, 541, False), (270, 541, False), (10, 8, False)],
+)
+def test_only_the_whole_circle_is_a_full_circle(degrees: float, beams: int, full: bool) -> None:
+    laser = laser_of(np.radians(degrees), beams)
+    assert laser.full_circle is full
+    assert len(np.unique(np.round(np.exp(1j * laser.bearings), 9))) == beams
+    np.testing.assert_allclose(np.diff(laser.bearings), laser.increment)
+
+
+def test_no_noise_makes_a_range_negative_or_zero(hall: World) -> None:
+    corner = Drive(np.zeros(1), np.array([[LEFT + 0.03, BOTTOM + 0.03, 0.0]]))
+    laser = laser_of(2 * np.pi, 90, noise_m=0.5)
+    rng = np.random.default_rng(RNG_SEED)
+    ranges = np.array(list(laser.scans(hall, corner, np.zeros(10), rng)))
+    assert ranges.min() == np.float32(0.02)
+    assert (ranges == np.float32(0.02)).mean() > 0.2
+
+
+def test_scans_in_a_row_are_those_cast_one_by_one(hall: World) -> None:
+    """They are cast in batches, of which no scan must know."""
+    turning = Drive(np.array([0.0, 20.0]), np.array([[2.0, 1.5, 0.0], [5.0, 3.5, 9.0]]))
+    laser, times = laser_of(np.pi, 19), np.arange(0.0, 20.0, 0.1)
+    rng = np.random.default_rng(RNG_SEED)
+    together = list(laser.scans(hall, turning, times, rng))
+    assert len(together) == len(times)
+    for k in (0, 63, 64, 65, 128, 199):
+        (alone,) = laser.scans(hall, turning, times[k : k + 1], rng)
+        np.testing.assert_array_equal(together[k], alone)
+
+
+def test_beam_times_spread_over_the_sweep() -> None:
+    times = laser_of(np.pi, 5, sweep_s=0.2).beam_times_s
+    np.testing.assert_allclose(times, [0.0, 0.05, 0.1, 0.15, 0.2])
+    assert not laser_of(np.pi, 5).beam_times_s.any()
+
+
+def test_errors_are_scaled_each_by_itself() -> None:
+    once, twice = asdict(OdometryErrors()), asdict(OdometryErrors().times(2.0))
+    assert min(once.values()) > 0.0
+    assert twice == {name: 2.0 * error for name, error in once.items()}
+
+
+@given(st.integers(0, 1000))
+def test_the_odometry_of_a_standing_robot_stands(seed: int) -> None:
+    still = np.tile([3.0, 2.0, 0.7], (50, 1))
+    found = drifting_odometry(still, OdometryErrors().times(10.0), np.random.default_rng(seed))
+    np.testing.assert_allclose(found, 0.0, atol=1e-6)
+
+
+def test_wheels_slip_less_sideways_than_along() -> None:
+    straight = np.column_stack([np.arange(0.0, 4.0, 0.05), np.zeros(80), np.zeros(80)])
+    ends = np.array(
+        [
+            drifting_odometry(straight, errors_of(translation_per_m=0.05), np.random.default_rng(s))
+            for s in range(400)
+        ]
+    )[:, -1]
+    assert ends[:, 1].std() == pytest.approx(0.5 * ends[:, 0].std(), rel=0.15)

@@ -1,4 +1,4 @@
-"""Tours cover all reachable space, and are driven within the robot's limits."""
+"""Tours cover all reachable space, by paths on which the robot fits."""
 
 from __future__ import annotations
 
@@ -7,28 +7,30 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 from hypothesis import given
+from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.driving import Drive, drive
+from specmap_cli.simulation.room_truth import RoomTruth
 from specmap_cli.simulation.tours import plan_tour, reachable_space, shortest_order
-from specmap_cli.simulation.worlds import RoomTruth, World
+from specmap_cli.simulation.worlds import World
 from tests.strategies import seeds
 
-RADIUS = 0.25
+RADIUS, COMFORT = 0.25, 0.8
 
 
 def tour(plan: GridMap, seed: int, laps: int = 1, spacing_m: float = 1.5) -> FloatArray:
     world = World.of(plan)
-    space = reachable_space(world, RADIUS)
-    return plan_tour(world, space, RADIUS, spacing_m, laps, np.random.default_rng(seed))
+    space = reachable_space(world, RADIUS, COMFORT)
+    return plan_tour(world, space, spacing_m, laps, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_every_reachable_place_is_near_the_path(flat: GridMap, seed: int) -> None:
-    places = reachable_space(World.of(flat), RADIUS).points
+    places = reachable_space(World.of(flat), RADIUS, COMFORT).points
     away, _ = cKDTree(tour(flat, seed)).query(places)
     assert away.max() <= 1.5 + 0.3  # smoothing cuts the tips of the path
 
@@ -63,7 +65,7 @@ def test_space_the_robot_cannot_reach_is_left_out() -> None:
     cells[2:58, 2:70] = FREE
     cells[2:58, 74:118] = FREE
     cells[30:36, 70:74] = FREE  # 0.3 m wide: too narrow for the robot
-    space = reachable_space(World.of(GridMap(cells, 0.05)), RADIUS)
+    space = reachable_space(World.of(GridMap(cells, 0.05)), RADIUS, COMFORT)
     assert space.points[:, 0].max() < 70 * 0.05
     assert space.area_m2 == pytest.approx(3.4 * 2.8 - 6.2 * 0.5, rel=0.1)
 
@@ -72,7 +74,7 @@ def test_a_plan_without_room_for_the_robot_is_refused() -> None:
     cells = np.full((40, 40), OCCUPIED, dtype=np.uint8)
     cells[10:14, 10:14] = FREE
     with pytest.raises(MapError, match=r"no free space for a robot of radius 0\.25 m"):
-        reachable_space(World.of(GridMap(cells, 0.05)), RADIUS)
+        reachable_space(World.of(GridMap(cells, 0.05)), RADIUS, COMFORT)
 
 
 def length_of(distances: FloatArray, order: list[int]) -> float:
@@ -94,41 +96,73 @@ def test_orders_start_at_the_first_target_and_are_nearly_the_shortest(seed: int)
             assert length_of(distances, order) <= length_of(distances, other) + 1e-9
 
 
-def rates(driven: Drive) -> tuple[FloatArray, FloatArray]:
-    seconds = np.diff(driven.times_s)
-    steps = np.diff(driven.poses, axis=0)
-    return np.hypot(steps[:, 0], steps[:, 1]) / seconds, np.abs(steps[:, 2]) / seconds
+@pytest.mark.parametrize(
+    ("count", "expected"), [(1, [0]), (2, [0, 1]), (3, [0, 2, 1])], ids=["one", "two", "three"]
+)
+def test_orders_of_few_targets(count: int, expected: list[int]) -> None:
+    places = np.array([0.0, 5.0, 1.0])[:count]
+    assert shortest_order(np.abs(places[:, None] - places[None])).tolist() == expected
 
 
-def test_a_drive_keeps_speed_acceleration_and_turn_rate(flat: GridMap) -> None:
-    path = tour(flat, 8)
-    driven = drive(path, 0.7, 1.2)
-    speeds, turns = rates(driven)
-    assert (np.diff(driven.times_s) > 0).all()
-    assert speeds.max() <= 0.7 + 1e-9
-    assert turns.max() <= 1.2 + 1e-9
-    length = np.hypot(*np.diff(path, axis=0).T).sum()
-    assert driven.duration_s >= length / 0.7
-    # 0.5 m/s^2, seen through speeds that are averages of neighbouring segments
-    middle = 0.5 * (driven.times_s[:-1] + driven.times_s[1:])
-    assert (np.abs(np.diff(speeds)) <= 0.5 * np.diff(middle) + 1e-6).mean() > 0.95
-    away, _ = cKDTree(driven.poses[:, :2]).query(path)
-    assert away.max() < 1e-9
-    steps = np.diff(driven.poses[:, :2], axis=0)
-    assert np.hypot(*steps.T).sum() == pytest.approx(length)
+def room(width_m: float, height_m: float, resolution: float = 0.05) -> GridMap:
+    """One empty room within walls of one cell."""
+    cells = np.full((round(height_m / resolution), round(width_m / resolution)), FREE, np.uint8)
+    return GridMap(np.pad(cells, 1, constant_values=OCCUPIED), resolution)
 
 
-def test_the_robot_looks_where_it_drives_and_turns_in_place_at_corners() -> None:
-    corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 0.0]])
-    driven = drive(corner, 1.0, 1.0)
-    moving = np.hypot(*np.diff(driven.poses[:, :2], axis=0).T) > 1e-9
-    headings = driven.poses[1:][moving][:, 2]
-    np.testing.assert_allclose(headings, [0.0, np.pi / 2, -np.pi / 2], atol=1e-9)
-    quarter = 1.5 * np.pi / 2
-    assert driven.duration_s == pytest.approx(3 * 2 * np.sqrt(1.0 / 0.5) + 3 * quarter)
+def test_ways_on_the_lattice_are_those_of_a_king_on_a_board() -> None:
+    space = reachable_space(World.of(room(3.0, 2.0)), RADIUS, COMFORT)
+    found = shortest_path(space.lengths, indices=0)
+    across = np.abs(space.points - space.points[0]) / 0.1
+    steps = 0.1 * (across.max(axis=1) + (np.sqrt(2.0) - 1.0) * across.min(axis=1))
+    np.testing.assert_allclose(found, steps, atol=1e-9)
 
 
-def test_a_path_of_one_place_is_a_robot_that_stands() -> None:
-    driven = drive(np.array([[2.0, 3.0], [2.0, 3.0]]), 1.0, 1.0)
-    assert driven.duration_s == 0.0
-    np.testing.assert_array_equal(driven.at(np.array([0.0, 9.0])), [[2.0, 3.0, 0.0]] * 2)
+def test_metres_near_walls_cost_more_and_none_less() -> None:
+    space = reachable_space(World.of(room(4.0, 4.0)), RADIUS, COMFORT)
+    ratio = space.costs.data / space.lengths.data
+    assert (ratio >= 1.0).all()
+    assert ratio.max() <= 1.0 + 4.0
+    edges = space.costs.tocoo()
+    roomy = np.minimum(space.comfort[edges.row], space.comfort[edges.col]) == 1.0
+    np.testing.assert_allclose(ratio[roomy], 1.0)
+    assert (ratio[~roomy] > 1.0).all()
+
+
+@pytest.mark.parametrize("resolution", [0.02, 0.05, 0.25])
+def test_the_reachable_area_is_that_in_which_the_disc_fits(resolution: float) -> None:
+    space = reachable_space(World.of(room(6.0, 4.0, resolution)), 0.5, COMFORT)
+    step = max(0.1, resolution)
+    assert space.area_m2 == pytest.approx(5.0 * 3.0, abs=(5.0 + 3.0) * 2.0 * step)
+    inner = space.points.min(axis=0) - resolution, space.points.max(axis=0) - resolution
+    assert inner[0].min() >= 0.5
+    assert (inner[1] <= np.array([6.0, 4.0]) - 0.5).all()
+
+
+def test_a_larger_comfort_keeps_the_path_farther_from_walls() -> None:
+    hall = World.of(room(12.0, 5.0))
+    clearance = []
+    for comfort in (0.3, 2.0):
+        space = reachable_space(hall, RADIUS, comfort)
+        path = plan_tour(hall, space, 2.0, 1, np.random.default_rng(1))
+        clearance.append(hall.clearance_at(path).mean())
+    assert clearance[1] > clearance[0] + 0.1
+
+
+def test_a_plan_elsewhere_is_toured_by_the_same_way(flat: GridMap) -> None:
+    moved = GridMap(flat.cells, flat.resolution, (120.0, -7.5))
+    np.testing.assert_allclose(tour(moved, 2), tour(flat, 2) + (120.0, -7.5), atol=1e-6)
+
+
+def test_points_of_a_path_are_evenly_spaced(flat: GridMap) -> None:
+    steps = step_lengths(tour(flat, 3))
+    assert steps.max() <= 0.06
+    assert np.quantile(steps, 0.02) > 0.03  # smoothing and the corners take some of it
+
+
+def test_of_two_parts_the_larger_is_toured() -> None:
+    cells = np.full((60, 160), OCCUPIED, dtype=np.uint8)
+    cells[5:55, 5:45] = FREE
+    cells[5:55, 55:155] = FREE
+    space = reachable_space(World.of(GridMap(cells, 0.05)), RADIUS, COMFORT)
+    assert space.points[:, 0].min() > 55 * 0.05

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+import random
+from collections.abc import Collection, Sequence
+from itertools import groupby, pairwise
 
 import networkx as nx
 import numpy as np
@@ -10,54 +12,60 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import Closure
 from specmap_cli.grids.gridmap import FREE, GridMap
-from specmap_cli.topology.graph import (
-    RegionMerger,
-    build_topology,
-    first_visit_order,
-    settle_labels,
-)
+from specmap_cli.topology.graph import build_topology, settle_labels, submap_of_regions
 from specmap_cli.topology.topological_map import TopologicalMap
 
+LABELS = st.lists(st.integers(0, 4), min_size=1, max_size=30)
+PAIRS = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=20)
 
-def line_of_poses(count: int, step_m: float = 1.0) -> np.ndarray:
+
+def line_of_poses(count: int, step_m: float = 1.0) -> FloatArray:
     poses = np.zeros((count, 3))
     poses[:, 0] = np.arange(count) * step_m
     return poses
 
 
-def grids_of(labels: list[int]) -> dict[int, GridMap]:
-    return {label: GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.1) for label in set(labels)}
-
-
 def topology_of(
-    labels: list[int],
-    breaks: tuple[int, ...] = (),
-    closures: tuple[Closure, ...] = (),
-    poses: np.ndarray | None = None,
+    labels: Sequence[int],
+    breaks: Collection[int] = (),
+    closures: Sequence[Closure] = (),
+    poses: FloatArray | None = None,
+    submap_of_region: dict[int, int] | None = None,
 ) -> TopologicalMap:
-    stamps = [1000 * k for k in range(len(labels))]
+    """Keyframes a metre and 1000 ns apart, on a line unless `poses` say where."""
+    grids = {label: GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.1) for label in set(labels)}
     return build_topology(
-        np.array(labels),
-        line_of_poses(len(labels)) if poses is None else poses,
-        stamps,
-        breaks,
-        closures,
-        {label: label for label in labels},
-        grids_of(labels),
+        labels=np.array(labels, dtype=np.int64),
+        poses=line_of_poses(len(labels)) if poses is None else poses,
+        stamps_ns=[1000 * k for k in range(len(labels))],
+        breaks=breaks,
+        closures=closures,
+        submap_of_region=submap_of_region or {label: label for label in labels},
+        grids=grids,
     )
 
 
-def closure(old: int, new: int, verified: bool, merged: bool) -> Closure:
-    return Closure(new, old, 0.5, 0.7, 0.7, verified, merged, 0.9, "because")
+def closure(old: int, new: int, verified: bool = True, merged: bool = False) -> Closure:
+    return Closure(
+        new=new,
+        old=old,
+        xi=0.5,
+        claims_new_by_old=0.7,
+        claims_old_by_new=0.7,
+        verified=verified,
+        merged=merged,
+        score=0.9,
+        reason="because",
+    )
 
 
 def test_visits_traversals_and_frames_follow_the_robot() -> None:
     topology = topology_of([0, 0, 1, 1, 0, 2])
     assert [len(topology.submaps[i].visits) for i in (0, 1, 2)] == [2, 1, 1]
-    assert topology.submaps[0].keyframes == [0, 1, 4]
+    assert topology.submaps[0].keyframes == (0, 1, 4)
     visits = topology.submaps[0].visits
     assert [(v.start_ns, v.end_ns) for v in visits] == [(0, 1000), (4000, 4000)]
     assert {key: edge.kind for key, edge in topology.edges.items()} == {
@@ -65,43 +73,118 @@ def test_visits_traversals_and_frames_follow_the_robot() -> None:
         (0, 2): "traversed",
     }
     there, back = topology.edges[0, 1].traversals
-    assert (there.source, there.target, there.pose.x) == (0, 1, 1.5)
-    assert (back.source, back.target, back.pose.x) == (1, 0, 3.5)
+    assert (there.source, there.target, there.pose.x, there.stamp_ns) == (0, 1, 1.5, 2000)
+    assert (back.source, back.target, back.pose.x, back.stamp_ns) == (1, 0, 3.5, 4000)
     assert topology.edges[0, 1].crossing == (2.5, 0.0)
     assert topology.edges[0, 1].source_from_target == Pose2(2.0, 0.0, 0.0)
 
 
+def test_the_robot_looks_ahead_where_it_crosses() -> None:
+    """Headings have no mean: that of the first keyframe on the other side is taken."""
+    poses = np.array([[0.0, 0.0, 3.1], [1.0, 2.0, -3.1]])
+    (crossing,) = topology_of([0, 1], poses=poses).edges[0, 1].traversals
+    assert crossing.pose == (0.5, 1.0, -3.1)
+
+
+def test_an_edge_runs_from_the_smaller_id_whichever_was_driven_first() -> None:
+    poses = np.array([[2.0, 1.0, np.pi / 2], [0.0, 0.0, 0.0]])
+    (edge,) = topology_of([5, 3], poses=poses).edges.values()
+    assert (edge.source, edge.target) == (3, 5)
+    assert edge.source_from_target == pytest.approx((2.0, 1.0, np.pi / 2))
+
+
 def test_a_loss_of_tracking_leaves_a_loose_edge_until_the_robot_drives_across() -> None:
-    assert topology_of([0, 1], breaks=(1,)).edges[0, 1].kind == "loose"
-    assert topology_of([0, 1], breaks=(1,)).edges[0, 1].crossing is None
-    assert topology_of([0, 1, 0], breaks=(1,)).edges[0, 1].kind == "traversed"
+    loose = topology_of([0, 1], breaks=(1,)).edges[0, 1]
+    assert (loose.kind, loose.crossing, loose.traversals) == ("loose", None, ())
+    for breaks in ((1,), [2], {1}, np.array([1])):
+        driven = topology_of([0, 1, 0], breaks=breaks).edges[0, 1]
+        assert driven.kind == "traversed"
+        assert len(driven.traversals) == 1
+    assert not topology_of([0, 0], breaks=(1,)).edges, "within a submap it links nothing"
 
 
 def test_a_verified_closure_is_an_edge_where_the_tracks_meet() -> None:
     labels, poses = [0, 0, 1, 1, 2, 2], line_of_poses(6)
     poses[4] = poses[0]  # the robot comes back to where it was in submap 0
-    verified = (closure(0, 2, True, False), closure(1, 2, True, False))
+    verified = (closure(0, 2), closure(1, 2))
     topology = topology_of(labels, closures=verified, poses=poses)
     assert topology.edges[0, 2].kind == "closure"
+    assert topology.edges[0, 2].traversals == ()
     assert topology.edges[1, 2].kind == "traversed"
     assert (0, 2) not in topology_of(labels, closures=verified).edges, "tracks apart"
-    refused = (closure(0, 2, False, False),)
-    assert (0, 2) not in topology_of(labels, closures=refused, poses=poses).edges
+    for refused in (closure(0, 2, verified=False), closure(0, 2, merged=True)):
+        found = topology_of(labels, closures=[refused], poses=poses)
+        assert (0, 2) not in found.edges
+        assert found.closures == (refused,), "all that were considered are kept"
 
 
-@given(st.lists(st.integers(0, 4), min_size=1, max_size=30))
+@pytest.mark.parametrize(("metres", "meets"), [(0.49, True), (0.51, False)])
+def test_tracks_meet_within_half_a_metre(metres: float, meets: bool) -> None:
+    poses = line_of_poses(3, 10.0)
+    poses[2] = poses[0] + (0.0, metres, 2.0)
+    found = topology_of([0, 1, 2], closures=[closure(0, 2)], poses=poses)
+    assert ((0, 2) in found.edges) is meets
+
+
+def test_a_closure_names_regions_whose_submaps_may_have_changed() -> None:
+    poses = line_of_poses(3, 10.0)
+    poses[2] = poses[0]
+    regions = {7: 0, 9: 2, 11: 0}
+    found = topology_of([0, 1, 2], (), [closure(7, 9)], poses, regions)
+    assert found.edges[0, 2].kind == "closure"
+    same = topology_of([0, 1, 2], (), [closure(7, 11)], poses, regions)
+    assert set(same.edges) == {(0, 1), (1, 2)}, "both became one submap"
+    with pytest.raises(KeyError):
+        topology_of([0, 1, 2], (), [closure(7, 8)], poses, regions)
+
+
+def test_a_closure_over_a_break_is_stronger_than_the_guess() -> None:
+    poses = np.zeros((2, 3))
+    found = topology_of([0, 1], breaks=(1,), closures=[closure(0, 1)], poses=poses)
+    assert found.edges[0, 1].kind == "closure"
+
+
+@given(LABELS, st.sets(st.integers(0, 29)))
 def test_the_graph_of_a_driven_tour_is_connected_and_complete(
-    labels: list[int],
+    labels: list[int], breaks: set[int]
 ) -> None:
-    topology = topology_of(labels)
+    topology = topology_of(labels, breaks)
     graph = nx.Graph()
     graph.add_nodes_from(topology.submaps)
     graph.add_edges_from(topology.edges)
     assert nx.is_connected(graph)
     keyframes = sorted(k for submap in topology.submaps.values() for k in submap.keyframes)
     assert keyframes == list(range(len(labels)))
+    borders = [k for k in range(1, len(labels)) if labels[k] != labels[k - 1]]
     crossings = sum(len(edge.traversals) for edge in topology.edges.values())
-    assert crossings == sum(a != b for a, b in pairwise(labels))
+    assert crossings == len(set(borders) - breaks)
+    for (low, high), edge in topology.edges.items():
+        assert (edge.source, edge.target) == (low, high)
+        assert low < high
+        assert (edge.kind == "traversed") == bool(edge.traversals)
+        assert [t.stamp_ns for t in edge.traversals] == sorted(t.stamp_ns for t in edge.traversals)
+
+
+@given(LABELS)
+def test_visits_are_the_stays_in_order(labels: list[int]) -> None:
+    topology, start, expected = topology_of(labels), 0, dict[int, list[tuple[int, int]]]()
+    for label, stay in groupby(labels):
+        end = start + len(list(stay)) - 1
+        expected.setdefault(label, []).append((1000 * start, 1000 * end))
+        start = end + 1
+    found = {
+        id_: [(visit.start_ns, visit.end_ns) for visit in submap.visits]
+        for id_, submap in topology.submaps.items()
+    }
+    assert found == expected
+    assert list(found) == list(expected), "in order of first visit"
+    for id_, submap in topology.submaps.items():
+        assert submap.map_from_submap.x == labels.index(id_), "the frame is its first keyframe's"
+
+
+def test_no_keyframes_are_no_map() -> None:
+    nothing = topology_of([])
+    assert (nothing.submaps, nothing.edges, nothing.closures) == ({}, {}, ())
 
 
 def test_a_short_excursion_is_absorbed_and_a_long_one_stays() -> None:
@@ -112,23 +195,54 @@ def test_a_short_excursion_is_absorbed_and_a_long_one_stays() -> None:
     assert labels.tolist() == [0, 0, 1, 1, 0, 0, 0, 2, 2], "the argument is left alone"
 
 
-def test_ids_are_given_in_order_of_first_visit() -> None:
-    assert first_visit_order([7, 7, 3, 9, 3]) == {7: 0, 3: 1, 9: 2}
+@pytest.mark.parametrize(
+    ("labels", "settled"),
+    [
+        ("", ""),
+        ("a", "a"),
+        ("ab", "ab"),
+        ("abc", "abc"),  # a way through, no excursion
+        ("abacaca", "aaaaaaa"),
+        ("abab", "aaab"),  # the last stay is followed by none
+        ("abbbbbba", "abbbbbba"),  # 1 m long
+        ("abbbbba", "aaaaaaa"),  # 0.8 m
+    ],
+)
+def test_what_is_an_excursion(labels: str, settled: str) -> None:
+    numbers = np.array([ord(letter) for letter in labels], dtype=np.int64)
+    found = settle_labels(numbers, line_of_poses(len(labels), 0.2), 0.9)
+    assert "".join(map(chr, found)) == settled
 
 
-@given(st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=20))
+@given(LABELS, st.floats(0.0, 6.0))
+def test_settling_only_removes_stays(labels: list[int], min_path_m: float) -> None:
+    found = settle_labels(np.array(labels), line_of_poses(len(labels)), min_path_m).tolist()
+    assert (found[0], found[-1]) == (labels[0], labels[-1])
+    changed = [k for k, (a, b) in enumerate(zip(labels, found, strict=True)) if a != b]
+    for k in changed:
+        assert found[k] == found[k - 1], "a stay becomes part of the one before"
+    assert sum(a != b for a, b in pairwise(found)) <= sum(a != b for a, b in pairwise(labels))
+
+
+@given(PAIRS)
 def test_merging_agrees_with_connected_components(pairs: list[tuple[int, int]]) -> None:
-    merger, graph = RegionMerger(), nx.empty_graph(13)
-    for region in range(13):
-        merger.add(region)
-    for a, b in pairs:
-        merger.merge(a, b)
-        graph.add_edge(a, b)
-    for part in nx.connected_components(graph):
-        assert {merger.find(region) for region in part} == {min(part)}
-        assert merger.members(min(part)) == sorted(part)
+    graph = nx.empty_graph(13)
+    graph.add_edges_from(pairs)
+    expected = {k: min(part) for part in nx.connected_components(graph) for k in part}
+    assert submap_of_regions(range(13), pairs) == expected
 
 
-def test_an_unknown_region_has_no_submap() -> None:
+@given(PAIRS, st.randoms(use_true_random=False))
+def test_the_order_of_merges_does_not_matter(
+    pairs: list[tuple[int, int]], shuffle: random.Random
+) -> None:
+    swapped = [(b, a) for a, b in shuffle.sample(pairs, len(pairs))]
+    regions = shuffle.sample(range(13), 13)
+    assert submap_of_regions(regions, swapped) == submap_of_regions(range(13), pairs)
+
+
+def test_regions_without_merges_are_submaps_and_an_unknown_one_is_none() -> None:
+    assert submap_of_regions([4, 9], []) == {4: 4, 9: 9}
+    assert submap_of_regions([], []) == {}
     with pytest.raises(KeyError):
-        RegionMerger().find(3)
+        submap_of_regions([4, 9], [(4, 3)])

@@ -66,7 +66,7 @@ def test_nothing_free() -> None:
 def labels_at(places: dict[int, tuple[float, float]]) -> Labels:
     """One keyframe in each submap."""
     poses = np.array([(x, y, 0.0) for x, y in places.values()])
-    return Labels(np.arange(len(places)), poses, np.array(list(places)))
+    return Labels(stamps_ns=np.arange(len(places)), poses=poses, submaps=np.array(list(places)))
 
 
 def test_shared_cells_go_to_the_nearest_keyframe() -> None:

@@ -3,77 +3,76 @@
 With a usable index the chunks are merged by their start times and messages inside a chunk are
 sorted by log time. Without one (a recorder that was killed, a truncated or damaged file) the
 records are walked from the start, and the readable part of the last chunk is kept.
+
+What is read of a chunk is compared with what is listed of it, and what is read of a topic with
+what the index lists of the topic: nothing is lost without a word.
 """
 
 from __future__ import annotations
 
 import os
 from abc import abstractmethod
-from collections.abc import Collection, Iterator
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
+from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
 
-from rosbags.serde import SerdeError
-
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.readers.chunks import (
+    NOTHING_LISTED,
+    Channel,
+    ChunkRef,
+    Entry,
+    Listing,
+    OpenedChunk,
+    Spot,
+    by_topic,
+    expected_counts,
+    overlapping_bytes,
+)
+from specmap_cli.logs.readers.compression import Unpacked
 from specmap_cli.logs.readers.recording import (
     Contents,
     Message,
     Recording,
-    merge_in_time,
-    seconds,
+    contents_of,
+    lost_text,
     survey,
+    time_text,
     unreadable,
 )
-from specmap_cli.logs.readers.typestore import SUPPORTED_TYPES, typestore
+from specmap_cli.logs.readers.time_order import merge_in_time
+from specmap_cli.logs.readers.typestore import SUPPORTED_TYPES, UNFIT, typestore
 
-
-class Channel(NamedTuple):
-    """One stream of messages in a file."""
-
-    topic: str
-    type: str
-    ros1: bool  # messages are in ROS 1 serialisation, not CDR
-
-
-class Entry(NamedTuple):
-    """A message as stored."""
-
-    time_ns: int
-    channel: int
-    data: bytes
-
-
-class ChunkRef(NamedTuple):
-    """Where a chunk's record lies; `channels` that have messages in it, empty when unknown."""
-
-    start_ns: int
-    end_ns: int
-    offset: int
-    length: int
-    channels: frozenset[int]
+_BYTES_PER_MB = 1_000_000
+_OVERLAPPING = 2  # chunks of the largest size that may be in memory together
 
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """What the summary at the end of a file says."""
+    """What the summary at the end of a file says; `checked` when a checksum vouches for it."""
 
     contents: Contents
     chunks: tuple[ChunkRef, ...]
+    checked: bool
 
 
 class ChunkedFile(Recording):
     """Common reading of MCAP and ROS 1 bags; a subclass knows the records."""
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
+    def __init__(
+        self, file: Path, path: Path | None = None, config: LogConfig | None = None
+    ) -> None:
+        super().__init__(file, path, config)
         try:
-            self._fd = os.open(path, os.O_RDONLY)
+            self._fd = os.open(file, os.O_RDONLY)
         except OSError as error:
-            raise unreadable(path, error) from None
+            raise unreadable(self.path, error) from None
         self.size = os.fstat(self._fd).st_size
         self.channels: dict[int, Channel] = {}
+        self._index: Index | None = None
         try:
             self._index = self._read_index()
         except BaseException:
@@ -85,8 +84,19 @@ class ChunkedFile(Recording):
         """The summary and the channels, or None when it is missing or damaged."""
 
     @abstractmethod
-    def _chunk(self, ref: ChunkRef) -> Iterator[Entry]:
-        """The entries of one indexed chunk in time order; damage is reported, not raised."""
+    def _open_chunk(self, ref: ChunkRef) -> OpenedChunk:
+        """The records inside a chunk."""
+
+    @abstractmethod
+    def _listing(self, ref: ChunkRef) -> Listing:
+        """What the records behind a chunk list of it."""
+
+    @abstractmethod
+    def _spots(self, records: bytes, listing: Listing) -> tuple[list[Spot], bool]:
+        """The whole messages of known channels in the records of a chunk; whether all are whole.
+
+        Behind a record that is not whole, reading goes on where the listing has the next one.
+        """
 
     @abstractmethod
     def _walk(self) -> Iterator[Entry]:
@@ -99,17 +109,50 @@ class ChunkedFile(Recording):
             return self._index.contents
         return survey((*self.channels[entry.channel][:2], entry.time_ns) for entry in self._walk())
 
+    @property
+    def chunk_max(self) -> int:
+        """The most bytes of a chunk or a message that are taken into memory."""
+        return round(self.config.chunk_max_mb * _BYTES_PER_MB)
+
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics`, in time order with an index and as written without."""
         if self._index is None:
-            return self._select(self._walk(), topics)
-        return merge_in_time(
-            [
-                (ref.start_ns, partial(self._chunk_messages, ref, topics))
-                for ref in self._index.chunks
-                if self._holds(ref, topics)
-            ]
-        )
+            yield from self._select(self._walk(), topics)
+            return
+        found: Counter[str] = Counter()
+        for message in self._merged(self._index, topics):
+            found[message.topic] += 1
+            yield message
+        self._compare(self._index.contents, found, topics)
+
+    def _merged(self, index: Index, topics: Collection[str] | None) -> Iterator[Message]:
+        """The messages of all chunks in time order, or chunk by chunk when too many overlap."""
+        chunks = [ref for ref in index.chunks if topics is None or self._holds(ref, topics, index)]
+        sources = [(ref.start_ns, partial(self._chunk_messages, ref, topics)) for ref in chunks]
+        if overlapping_bytes(chunks) <= _OVERLAPPING * self.chunk_max:
+            return merge_in_time(sources)
+        self.report("more chunks overlap in time than log.chunk_max_mb allows: read one by one")
+        return (message for _, opened in sources for message in opened())
+
+    def _holds(self, ref: ChunkRef, topics: Collection[str], index: Index) -> bool:
+        """Whether a chunk may hold messages on `topics`: what no checksum proves is asked twice."""
+        wanted = {number for number, channel in self.channels.items() if channel.topic in topics}
+        if ref.channels is None or wanted & ref.channels:
+            return True
+        listed = {} if index.checked else self._listing(ref).counts
+        return not index.checked and (not listed or not wanted.isdisjoint(listed))
+
+    def _compare(
+        self, contents: Contents, found: Counter[str], topics: Collection[str] | None
+    ) -> None:
+        """After a pass to the end: say what the index lists and what no chunk was short of."""
+        listed: Counter[str] = Counter()
+        for topic in contents.topics:
+            if topics is None or topic.name in topics:
+                listed[topic.name] += topic.count
+        lost = listed - found - self.missing
+        if lost:
+            self.report(f"{lost_text(lost, listed)} of the index are not in the file", lost)
 
     def close(self) -> None:
         """Release the file."""
@@ -119,6 +162,8 @@ class ChunkedFile(Recording):
 
     def read_at(self, offset: int, length: int) -> bytes:
         """Up to `length` bytes from `offset` on; fewer at the end of the file."""
+        if offset >= self.size:
+            return b""
         try:
             return os.pread(self._fd, max(min(length, self.size - offset), 0), offset)
         except OSError as error:
@@ -129,36 +174,109 @@ class ChunkedFile(Recording):
         where = f"damaged at byte {offset} of {self.size}"
         if offset >= self.size:
             where = f"cut off at byte {self.size}"
-        lost = f"what followed {seconds(last_ns)}" if last_ns > 0 else "everything"
+        lost = f"what followed {time_text(last_ns)}" if last_ns > 0 else "everything"
         self.report(f"{where}: {lost} is lost")
 
-    def report_chunk(self, ref: ChunkRef) -> None:
-        """Note that messages of an indexed chunk are lost."""
-        self.report(
-            f"chunk at byte {ref.offset} is damaged: messages between {seconds(ref.start_ns)} "
-            f"and {seconds(ref.end_ns)} are lost"
-        )
+    def define(self, number: int, channel: Channel) -> None:
+        """Take in a channel; the first word on one stands, and another is reported."""
+        known = self.channels.setdefault(number, channel)
+        if known != channel:
+            self.report(
+                f"channel {number} is described twice, as {known.topic} ({known.type}) and as "
+                f"{channel.topic} ({channel.type}): read as the first"
+            )
 
-    def _holds(self, ref: ChunkRef, topics: Collection[str] | None) -> bool:
-        if topics is None or not ref.channels:
-            return True
-        return any(self.channels[c].topic in topics for c in ref.channels if c in self.channels)
+    def contents_of(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> Contents:
+        """The contents from the number of messages of each channel."""
+        counted = ((c.topic, c.type, counts.get(number, 0)) for number, c in self.channels.items())
+        return contents_of(counted, start_ns, end_ns)
+
+    def read_chunk(self, ref: ChunkRef) -> Iterator[Entry]:
+        """The entries of a chunk as written; damage is reported, not raised."""
+        records, spots = self._read_spots(ref)
+        for time_ns, channel, start, end in spots:
+            yield Entry(time_ns, channel, records[start:end])
 
     def _chunk_messages(self, ref: ChunkRef, topics: Collection[str] | None) -> Iterator[Message]:
-        return self._select(self._chunk(ref), topics)
+        """The messages of a chunk on `topics` in time order."""
+        records, spots = self._read_spots(ref)
+        if topics is not None:
+            spots = [spot for spot in spots if self.channels[spot[1]].topic in topics]
+        spots.sort(key=itemgetter(0))
+        for time_ns, channel, start, end in spots:
+            message = self._message(time_ns, channel, records[start:end])
+            if message is not None:
+                yield message
+
+    def _read_spots(self, ref: ChunkRef) -> tuple[bytes, list[Spot]]:
+        chunk, listing = self._open_chunk(ref), self._listing(ref)
+        spots, whole = self._spots(chunk.unpacked.data, listing)
+        expected = expected_counts(ref.counts, listing.counts)
+        missing = expected - Counter(map(itemgetter(1), spots))
+        cut = self._index is None and ref.offset + ref.length > self.size  # which the walk says
+        if not cut and (missing or not (whole and chunk.well)):
+            self._tell(ref, chunk, listing, (expected, missing))
+        return chunk.unpacked.data, spots
+
+    def _tell(
+        self,
+        ref: ChunkRef,
+        chunk: OpenedChunk,
+        listing: Listing,
+        numbers: tuple[Counter[int], Counter[int]],
+    ) -> None:
+        """Say what is lost of a chunk: the messages `expected` in it, and those `missing`."""
+        what = f"chunk at byte {ref.offset} is damaged"
+        if chunk.unpacked.beyond:
+            what = f"chunk at byte {ref.offset} is beyond log.chunk_max_mb"
+        expected, missing = (by_topic(counts, self.channels) for counts in numbers)
+        span = _span(ref, listing)
+        if missing:
+            lost = lost_text(missing, expected)
+            self.report(f"{what}: {lost}{span and f', {span},'} are lost", missing)
+        elif expected:
+            self.report(f"{what}, but all of its {expected.total():,} messages are found")
+        else:
+            messages = f"messages {span}" if span else "some of its messages"
+            self.report(f"{what}: {messages} are lost")
+
+    def tell_unreachable(self, ref: ChunkRef) -> None:
+        """Say what is lost of a chunk that is not where the index has it."""
+        closed = OpenedChunk(Unpacked(b"", complete=False))
+        counts = expected_counts(ref.counts)
+        self._tell(ref, closed, NOTHING_LISTED, (counts, counts))
 
     def _select(
-        self, entries: Iterator[Entry], topics: Collection[str] | None
+        self, entries: Iterable[Entry], topics: Collection[str] | None
     ) -> Iterator[Message]:
         for entry in entries:
-            topic, type_name, ros1 = self.channels[entry.channel]
-            if topics is not None and topic not in topics:
-                continue
-            data = entry.data
-            if ros1 and type_name in SUPPORTED_TYPES:
-                try:
-                    data = bytes(typestore().ros1_to_cdr(data, type_name))
-                except SerdeError:
-                    self.report(f"a message on {topic} does not fit its type {type_name}; skipped")
-                    continue
-            yield Message(topic, type_name, entry.time_ns, data)
+            if topics is None or self.channels[entry.channel].topic in topics:
+                message = self._message(*entry)
+                if message is not None:
+                    yield message
+
+    def _message(self, time_ns: int, number: int, data: bytes) -> Message | None:
+        """A message in ROS 2 CDR; None, and reported, for one that does not fit its type."""
+        topic, type_name, ros1 = self.channels[number]
+        if ros1 and type_name in SUPPORTED_TYPES:
+            try:
+                data = bytes(typestore().ros1_to_cdr(data, type_name))
+            except UNFIT:
+                self.report(
+                    f"the message on {topic} at {time_text(time_ns)} does not fit its type "
+                    f"{type_name}; left out",
+                    {topic: 1},
+                )
+                return None
+        return Message(topic, type_name, time_ns, data)
+
+
+def _span(ref: ChunkRef, listing: Listing) -> str:
+    """`between 1.000 s and 2.000 s`, by the index or by what stands behind the chunk."""
+    start_ns, end_ns = ref.start_ns, ref.end_ns
+    if not (start_ns or end_ns):
+        times = [time_ns for time_ns, _ in listing.entries()]
+        start_ns, end_ns = min(times, default=0), max(times, default=0)
+    if not (start_ns or end_ns):
+        return ""
+    return f"between {time_text(start_ns)} and {time_text(end_ns)}"

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from rosbags.typesys import TypesysError
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.logs.readers.typestore import (
@@ -24,7 +25,7 @@ from specmap_cli.logs.readers.typestore import (
 )
 
 _FLOAT32 = 7  # sensor_msgs/msg/PointField.FLOAT32
-_MAX_SECONDS = 2**31 - 1
+_MAX_SECONDS = 2**31 - 1  # of builtin_interfaces/msg/Time, whose seconds are an int32
 
 
 def scan_cdr(
@@ -83,7 +84,7 @@ def cloud_cdr(
 
 def odometry_cdr(frame_id: str, child_frame_id: str, stamp_ns: int, pose: Pose2) -> bytes:
     """An Odometry whose pose is frame_from_child; covariances and twist are zero."""
-    xyz, quaternion = placed(pose)
+    xyz, quaternion = in_space(pose)
     zero = message_class("geometry_msgs/msg/Vector3")(0.0, 0.0, 0.0)
     return _cdr(
         ODOMETRY,
@@ -121,15 +122,20 @@ def transform_cdr(
     return _cdr(TF_MESSAGE, transforms=[stamped])
 
 
-def placed(pose: Pose2) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
+def in_space(pose: Pose2) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
     """Translation and quaternion (x, y, z, w) in space of a pose in the plane."""
     half = 0.5 * pose.theta
     return (float(pose.x), float(pose.y), 0.0), (0.0, 0.0, math.sin(half), math.cos(half))
 
 
-def definition(type_name: str) -> bytes:
-    """The text that defines a ROS 2 type and the types it contains."""
-    text, _ = typestore().generate_msgdef(type_name, ros_version=2)
+def message_definition(type_name: str) -> bytes:
+    """The text that defines a ROS 2 type and the types it contains; ValueError if unknown."""
+    try:
+        text, _ = typestore().generate_msgdef(type_name, ros_version=2)
+    except TypesysError:
+        raise ValueError(
+            f"{type_name!r} is no known ROS 2 type; expected such as {LASER_SCAN!r}"
+        ) from None
     return text.encode()
 
 

@@ -6,221 +6,300 @@ messages either among them or inside chunk records, a summary at the end.
 
 from __future__ import annotations
 
-import struct
 import zlib
 from collections.abc import Iterator
-from io import BytesIO
-from operator import itemgetter
+from functools import partial
 from pathlib import Path
 
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.records import Channel as ChannelRecord
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
-from specmap_cli.logs.readers.chunked import Channel, ChunkedFile, ChunkRef, Entry, Index
-from specmap_cli.logs.readers.compression import decompress
-from specmap_cli.logs.readers.recording import Contents, TopicInfo, seconds
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.readers.chunked import ChunkedFile, Index
+from specmap_cli.logs.readers.chunks import (
+    MAX_SPOTS,
+    Channel,
+    ChunkRef,
+    Entry,
+    Listing,
+    OpenedChunk,
+    Spot,
+)
+from specmap_cli.logs.readers.compression import Unpacked, decompress
+from specmap_cli.logs.readers.mcap_records import (
+    BAD_BODY,
+    CHANNEL,
+    CHUNK,
+    CHUNK_HEAD,
+    CHUNK_INDEX,
+    DATA_END,
+    FIRST_PRIVATE,
+    FOOTER,
+    INDEX_ENTRY,
+    INDEX_HEAD,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_HEAD,
+    MESSAGE_INDEX,
+    RECORD_HEAD,
+    SCHEMA,
+    STATISTICS,
+    fits,
+    records_in,
+    seen_bytes,
+    stream_of,
+)
 from specmap_cli.logs.readers.typestore import normalized_type
 
-MAGIC = b"\x89MCAP0\r\n"
-
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX = 0x02, 0x03, 0x04, 0x05, 0x06, 0x08
-STATISTICS, DATA_END = 0x0B, 0x0F
-_LAST_OPCODE = 0x0F  # 0x80 and above are private records, to be skipped
-
-_RECORD = struct.Struct("<BQ")  # opcode, length of the body
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_CHUNK = struct.Struct("<QQQII")  # start, end, size, crc, length of the compression's name
-_FOOTER_BYTES = _RECORD.size + 20 + len(MAGIC)
-_BAD_BODY = (struct.error, ValueError, McapError)
+_FOOTER_BODY = 20  # by the format: two offsets and a checksum
+_FOOTER_BYTES = RECORD_HEAD.size + _FOOTER_BODY + len(MAGIC)
 
 
 class McapFile(ChunkedFile):
     """One MCAP file of ROS 2 or ROS 1 messages."""
 
     format = "MCAP"
+    magic = MAGIC
 
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self, file: Path, path: Path | None = None, config: LogConfig | None = None
+    ) -> None:
         self._schemas: dict[int, str] = {}
-        super().__init__(path)
+        super().__init__(file, path, config)
 
     def _read_index(self) -> Index | None:
-        start = self._summary_start()
-        if start is None:
+        footer = self._footer()
+        if footer is None:
             return None
-        summary = self.read_at(start, self.size - start - _FOOTER_BYTES)
+        summary = self.read_at(
+            footer.summary_start, self.size - footer.summary_start - _FOOTER_BYTES
+        )
         chunks: list[ChunkIndex] = []
         statistics: Statistics | None = None
         try:
-            for opcode, body in _records(summary):
+            for opcode, body in records_in(summary):
                 if opcode == CHUNK_INDEX:
-                    chunks.append(ChunkIndex.read(_stream(body)))
+                    chunks.append(ChunkIndex.read(stream_of(body)))
                 elif opcode == STATISTICS:
-                    statistics = Statistics.read(_stream(body))
+                    statistics = Statistics.read(stream_of(body))
                 else:
                     self._define(opcode, body)
-        except _BAD_BODY:
+        except BAD_BODY:
             return None
-        if statistics is None or len(chunks) != statistics.chunk_count or not chunks:
+        if statistics is None or not self._agree(statistics, chunks):
             return None
-        if not set(statistics.channel_message_counts) <= set(self.channels):
-            return None
-        refs = tuple(self._sound_chunks(chunks))
-        return Index(self._contents_of(statistics), refs) if refs else None
-
-    def _summary_start(self) -> int | None:
-        """Offset of the summary when the file ends in a footer that names a sound one."""
-        tail = self.read_at(max(self.size - _FOOTER_BYTES, 0), _FOOTER_BYTES)
-        if len(tail) < _FOOTER_BYTES or not tail.endswith(MAGIC) or tail[0] != FOOTER:
-            return None
-        footer = Footer.read(_stream(tail[_RECORD.size :]))
-        end = self.size - _FOOTER_BYTES
-        if not len(MAGIC) <= footer.summary_start < end:
-            return None
-        if footer.summary_crc:
-            summary = self.read_at(footer.summary_start, end - footer.summary_start)
-            checked = summary + tail[: _RECORD.size + 16]
-            if zlib.crc32(checked) != footer.summary_crc:
-                return None
-        return int(footer.summary_start)
-
-    def _sound_chunks(self, chunks: list[ChunkIndex]) -> Iterator[ChunkRef]:
-        """The chunks that are where the index says; the others are reported."""
-        for chunk in sorted(chunks, key=lambda c: (c.message_start_time, c.chunk_start_offset)):
-            ref = ChunkRef(
-                chunk.message_start_time,
-                chunk.message_end_time,
-                chunk.chunk_start_offset,
-                chunk.chunk_length,
-                frozenset(chunk.message_index_offsets),
-            )
-            head = self.read_at(ref.offset, _RECORD.size)
-            if head == _RECORD.pack(CHUNK, max(ref.length - _RECORD.size, 0)):
-                yield ref
-            else:
-                self.report_chunk(ref)
-
-    def _contents_of(self, statistics: Statistics) -> Contents:
-        counts: dict[tuple[str, str], int] = {}
-        for number, channel in self.channels.items():
-            key = (channel.topic, channel.type)
-            count = statistics.channel_message_counts.get(number, 0)
-            counts[key] = counts.get(key, 0) + count
-        return Contents(
-            tuple(TopicInfo(*key, counts[key]) for key in sorted(counts)),
+        contents = self.contents_of(
+            statistics.channel_message_counts,
             statistics.message_start_time,
             statistics.message_end_time,
         )
+        return Index(contents, _chunk_refs(chunks), checked=bool(footer.summary_crc))
 
-    def _chunk(self, ref: ChunkRef) -> Iterator[Entry]:
-        body = self.read_at(ref.offset + _RECORD.size, ref.length - _RECORD.size)
-        records, complete = _opened(body)
-        if not complete:
-            self.report_chunk(ref)
-        for time_ns, channel, start, end in sorted(self._entries(records), key=itemgetter(0)):
-            yield Entry(time_ns, channel, records[start:end])
+    def _agree(self, statistics: Statistics, chunks: list[ChunkIndex]) -> bool:
+        """Whether the parts of the summary fit one another."""
+        counts = statistics.channel_message_counts
+        return (
+            bool(chunks)
+            and len({chunk.chunk_start_offset for chunk in chunks}) == statistics.chunk_count
+            and sum(counts.values()) == statistics.message_count
+            and set(counts) <= set(self.channels)
+        )
+
+    def _footer(self) -> Footer | None:
+        """The footer when the file ends in one that names a sound summary."""
+        tail = self.read_at(max(self.size - _FOOTER_BYTES, 0), _FOOTER_BYTES)
+        if len(tail) < _FOOTER_BYTES or not tail.endswith(MAGIC) or tail[0] != FOOTER:
+            return None
+        footer: Footer = Footer.read(stream_of(tail[RECORD_HEAD.size :]))
+        length = self.size - _FOOTER_BYTES - footer.summary_start
+        if footer.summary_start < len(MAGIC) or not 0 < length <= self.chunk_max:
+            return None
+        if footer.summary_crc:
+            checked = self.read_at(footer.summary_start, length) + tail[: RECORD_HEAD.size + 16]
+            if zlib.crc32(checked) != footer.summary_crc:
+                return None
+        return footer
+
+    def _open_chunk(self, ref: ChunkRef) -> OpenedChunk:
+        if ref.length > self.chunk_max + CHUNK_HEAD.size + RECORD_HEAD.size:
+            return OpenedChunk(Unpacked(b"", complete=False, beyond=True))
+        record = self.read_at(ref.offset, ref.length)
+        sound = record.startswith(RECORD_HEAD.pack(CHUNK, max(ref.length - RECORD_HEAD.size, 0)))
+        return OpenedChunk(_unpacked(record[RECORD_HEAD.size :], self.chunk_max), sound)
+
+    def _listing(self, ref: ChunkRef) -> Listing:
+        counts: dict[int, int] = {}
+        places: list[tuple[int, int]] = []  # of the entries: offset and length
+        position = ref.offset + ref.length
+        while len(head := self.read_at(position, INDEX_HEAD.size)) == INDEX_HEAD.size:
+            opcode, length, channel, size = INDEX_HEAD.unpack(head)
+            if opcode != MESSAGE_INDEX or size != length - 6 or size % INDEX_ENTRY.size:
+                break
+            counts[channel] = counts.get(channel, 0) + size // INDEX_ENTRY.size
+            places.append((position + INDEX_HEAD.size, size))
+            position += INDEX_HEAD.size + size
+        return Listing(counts, partial(self._listed_entries, places))
+
+    def _listed_entries(self, places: list[tuple[int, int]]) -> list[tuple[int, int]]:
+        entries: list[tuple[int, int]] = []
+        for offset, length in places:
+            data = self.read_at(offset, length)
+            entries += INDEX_ENTRY.iter_unpack(data[: len(data) // 16 * 16])
+        return sorted(entries)
 
     def _walk(self) -> Iterator[Entry]:
         offset, last = len(MAGIC), 0
-        while offset + _RECORD.size <= self.size:
-            opcode, length = _RECORD.unpack(self.read_at(offset, _RECORD.size))
-            start = offset + _RECORD.size
-            if opcode in (DATA_END, FOOTER):
+        while offset + RECORD_HEAD.size <= self.size:
+            opcode, length = RECORD_HEAD.unpack(self.read_at(offset, RECORD_HEAD.size))
+            end = offset + RECORD_HEAD.size + length
+            if self._ends_data(opcode, length, end):
                 if self.read_at(self.size - len(MAGIC), len(MAGIC)) != MAGIC:
                     self.report(f"cut off in the index after byte {offset}: no message is lost")
                 return
-            if opcode == 0 or _LAST_OPCODE < opcode < 0x80:
+            ref = ChunkRef(offset=offset, length=RECORD_HEAD.size + length)
+            if not self._is_of_data(opcode, ref) and not self._passes_over(opcode, ref):
                 self.report_end(offset, last)
                 return
-            for entry in self._held(opcode, offset, start, length):
+            for entry in self._held(opcode, ref):
                 last = entry.time_ns
                 yield entry
-            offset = start + length
+            offset = end
         self.report_end(self.size, last)
 
-    def _held(self, opcode: int, offset: int, start: int, length: int) -> Iterator[Entry]:
+    def _ends_data(self, opcode: int, length: int, end: int) -> bool:
+        """Whether a record is the end of the data, or the footer of a file without such an end."""
+        if opcode == FOOTER:
+            return length == _FOOTER_BODY and end + len(MAGIC) >= self.size
+        return opcode == DATA_END and fits(opcode, length, first=False, body=b"")
+
+    def _is_of_data(self, opcode: int, ref: ChunkRef) -> bool:
+        """Whether the record at a place is built as records among the data are."""
+        body = self.read_at(ref.offset + RECORD_HEAD.size, seen_bytes(opcode))
+        return fits(opcode, ref.length - RECORD_HEAD.size, ref.offset == len(MAGIC), body)
+
+    def _passes_over(self, opcode: int, ref: ChunkRef) -> bool:
+        """Whether reading can go on behind a record of another kind; it is said what it may be."""
+        end = ref.offset + ref.length
+        head = self.read_at(end, RECORD_HEAD.size)
+        if end > self.size or len(head) < RECORD_HEAD.size:
+            return False
+        following, length = RECORD_HEAD.unpack(head)
+        then = ChunkRef(offset=end, length=RECORD_HEAD.size + length)
+        ended = self._ends_data(following, length, end + then.length)
+        if opcode < FIRST_PRIVATE and not ended and not self._is_of_data(following, then):
+            return False
+        body = self.read_at(ref.offset + RECORD_HEAD.size, CHUNK_HEAD.size)
+        if opcode < FIRST_PRIVATE or self._may_hold_messages(ref, body):
+            self.report(
+                f"the record at byte {ref.offset} is of no known kind (opcode {opcode}): what it "
+                f"holds in its {ref.length:,} bytes is lost"
+            )
+        return True
+
+    def _may_hold_messages(self, ref: ChunkRef, body: bytes) -> bool:
+        """Whether a private record is built like a chunk or like a message of a known channel."""
+        if len(body) < MESSAGE_HEAD.size:
+            return False
+        if MESSAGE_HEAD.unpack_from(body)[0] in self.channels:
+            return True
+        name = CHUNK_HEAD.unpack(body)[-1] if len(body) == CHUNK_HEAD.size else self.size
+        size = self.read_at(ref.offset + RECORD_HEAD.size + CHUNK_HEAD.size + name, 8)
+        held = int.from_bytes(size, "little")
+        return ref.length == RECORD_HEAD.size + CHUNK_HEAD.size + name + 8 + held
+
+    def _held(self, opcode: int, ref: ChunkRef) -> Iterator[Entry]:
         """The messages of a record met on the walk, or of the readable part of a chunk."""
         if opcode == CHUNK:
-            yield from self._walk_chunk(offset, self.read_at(start, length))
-        elif opcode in (SCHEMA, CHANNEL, MESSAGE) and start + length <= self.size:
-            yield from self._single(opcode, self.read_at(start, length))
+            times = CHUNK_HEAD.unpack(
+                self.read_at(ref.offset + RECORD_HEAD.size, CHUNK_HEAD.size).ljust(CHUNK_HEAD.size)
+            )
+            start_ns, end_ns = times[:2]
+            yield from self.read_chunk(
+                ChunkRef(offset=ref.offset, length=ref.length, start_ns=start_ns, end_ns=end_ns)
+            )
+        elif opcode in (SCHEMA, CHANNEL, MESSAGE) and ref.offset + ref.length <= self.size:
+            yield from self._single(opcode, ref)
 
-    def _walk_chunk(self, offset: int, body: bytes) -> Iterator[Entry]:
-        """The entries of a chunk met on the walk, or of its readable part."""
-        records, complete = _opened(body)
-        last = None
-        for time_ns, channel, start, end in self._entries(records):
-            last = time_ns
-            yield Entry(time_ns, channel, records[start:end])
-        if not complete and offset + _RECORD.size + len(body) < self.size:
-            kept = "all of it is" if last is None else f"what followed {seconds(last)} in it is"
-            self.report(f"chunk at byte {offset} is damaged: {kept} lost")
+    def _single(self, opcode: int, ref: ChunkRef) -> Iterator[Entry]:
+        """A message outside any chunk, or a definition; one of an unknown channel is reported."""
+        if ref.length > self.chunk_max:
+            self.report(f"the record at byte {ref.offset} is beyond log.chunk_max_mb: it is lost")
+            return
+        body = self.read_at(ref.offset + RECORD_HEAD.size, ref.length - RECORD_HEAD.size)
+        sound = opcode == MESSAGE or self._define(opcode, body)
+        if opcode == MESSAGE:
+            channel, _, time_ns, _ = MESSAGE_HEAD.unpack_from(body)
+            sound = channel in self.channels
+            if sound:
+                yield Entry(time_ns, channel, body[MESSAGE_HEAD.size :])
+        if not sound:
+            self.report(f"the record at byte {ref.offset} is damaged: what it holds is lost")
 
-    def _single(self, opcode: int, body: bytes) -> Iterator[Entry]:
-        """A message outside any chunk, or a definition."""
-        if opcode != MESSAGE:
-            self._define(opcode, body)
-        elif len(body) >= _MESSAGE.size:
-            channel, _, time_ns, _ = _MESSAGE.unpack_from(body)
-            if channel in self.channels:
-                yield Entry(time_ns, channel, body[_MESSAGE.size :])
-
-    def _entries(self, records: bytes) -> Iterator[tuple[int, int, int, int]]:
-        """(log time, channel, start, end) of each whole message in the records of a chunk."""
-        position, size = 0, len(records)
-        while position + _RECORD.size <= size:
-            opcode, length = _RECORD.unpack_from(records, position)
-            position += _RECORD.size
-            end = position + length
-            if end > size:
-                return
-            if opcode == MESSAGE and length >= _MESSAGE.size:
-                channel, _, time_ns, _ = _MESSAGE.unpack_from(records, position)
-                if channel in self.channels:
-                    yield time_ns, channel, position + _MESSAGE.size, end
-            elif opcode in (SCHEMA, CHANNEL):
-                self._define(opcode, records[position:end])
+    def _spots(self, records: bytes, listing: Listing) -> tuple[list[Spot], bool]:
+        spots: list[Spot] = []
+        position: int | None = 0
+        whole, size, known = True, len(records), self.channels
+        last = size - RECORD_HEAD.size
+        while position is not None and position <= last and len(spots) < MAX_SPOTS:
+            opcode, length = RECORD_HEAD.unpack_from(records, position)
+            start = position + RECORD_HEAD.size
+            end = start + length
+            sound = end <= size
+            if sound and opcode == MESSAGE and length >= MESSAGE_HEAD.size:
+                channel, _, time_ns, _ = MESSAGE_HEAD.unpack_from(records, start)
+                if channel in known:
+                    spots.append((time_ns, channel, start + MESSAGE_HEAD.size, end))
+                else:
+                    whole = False
+            else:
+                defines = sound and opcode in (SCHEMA, CHANNEL)
+                whole = whole and defines and self._define(opcode, records[start:end])
+                if not defines:
+                    end = listing.next_start(position)
             position = end
+        return spots, whole and position == size
 
-    def _define(self, opcode: int, body: bytes) -> None:
-        """Take in a schema or a channel; one that cannot be parsed defines nothing."""
+    def _define(self, opcode: int, body: bytes) -> bool:
+        """Take in a schema or a channel; False when it cannot be parsed and defines nothing."""
         try:
             if opcode == SCHEMA:
-                schema = Schema.read(_stream(body))
+                schema = Schema.read(stream_of(body))
                 self._schemas[schema.id] = normalized_type(schema.name)
             elif opcode == CHANNEL:
-                channel = ChannelRecord.read(_stream(body))
+                channel = ChannelRecord.read(stream_of(body))
                 name = self._schemas.get(channel.schema_id, "unknown")
                 encoding = channel.message_encoding
                 if encoding not in ("cdr", "ros1"):
                     name = f"{name} ({encoding or 'no encoding'})"
-                self.channels[channel.id] = Channel(channel.topic, name, encoding == "ros1")
-        except _BAD_BODY:
-            return
+                self.define(channel.id, Channel(channel.topic, name, encoding == "ros1"))
+        except BAD_BODY:
+            return False
+        return True
 
 
-def _stream(body: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(body))
+def _chunk_refs(chunks: list[ChunkIndex]) -> tuple[ChunkRef, ...]:
+    """What the index says of the chunks, by start."""
+    return tuple(
+        ChunkRef(
+            offset=chunk.chunk_start_offset,
+            length=chunk.chunk_length,
+            size=chunk.uncompressed_size,
+            start_ns=chunk.message_start_time,
+            end_ns=chunk.message_end_time,
+            channels=frozenset(chunk.message_index_offsets) or None,
+        )
+        for chunk in sorted(chunks, key=lambda c: (c.message_start_time, c.chunk_start_offset))
+    )
 
 
-def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    position = 0
-    while position < len(data):
-        opcode, length = _RECORD.unpack_from(data, position)
-        position += _RECORD.size
-        yield opcode, data[position : position + length]
-        position += length
-
-
-def _opened(body: bytes) -> tuple[bytes, bool]:
-    """The records inside the body of a chunk, possibly cut off, and whether they are all there."""
-    if len(body) < _CHUNK.size:
-        return b"", False
-    _, _, size, crc, name_length = _CHUNK.unpack_from(body)
-    start = _CHUNK.size + name_length + 8
-    compression = body[_CHUNK.size : start - 8].decode("ascii", errors="replace")
-    records, complete = decompress(body[start:], compression)
-    if complete and len(records) == size:
-        return (b"", False) if crc and zlib.crc32(records) != crc else (records, True)
-    return records, False
+def _unpacked(body: bytes, limit: int) -> Unpacked:
+    """The records inside the body of a chunk, possibly cut off."""
+    if len(body) < CHUNK_HEAD.size:
+        return Unpacked(b"", complete=False)
+    _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(body)
+    start = CHUNK_HEAD.size + name_length + 8
+    compression = body[CHUNK_HEAD.size : start - 8].decode("ascii", errors="replace")
+    found = decompress(body[start:], compression, limit, size)
+    if crc and found.complete and len(found.data) == size and zlib.crc32(found.data) != crc:
+        return Unpacked(b"", complete=False)
+    return found._replace(complete=found.complete and len(found.data) == size)

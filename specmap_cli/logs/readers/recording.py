@@ -1,24 +1,19 @@
-"""What every file format offers: its contents, and its messages one at a time.
-
-A recording is one file. `Log` joins the files of one or several recordings in time. Messages carry
-ROS 2 CDR whatever the file held, and damage is written down, never raised, while anything can
-still be read.
-"""
+"""The protocol of a reader: what every format gives, and its messages one at a time."""
 
 from __future__ import annotations
 
-import heapq
 from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 from specmap_cli.core.errors import LogError
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.text import counted, legible
 
-MAX_DAMAGE_LINES = 20  # a file, then one that says there is more
+MAX_DAMAGE_LINES = 20  # a file, as many as a person reads; one more line sums the others up
 
 
 class Message(NamedTuple):
@@ -54,15 +49,87 @@ class Contents:
 
 
 class Recording(ABC):
-    """One file, read in pieces of bounded size."""
+    '''A reader: one file of one format, read in pieces of bounded size.
+
+    A class for a format derives from this one and gives all of the following.
+
+    - `format`: the name of the format, as people know it.
+    - `magic`: the first bytes of such a file. A format without any has its own `sniff(head, file)`,
+      which says from the first bytes, and from the file where they are not enough, whether the
+      class can read it. It must be quick and must not raise for a file of another format.
+    - The constructor takes `file`, where the bytes lie, `path`, what the user calls it, and
+      `config`, the settings, whose bounds it keeps. The paths differ for a compressed recording,
+      which is unpacked into a temporary file: read `file`, and name `path` in messages. Raise
+      LogError, starting with `path`, when nothing can be read.
+    - `contents`: the topics with their counts, the first and the last log time. `survey` counts
+      them in a file that has no index.
+    - `messages(topics)`: an iterator over the messages on these topics, ROS 2 CDR whatever the file
+      holds. `logs.readers.encoding` makes CDR of plain values. It may be asked for several times,
+      also at once. It holds one piece of the file in memory, never all messages.
+    - Damage is never raised while anything can still be read: `report` notes what was lost, with
+      the number of messages by topic where that is known.
+    - `close` releases what the constructor opened.
+
+    A package adds its reader by an entry point in its pyproject.toml::
+
+        [project.entry-points."specmap.readers"]
+        range_lines = "range_lines:RangeLines"
+
+    A whole reader, of lines with a stamp in nanoseconds and ranges in metres::
+
+        from specmap_cli.logs.readers import Message, Recording, survey
+        from specmap_cli.logs.readers.encoding import scan_cdr
+
+        SCAN = "sensor_msgs/msg/LaserScan"
+
+        class RangeLines(Recording):
+            """One scan a line, a degree between its beams."""
+
+            format = "range lines"
+            magic = b"RANGES 1\\n"
+
+            @property
+            def contents(self):
+                return survey((m.topic, m.type, m.time_ns) for m in self.messages())
+
+            def messages(self, topics=None):
+                if topics is not None and "/scan" not in topics:
+                    return
+                with self.file.open("rb") as lines:
+                    for number, line in enumerate(lines, start=1):
+                        if number == 1:
+                            continue
+                        try:
+                            stamp, *words = line.split()
+                            stamp_ns, ranges = int(stamp), [float(word) for word in words]
+                        except ValueError:
+                            what = f"line {number} is damaged: one scan is lost"
+                            self.report(what, {"/scan": 1})
+                            continue
+                        data = scan_cdr("laser", stamp_ns, 0.0, 0.01745, ranges, range_max=30.0)
+                        yield Message("/scan", SCAN, stamp_ns, data)
+
+            def close(self):
+                """The file is closed after each reading."""
+    '''
 
     format: ClassVar[str]
+    magic: ClassVar[bytes] = b""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.damage: list[str] = []
+    def __init__(
+        self, file: Path, path: Path | None = None, config: LogConfig | None = None
+    ) -> None:
+        self.file = file
+        self.path = path if path is not None else file
+        self.config = config if config is not None else LogConfig()
+        self._damage: dict[str, Counter[str]] = {}
 
-    @cached_property
+    @classmethod
+    def sniff(cls, head: bytes, file: Path) -> bool:  # noqa: ARG003 (for formats without magic)
+        """Whether this class reads `file`, whose first 4,096 bytes, or fewer, are `head`."""
+        return bool(cls.magic) and head.startswith(cls.magic)
+
+    @property
     @abstractmethod
     def contents(self) -> Contents:
         """The topics and times: from the file's own index, otherwise by reading it once."""
@@ -75,132 +142,66 @@ class Recording(ABC):
     def close(self) -> None:
         """Release the file."""
 
-    def report(self, damage: str) -> None:
-        """Note what was lost, once however often the file is read."""
-        line = f"{self.path}: {damage}"
-        if len(self.damage) == MAX_DAMAGE_LINES:
-            line = f"{self.path}: there is more damage than is listed here"
-        if line not in self.damage and len(self.damage) <= MAX_DAMAGE_LINES:
-            self.damage.append(line)
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """One line for each loss met so far: file, byte or message, time, what was lost.
 
-
-class Log:
-    """Recordings joined in time: what `open_log` returns. Use it in a `with` block.
-
-    `given` are the paths the user named, files or directories.
-    """
-
-    def __init__(self, recordings: Sequence[Recording], given: Sequence[Path]) -> None:
-        self.given = list(given)
-        self._recordings = sorted(recordings, key=lambda r: (r.contents.start_ns, str(r.path)))
+        From a number of lines on, one more line sums the others up.
+        """
+        lines = tuple(f"{legible(str(self.path))}: {line}" for line in self._damage)
+        more = len(lines) - MAX_DAMAGE_LINES
+        if more <= 0:
+            return lines
+        total = f"; in all, {lost_text(self.missing)} are lost" if self.missing else ""
+        summed = f"{legible(str(self.path))}: damaged at {counted(more, 'more place')}{total}"
+        return (*lines[:MAX_DAMAGE_LINES], summed)
 
     @property
-    def paths(self) -> list[Path]:
-        """The files, earliest first."""
-        return [recording.path for recording in self._recordings]
+    def missing(self) -> Counter[str]:
+        """How many messages of each topic are known to be lost so far."""
+        return sum(self._damage.values(), Counter())
 
-    @property
-    def name(self) -> str:
-        """What to call the log in messages."""
-        more = len(self.given) - 1
-        return f"{self.given[0]}" + (f" and {more} more" if more else "")
+    def report(self, damage: str, lost: Mapping[str, int] | None = None) -> None:
+        """Note what was lost, once however often the file is read.
 
-    @property
-    def format(self) -> str:
-        """The name of the format; several are joined by ` + `."""
-        return " + ".join(sorted({recording.format for recording in self._recordings}))
-
-    @property
-    def damage(self) -> list[str]:
-        """One line for each loss met so far: file, byte or message, time."""
-        return [line for recording in self._recordings for line in recording.damage]
-
-    @cached_property
-    def contents(self) -> Contents:
-        """Topics and times of all files together; a topic has one type throughout."""
-        parts = [r.contents for r in self._recordings if r.contents.messages]
-        counts: dict[tuple[str, str], int] = {}
-        for topic in (topic for r in self._recordings for topic in r.contents.topics):
-            key = (topic.name, topic.type)
-            counts[key] = counts.get(key, 0) + topic.count
-        return Contents(
-            topics=tuple(TopicInfo(*key, counts[key]) for key in sorted(counts)),
-            start_ns=min((part.start_ns for part in parts), default=0),
-            end_ns=max((part.end_ns for part in parts), default=0),
-        )
-
-    def topics(self) -> list[TopicInfo]:
-        """The topics by name."""
-        return list(self.contents.topics)
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """The messages on `topics` (None: all), one in memory at a time, in log time."""
-        return merge_in_time(
-            [(r.contents.start_ns, _opener(r, topics)) for r in self._recordings],
-        )
-
-    def close(self) -> None:
-        """Release the files."""
-        for recording in self._recordings:
-            recording.close()
-
-    def __enter__(self) -> Log:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        `lost` are the numbers of messages by topic, where they are known.
+        """
+        self._damage.setdefault(legible(damage), Counter(lost or {}))
 
 
-def _opener(
-    recording: Recording, topics: Collection[str] | None
-) -> Callable[[], Iterator[Message]]:
-    return lambda: recording.messages(topics)
-
-
-def merge_in_time(
-    sources: Iterable[tuple[int, Callable[[], Iterator[Message]]]],
-) -> Iterator[Message]:
-    """Join iterators of messages by log time, opening each only when its start has come.
-
-    `sources` are (start_ns, function that opens the iterator). Only those whose spans overlap are
-    open together. An iterator that runs backwards in time keeps its own order.
-    """
-    waiting = deque(sorted(sources, key=lambda source: source[0]))
-    heap: list[tuple[int, int, Message, Iterator[Message]]] = []
-    opened = 0
-    while waiting or heap:
-        while waiting and (not heap or waiting[0][0] <= heap[0][0]):
-            messages = waiting.popleft()[1]()
-            first = next(messages, None)
-            if first is not None:
-                heapq.heappush(heap, (first.time_ns, opened, first, messages))
-                opened += 1
-        if not heap:
-            continue
-        _, number, message, messages = heap[0]
-        yield message
-        following = next(messages, None)
-        if following is None:
-            heapq.heappop(heap)
-        else:
-            heapq.heapreplace(heap, (following.time_ns, number, following, messages))
+def lost_text(lost: Mapping[str, int], of: Mapping[str, int] | None = None) -> str:
+    """`3 messages on /scan and 2 on /odom`; with `of`, `3 of 5 messages on /scan`."""
+    parts: list[str] = []
+    for topic in sorted(lost):
+        number, whole = lost[topic], (of or {}).get(topic)
+        noun = "" if parts else " message" + ("s" if (whole or number) != 1 else "")
+        share = f" of {whole:,}" if whole is not None else ""
+        parts.append(f"{number:,}{share}{noun} on {topic}")
+    return " and ".join(", ".join(parts).rsplit(", ", 1))
 
 
 def survey(entries: Iterable[tuple[str, str, int]]) -> Contents:
     """The contents of a file without an index from (topic, type, time) of all its messages."""
-    counts: dict[tuple[str, str], int] = {}
+    counts: Counter[tuple[str, str]] = Counter()
     start = end = None
     for topic, type_name, time_ns in entries:
-        key = (topic, type_name)
-        counts[key] = counts.get(key, 0) + 1
+        counts[topic, type_name] += 1
         start = time_ns if start is None else min(start, time_ns)
         end = time_ns if end is None else max(end, time_ns)
+    return contents_of(((*key, count) for key, count in counts.items()), start or 0, end or 0)
+
+
+def contents_of(counted: Iterable[tuple[str, str, int]], start_ns: int, end_ns: int) -> Contents:
+    """The contents from (topic, type, count); counts of one topic and type are added up."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for topic, type_name, count in counted:
+        counts[topic, type_name] += count
     topics = tuple(TopicInfo(*key, counts[key]) for key in sorted(counts))
-    return Contents(topics, start or 0, end or 0)
+    return Contents(topics, start_ns, end_ns)
 
 
-def seconds(time_ns: int) -> str:
-    """A time for messages to the user."""
+def time_text(time_ns: int) -> str:
+    """A log time for messages to the user."""
     return f"{time_ns / 1e9:.3f} s"
 
 

@@ -8,56 +8,64 @@ chunks are.
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Iterator
-from operator import attrgetter
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 from specmap_cli.core.errors import LogError
-from specmap_cli.logs.readers.chunked import Channel, ChunkedFile, ChunkRef, Entry, Index
-from specmap_cli.logs.readers.compression import decompress
-from specmap_cli.logs.readers.recording import Contents, TopicInfo
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.readers.chunked import ChunkedFile, Index
+from specmap_cli.logs.readers.chunks import (
+    MAX_SPOTS,
+    NOTHING_LISTED,
+    Channel,
+    ChunkRef,
+    Entry,
+    Listing,
+    OpenedChunk,
+    Spot,
+)
+from specmap_cli.logs.readers.compression import Unpacked, decompress
+from specmap_cli.logs.readers.rosbag1_records import (
+    BAG_HEADER,
+    CHUNK,
+    CHUNK_INFO,
+    CONNECTION,
+    INDEX,
+    INDEX_ENTRY,
+    MESSAGE,
+    U32,
+    U32_PAIR,
+    U64,
+    BadRecordError,
+    Fields,
+    Record,
+    connection_of,
+    parse_fields,
+    parse_record,
+    time_of,
+)
 from specmap_cli.logs.readers.typestore import NS_PER_S, normalized_type
 
 MAGIC = b"#ROSBAG V"
-MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
-_OPCODES = frozenset(bytes([opcode]) for opcode in range(2, 8))
-_MAX_HEADER_BYTES = 1 << 20
-_RECORDS_CHECKED = 20_000
-_INDEX_ENTRY_BYTES = 12
-_U32, _U64, _U32_PAIR = struct.Struct("<I"), struct.Struct("<Q"), struct.Struct("<II")
-
-Fields = dict[bytes, bytes]
-
-
-class _Record(NamedTuple):
-    """A record's place: its fields, where its data starts and how long it is."""
-
-    fields: Fields
-    start: int
-    length: int
-
-    @property
-    def opcode(self) -> int:
-        return self.fields[b"op"][0]
-
-    @property
-    def end(self) -> int:
-        return self.start + self.length
-
-
-class BadRecordError(ValueError):
-    """Bytes that are no record."""
+_MAX_HEADER_BYTES = 1 << 20  # headers have some hundred bytes: a longer one is damaged
+_RECORDS_CHECKED = 20_000  # about a second of reading, for an explanation that nothing needs
+_BAD_RECORD = (BadRecordError, KeyError, struct.error)
 
 
 class Rosbag1File(ChunkedFile):
     """One ROS 1 bag."""
 
     format = "ROS 1 bag"
+    magic = MAGIC
 
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self, file: Path, path: Path | None = None, config: LogConfig | None = None
+    ) -> None:
         self._first = 0
-        super().__init__(path)
+        super().__init__(file, path, config)
 
     def _read_index(self) -> Index | None:
         line = self.read_at(0, 32).split(b"\n")[0]
@@ -70,40 +78,52 @@ class Rosbag1File(ChunkedFile):
             header = self._record(self._first)
             if header.opcode != BAG_HEADER:
                 return None
-            position = _U64.unpack(header.fields[b"index_pos"])[0]
-            chunks = _U32.unpack(header.fields[b"chunk_count"])[0]
-            return self._index_at(position, chunks) if position else None
-        except (BadRecordError, KeyError, struct.error):
+            position = U64.unpack(header.fields[b"index_pos"])[0]
+            return self._index_at(position, header.fields) if position else None
+        except _BAD_RECORD:
             return None
 
-    def _index_at(self, position: int, expected: int) -> Index | None:
-        """The index that starts at `position`, None when chunks of the file are missing in it."""
-        counts: dict[int, int] = {}
+    def _index_at(self, position: int, header: Fields) -> Index | None:
+        """The index that starts at `position`, None when it is not what the bag header says."""
+        counts: Counter[int] = Counter()
         refs: list[ChunkRef] = []
-        found = 0
+        connections: set[int] = set()
         while position < self.size:
             record = self._record(position)
             data = self.read_at(record.start, record.length)
             if record.opcode == CONNECTION:
                 self._connect(record.fields, data)
+                connections.add(connection_of(record.fields))
             elif record.opcode == CHUNK_INFO:
-                found += 1
-                ref, contained = _chunk_info(record.fields, data)
-                if self._is_chunk(ref):
-                    refs.append(ref)
-                    for connection, count in contained.items():
-                        counts[connection] = counts.get(connection, 0) + count
+                refs.append(_chunk_ref(record.fields, data))
             position = record.end
-        if found != expected or not set(counts) <= set(self.channels) or not refs:
+        expected = [len({ref.offset for ref in refs}), len(connections)]
+        if expected != [U32.unpack(header[key])[0] for key in (b"chunk_count", b"conn_count")]:
             return None
-        index = Index(self._contents_of(counts, refs), tuple(refs))
-        broken = self._broken_record(sorted(ref.offset for ref in refs))
+        sound = list(self._sound_chunks(refs))
+        for ref in sound:
+            counts.update(ref.counts)
+        if not set(counts) <= connections or not sound:
+            return None
+        start, end = min(ref.start_ns for ref in sound), max(ref.end_ns for ref in sound)
+        index = Index(self.contents_of(counts, start, end), tuple(sound), checked=False)
+        broken = self._broken_record(sorted(ref.offset for ref in sound))
         if broken is not None:
             self.report(
                 f"the record at byte {broken} is damaged and was passed over: "
                 f"all {index.contents.messages} messages of the file's list of chunks are there"
             )
         return index
+
+    def _sound_chunks(self, refs: list[ChunkRef]) -> Iterator[ChunkRef]:
+        """The chunks that start where the index says, with their lengths; others are reported."""
+        for ref in refs:
+            record = self._record_or_none(ref.offset)
+            if record is None or record.opcode != CHUNK or record.end > self.size:
+                self.tell_unreachable(ref)
+            else:
+                size = U32.unpack(record.fields.get(b"size", bytes(4)))[0]
+                yield replace(ref, length=record.end - ref.offset, size=size)
 
     def _broken_record(self, chunks: list[int]) -> int | None:
         """Offset of a record that does not lead to the next chunk, None when all is well.
@@ -122,34 +142,44 @@ class Rosbag1File(ChunkedFile):
                 return before
         return None
 
-    def _is_chunk(self, ref: ChunkRef) -> bool:
-        """Whether a chunk record starts where the index says; if not, it is reported."""
-        try:
-            record = self._record(ref.offset)
-            sound = record.opcode == CHUNK and record.end <= self.size
-        except BadRecordError:
-            sound = False
-        if not sound:
-            self.report_chunk(ref)
-        return sound
-
-    def _contents_of(self, counts: dict[int, int], refs: list[ChunkRef]) -> Contents:
-        topics: dict[tuple[str, str], int] = {}
-        for number, channel in self.channels.items():
-            key = (channel.topic, channel.type)
-            topics[key] = topics.get(key, 0) + counts.get(number, 0)
-        return Contents(
-            tuple(TopicInfo(*key, topics[key]) for key in sorted(topics)),
-            min(ref.start_ns for ref in refs),
-            max(ref.end_ns for ref in refs),
-        )
-
-    def _chunk(self, ref: ChunkRef) -> Iterator[Entry]:
+    def _open_chunk(self, ref: ChunkRef) -> OpenedChunk:
+        """The records inside a chunk."""
         record = self._record(ref.offset)
-        data, complete = self._opened(record)
-        if not complete:
-            self.report_chunk(ref)
-        yield from sorted(self._entries(data), key=attrgetter("time_ns"))
+        if record.length > self.chunk_max:
+            return OpenedChunk(Unpacked(b"", complete=False, beyond=True))
+        data = self.read_at(record.start, record.length)
+        compression = record.fields.get(b"compression", b"").decode("ascii", errors="replace")
+        size = int.from_bytes(record.fields.get(b"size", b""), "little")
+        found = decompress(data, compression, self.chunk_max, size)
+        complete = found.complete and len(found.data) == size and len(data) == record.length
+        return OpenedChunk(found._replace(complete=complete), record.sound)
+
+    def _listing(self, ref: ChunkRef) -> Listing:
+        counts: Counter[int] = Counter()
+        places: list[tuple[int, int]] = []  # of the entries: offset and length
+        position = ref.offset + ref.length
+        while (record := self._record_or_none(position)) is not None:
+            fields = record.fields
+            if record.opcode != INDEX or not record.sound or len(fields[b"count"]) != 4:
+                break
+            count = U32.unpack(fields[b"count"])[0]
+            if count * INDEX_ENTRY.size != record.length or len(fields[b"conn"]) != 4:
+                return NOTHING_LISTED
+            counts[connection_of(fields)] += count
+            places.append((record.start, record.length))
+            position = record.end
+        return Listing(counts, partial(self._listed_entries, places))
+
+    def _listed_entries(self, places: list[tuple[int, int]]) -> list[tuple[int, int]]:
+        entries: list[tuple[int, int]] = []
+        for offset, length in places:
+            data = self.read_at(offset, length)
+            whole = data[: len(data) // INDEX_ENTRY.size * INDEX_ENTRY.size]
+            entries += [
+                (seconds * NS_PER_S + nanoseconds, start)
+                for seconds, nanoseconds, start in INDEX_ENTRY.iter_unpack(whole)
+            ]
+        return sorted(entries)
 
     def _walk(self) -> Iterator[Entry]:
         offset, last = self._first, 0
@@ -166,121 +196,88 @@ class Rosbag1File(ChunkedFile):
                 return
             offset = self._following(offset, record)
 
-    def _held(self, offset: int, record: _Record) -> Iterator[Entry]:
+    def _held(self, offset: int, record: Record) -> Iterator[Entry]:
         """The messages in a record met on the walk, or in its readable part."""
         if record.opcode == CHUNK:
-            data, complete = self._opened(record)
-            yield from self._entries(data)
-            if not complete and record.end <= self.size:
-                self.report(f"chunk at byte {offset} is damaged: some of its messages are lost")
-        elif record.opcode in (MESSAGE, CONNECTION) and record.end <= self.size:
-            yield from self._entries(self.read_at(offset, record.end - offset))
+            yield from self.read_chunk(ChunkRef(offset=offset, length=record.end - offset))
+            return
+        whole = record.sound and record.end <= self.size
+        if record.opcode in (MESSAGE, CONNECTION) and whole:
+            data = self.read_at(offset, min(record.end - offset, self.chunk_max))
+            spots, whole = self._spots(data, NOTHING_LISTED)
+            for time_ns, number, start, end in spots:
+                yield Entry(time_ns, number, data[start:end])
+        if not whole and record.end <= self.size:  # of a cut the walk tells
+            self.report(f"record at byte {offset} is damaged: what it holds is lost")
 
-    def _following(self, offset: int, record: _Record) -> int:
+    def _following(self, offset: int, record: Record) -> int:
         """Where the next record starts: some writers give their index records a wrong length."""
         end = record.end
         count = record.fields.get(b"count", b"")
         if record.opcode != INDEX or len(count) != 4 or self._record_or_none(end) is not None:
             return end
-        counted = record.start + _INDEX_ENTRY_BYTES * _U32.unpack(count)[0]
+        counted = record.start + INDEX_ENTRY.size * U32.unpack(count)[0]
         if counted == end or self._record_or_none(counted) is None:
             return end
         self.report(f"the record at byte {offset} is damaged and was passed over")
         return int(counted)
 
-    def _record_or_none(self, offset: int) -> _Record | None:
+    def _record_or_none(self, offset: int) -> Record | None:
         try:
             return self._record(offset)
         except BadRecordError:
             return None
 
-    def _record(self, offset: int) -> _Record:
+    def _record(self, offset: int) -> Record:
         """The record at `offset`; raises BadRecordError where there is none."""
         length = self.read_at(offset, 4)
-        if len(length) < 4 or not 0 < _U32.unpack(length)[0] <= _MAX_HEADER_BYTES:
+        if len(length) < 4 or not 0 < U32.unpack(length)[0] <= _MAX_HEADER_BYTES:
             raise BadRecordError(offset)
-        head = length + self.read_at(offset + 4, _U32.unpack(length)[0] + 4)
-        record = _parse(head, 0)
+        head = length + self.read_at(offset + 4, U32.unpack(length)[0] + 4)
+        record = parse_record(head, 0)
         return record._replace(start=offset + record.start)
 
-    def _opened(self, record: _Record) -> tuple[bytes, bool]:
-        """The records inside a chunk and whether they are all there."""
-        data = self.read_at(record.start, record.length)
-        compression = record.fields.get(b"compression", b"").decode("ascii", errors="replace")
-        records, complete = decompress(data, compression)
-        return records, complete and len(data) == record.length
-
-    def _entries(self, data: bytes) -> Iterator[Entry]:
-        """The messages among the records in `data`, up to the first that is not whole."""
-        position = 0
-        while position < len(data):
+    def _spots(self, records: bytes, listing: Listing) -> tuple[list[Spot], bool]:
+        spots: list[Spot] = []
+        position: int | None = 0
+        whole, known = True, self.channels
+        while position is not None and position < len(records) and len(spots) < MAX_SPOTS:
             try:
-                fields, start, length = record = _parse(data, position)
-                opcode = record.opcode
-                position = start + length
-                if position > len(data):
-                    return
-                if opcode == CONNECTION:
-                    self._connect(fields, data[start:position])
-                elif opcode == MESSAGE:
-                    connection = _U32.unpack(fields[b"conn"])[0]
-                    if connection in self.channels:
-                        yield Entry(_time(fields[b"time"]), connection, data[start:position])
-            except (BadRecordError, KeyError, struct.error):
-                return
+                fields, start, length = record = parse_record(records, position)
+                end = start + length
+                if end > len(records):
+                    raise BadRecordError(position)
+                number = connection_of(fields)
+                if record.opcode == CONNECTION:
+                    self._connect(fields, records[start:end])
+                elif record.opcode == MESSAGE and number in known:
+                    spots.append((time_of(fields[b"time"]), number, start, end))
+                else:
+                    whole = False
+                position = end
+            except _BAD_RECORD:
+                whole = False
+                position = listing.next_start(position)
+        return spots, whole and position == len(records)
 
     def _connect(self, fields: Fields, data: bytes) -> None:
         """Take in a connection record."""
-        described = _fields(data, 0, len(data))
+        described = parse_fields(data, 0, len(data))
         topic = fields[b"topic"].decode("utf-8", errors="replace")
         name = described[b"type"].decode("utf-8", errors="replace")
-        number = _U32.unpack(fields[b"conn"])[0]
-        self.channels[number] = Channel(topic, normalized_type(name), ros1=True)
+        self.define(connection_of(fields), Channel(topic, normalized_type(name), ros1=True))
 
 
-def _parse(data: bytes, position: int) -> _Record:
-    """The record at `position` of `data`, whose own data may reach beyond the end."""
-    try:
-        header = _U32.unpack_from(data, position)[0]
-        start = position + 4 + header
-        length = _U32.unpack_from(data, start)[0]
-    except struct.error:
-        raise BadRecordError(position) from None
-    fields = _fields(data, position + 4, start)
-    if fields.get(b"op", b"")[:1] not in _OPCODES:
-        raise BadRecordError(position)
-    return _Record(fields, start + 4, length)
-
-
-def _fields(data: bytes, position: int, end: int) -> Fields:
-    """The fields `name=value` of a header."""
-    fields: Fields = {}
-    while position + 4 <= end:
-        length = _U32.unpack_from(data, position)[0]
-        position += 4
-        if position + length > end:
-            raise BadRecordError(position)
-        name, separator, value = data[position : position + length].partition(b"=")
-        if not separator:
-            raise BadRecordError(position)
-        fields[name] = value
-        position += length
-    return fields
-
-
-def _time(value: bytes) -> int:
-    seconds_, nanoseconds = _U32_PAIR.unpack(value)
-    return int(seconds_) * NS_PER_S + int(nanoseconds)
-
-
-def _chunk_info(fields: Fields, data: bytes) -> tuple[ChunkRef, dict[int, int]]:
-    """Where a chunk is, and how many messages of each connection it holds."""
-    counts = dict(_U32_PAIR.iter_unpack(data[: 8 * _U32.unpack(fields[b"count"])[0]]))
-    ref = ChunkRef(
-        _time(fields[b"start_time"]),
-        _time(fields[b"end_time"]),
-        _U64.unpack(fields[b"chunk_pos"])[0],
-        0,
-        frozenset(counts),
+def _chunk_ref(fields: Fields, data: bytes) -> ChunkRef:
+    """What the index says of a chunk; raises BadRecordError when it does not fit together."""
+    pairs = list(U32_PAIR.iter_unpack(data[: len(data) // U32_PAIR.size * U32_PAIR.size]))
+    counts = dict(pairs)
+    if len(counts) != U32.unpack(fields[b"count"])[0] or len(counts) * U32_PAIR.size != len(data):
+        raise BadRecordError(0)
+    return ChunkRef(
+        start_ns=time_of(fields[b"start_time"]),
+        end_ns=time_of(fields[b"end_time"]),
+        offset=U64.unpack(fields[b"chunk_pos"])[0],
+        channels=frozenset(counts),
+        counts=counts,
     )
-    return ref, counts

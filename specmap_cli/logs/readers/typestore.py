@@ -7,9 +7,11 @@ which is why recordings without message definitions can be read with the same co
 
 from __future__ import annotations
 
+import struct
 from functools import cache
 from typing import Any
 
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -21,6 +23,9 @@ TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 
 SCAN_TYPES = frozenset({LASER_SCAN, MULTI_ECHO, POINT_CLOUD})
 SUPPORTED_TYPES = SCAN_TYPES | {ODOMETRY, TF_MESSAGE}
+
+# What the codec raises for bytes that are no message of a type.
+UNFIT = (SerdeError, KeyError, IndexError, ValueError, TypeError, MemoryError, struct.error)
 
 NS_PER_S = 1_000_000_000
 

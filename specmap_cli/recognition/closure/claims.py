@@ -1,58 +1,74 @@
 """Claims between submaps, eq. 4 and 5 of the paper, and the ranking of candidates by them.
 
-What grows is kept small: a submap's classifier is trained again only when the map has grown, the
-new submap's classifier is trained once for each of a few groups of old submaps and applied to the
-group that was left out, and negatives are capped and evenly spread.
+What grows is kept small. A submap's classifier is trained again only when the map has grown. The
+new submap's classifier is trained once for each of a few groups of old submaps, and applied to the
+group that was left out. Negatives are capped and evenly spread.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.config import RecognitionConfig
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.sampling import evenly
-from specmap_cli.recognition.features.sets import FEATURE_SETS
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import Booster, StumpBoost
 from specmap_cli.recognition.learning.trees import CodeArray, Quantiser, TreeBoost
 
 IndexArray = NDArray[np.intp]
 
-_QUANTISED_FROM = 4000
+_OWN_SAMPLES = 2  # times samples_per_submap: of all stays of the submap that is trained
+_QUANTISED_FROM = 4000  # scans that the bins are cut from: enough for quantiles of 32 bins
+_QUANTISED_GROWTH = 2  # the bins are cut anew once there are this many times the stays
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Claims:
     """How two submaps claim each other's scans: fractions of eq. 4, xi of eq. 5.
 
     `rank` orders candidates: the product of the mean chances instead of the fractions claimed, and
-    `by_member` (k,) the second factor for every visit of the old submap.
+    `by_stay` (k,) the second factor for every stay of the old submap.
     """
 
     new_by_old: float
     old_by_new: float
     rank: float
-    by_member: FloatArray
+    by_stay: FloatArray
 
     @property
     def xi(self) -> float:
         """The similarity of eq. 5."""
         return self.new_by_old * self.old_by_new  # eq. 5
 
+    @classmethod
+    def alike(cls, share: float, stays: int) -> Claims:
+        """Both submaps claim `share` of the other's scans, those of each of its stays."""
+        return cls(new_by_old=share, old_by_new=share, rank=share, by_stay=np.full(stays, share))
 
-@dataclass(slots=True)
+
+@dataclass(frozen=True, slots=True)
 class _Scans:
-    """One visit's features (n, F), and their bins (F, n) once they are cut."""
+    """One stay's features (n, F), and their bins (F, n) once they are cut."""
 
     features: FloatArray
     codes: CodeArray | None = None
 
     def __len__(self) -> int:
         return len(self.features)
+
+
+@dataclass(frozen=True, slots=True)
+class _Trained:
+    """An old submap's classifier, with the submaps there were and the scans of its own it saw."""
+
+    booster: Booster
+    among: int
+    scans: int
 
 
 class ClaimRanker:
@@ -62,7 +78,7 @@ class ClaimRanker:
         self.config = config
         self.rng = rng
         self._submaps: dict[int, list[_Scans]] = {}
-        self._classifiers: dict[int, tuple[int, int, Booster]] = {}
+        self._classifiers: dict[int, _Trained] = {}
         self._quantiser: Quantiser | None = None
         self._quantised_at = 0
 
@@ -71,7 +87,7 @@ class ClaimRanker:
         self._submaps[submap] = [_Scans(features)]
 
     def merge(self, kept: int, gone: int) -> None:
-        """The visits of submap `gone` become visits of `kept`."""
+        """The stays of submap `gone` become stays of `kept`."""
         self._submaps[kept].extend(self._submaps.pop(gone))
         self._classifiers.pop(gone, None)
 
@@ -83,9 +99,8 @@ class ClaimRanker:
         """
         ids = sorted(self._submaps)
         if len(ids) < 2:
-            return {i: Claims(1.0, 1.0, 1.0, np.ones(len(self._submaps[i]))) for i in ids}
-        new = _Scans(features)
-        self._quantise(new)
+            return {i: Claims.alike(1.0, len(self._submaps[i])) for i in ids}
+        new = self._quantised(_Scans(features))
         groups = self.config.groups or len(ids)
         found: dict[int, Claims] = {}
         for group in range(min(groups, len(ids))):
@@ -93,81 +108,91 @@ class ClaimRanker:
             rest = [i for i in ids if i not in inside]
             c_new = self._train([new], rest)
             for i in inside:
-                found[i] = self._claim(c_new, self._classifier(i, ids), new, self._submaps[i])
+                c_old = self._classifier(i, ids)
+                found[i] = _claims(c_new, c_old, new, self._submaps[i])
         return found
-
-    def _claim(
-        self, c_new: Booster, c_old: Booster, new: _Scans, visits: Sequence[_Scans]
-    ) -> Claims:
-        of_new = c_old.margins(new.features)
-        of_visits = [c_new.margins(visit.features) for visit in visits]
-        of_old = np.concatenate(of_visits)
-        by_member = np.array([_chance(margins) for margins in of_visits])
-        return Claims(
-            float((of_new > 0.0).mean()),  # eq. 4
-            float((of_old > 0.0).mean()),  # eq. 4
-            _chance(of_new) * float(by_member.max()),
-            by_member,
-        )
 
     def _classifier(self, submap: int, ids: Sequence[int]) -> Booster:
         """The old submap's classifier, trained again when the map or the submap has grown."""
-        own = sum(len(visit) for visit in self._submaps[submap])
-        cached = self._classifiers.get(submap)
+        own = sum(len(scans) for scans in self._submaps[submap])
+        before = self._classifiers.get(submap)
         growth = 1.0 + self.config.refresh_growth
-        if cached is not None and growth > 1.0:
-            trained_among, trained_on, booster = cached
-            if len(ids) < trained_among * growth and own < trained_on * growth:
-                return booster
+        # without growth allowed, nothing is kept: these are never less than themselves
+        if before is not None and len(ids) < before.among * growth and own < before.scans * growth:
+            return before.booster
         booster = self._train(self._submaps[submap], [i for i in ids if i != submap])
-        self._classifiers[submap] = (len(ids), own, booster)
+        self._classifiers[submap] = _Trained(booster, len(ids), own)
         return booster
 
     def _train(self, own: Sequence[_Scans], others: Sequence[int]) -> Booster:
-        """One submap's visits against other submaps, whose scans are thinned evenly to the cap."""
+        """One submap's stays against other submaps, whose scans are thinned evenly to the cap."""
         config = self.config
-        positive = _thinned(own, 2 * config.samples_per_submap)
-        visits = [visit for i in others for visit in self._submaps[i]]
-        negative = _thinned(visits, config.closure_negatives)
+        positive = _thinned(own, _OWN_SAMPLES * config.samples_per_submap)
+        stays = [scans for i in others for scans in self._submaps[i]]
+        negative = _thinned(stays, config.closure_negatives)
         y = np.repeat([1.0, -1.0], [sum(len(r) for _, r in part) for part in (positive, negative)])
         chosen = [*positive, *negative]
-        names = FEATURE_SETS[config.feature_set]
+        names = feature_names(config.feature_set)
         if config.booster == "stumps":
-            X = np.vstack([visit.features[rows] for visit, rows in chosen])
+            X = np.vstack([scans.features[rows] for scans, rows in chosen])
             return StumpBoost(names, config.closure_rounds).fit(X, y)
         assert self._quantiser is not None
-        codes = [v.codes[:, rows] for v, rows in chosen if v.codes is not None]
+        codes = [scans.codes[:, rows] for scans, rows in chosen if scans.codes is not None]
         seed = int(self.rng.integers(2**31))
         booster = TreeBoost(
             names, config.closure_rounds, config.closure_shrinkage, config.feature_share, seed
         )
         return booster.fit_codes(np.concatenate(codes, axis=1), self._quantiser, y)
 
-    def _quantise(self, new: _Scans) -> None:
-        """Cut the features of what is new; of everything, and anew, once the map has doubled."""
+    def _quantised(self, new: _Scans) -> _Scans:
+        """The new scans cut into bins, after all old ones have theirs; stumps need none.
+
+        The bins are cut anew, for all scans, once the map has doubled.
+        """
         if self.config.booster == "stumps":
-            return
-        visits = [visit for i in sorted(self._submaps) for visit in self._submaps[i]]
-        if self._quantiser is None or len(visits) >= 2 * self._quantised_at:
-            most = max(1, _QUANTISED_FROM // (len(visits) + 1))
-            sampled = [evenly(visit.features, most) for visit in (*visits, new)]
+            return new
+        stays = [scans for i in sorted(self._submaps) for scans in self._submaps[i]]
+        anew = self._quantiser is None or len(stays) >= _QUANTISED_GROWTH * self._quantised_at
+        if self._quantiser is None or anew:
+            most = max(1, _QUANTISED_FROM // (len(stays) + 1))
+            sampled = [evenly(scans.features, most) for scans in (*stays, new)]
             self._quantiser = Quantiser.of(np.vstack(sampled))
-            self._quantised_at = len(visits)
-            for visit in visits:
-                visit.codes = None
-        for visit in (*visits, new):
-            if visit.codes is None:
-                visit.codes = self._quantiser.codes(visit.features)
+            self._quantised_at = len(stays)
+        quantiser = self._quantiser
+        for i, own in self._submaps.items():
+            self._submaps[i] = [_cut(scans, quantiser, anew) for scans in own]
+        return _cut(new, quantiser, anew)
 
 
-def _thinned(visits: Sequence[_Scans], most: int) -> list[tuple[_Scans, IndexArray]]:
-    """At most `most` scans, evenly spread over the visits: each visit with its rows."""
-    starts = np.concatenate([[0], np.cumsum([len(visit) for visit in visits])]).astype(np.intp)
+def _cut(scans: _Scans, quantiser: Quantiser, anew: bool) -> _Scans:
+    """The scans with their bins; those that have some keep them unless cut anew."""
+    if scans.codes is not None and not anew:
+        return scans
+    return replace(scans, codes=quantiser.codes(scans.features))
+
+
+def _claims(c_new: Booster, c_old: Booster, new: _Scans, stays: Sequence[_Scans]) -> Claims:
+    """The claims between a new submap and the stays of an old one by their two classifiers."""
+    of_new = c_old.margins(new.features)
+    of_stays = [c_new.margins(scans.features) for scans in stays]
+    of_old = np.concatenate(of_stays)
+    by_stay = np.array([_chance(margins) for margins in of_stays])
+    return Claims(
+        new_by_old=float((of_new > 0.0).mean()),  # eq. 4
+        old_by_new=float((of_old > 0.0).mean()),  # eq. 4
+        rank=_chance(of_new) * float(by_stay.max()),
+        by_stay=by_stay,
+    )
+
+
+def _thinned(stays: Sequence[_Scans], most: int) -> list[tuple[_Scans, IndexArray]]:
+    """At most `most` scans, evenly spread over the stays: each stay with its rows."""
+    starts = np.concatenate([[0], np.cumsum([len(scans) for scans in stays])]).astype(np.intp)
     chosen = evenly(np.arange(int(starts[-1])), most)
     bounds = np.searchsorted(chosen, starts)
     return [
-        (visit, chosen[a:b] - start)
-        for visit, start, a, b in zip(visits, starts[:-1], bounds[:-1], bounds[1:], strict=True)
+        (scans, chosen[a:b] - start)
+        for scans, start, a, b in zip(stays, starts[:-1], bounds[:-1], bounds[1:], strict=True)
         if b > a
     ]
 

@@ -1,4 +1,4 @@
-"""What is kept of a submap's grid for matching it against others: walls, free space, fields."""
+"""What is kept of a submap's grid for matching it with others: walls, free space, fields."""
 
 from __future__ import annotations
 
@@ -12,89 +12,105 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.sampling import evenly
-from specmap_cli.grids.gridmap import OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.grids.gridmap import FREE, NO_OBSTACLE_M, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.matching import ScoreField
 
-COARSE_M = 0.2
-FIELD_SIGMA_M = 0.15
-WIDE_SIGMA_M = 0.3
-KNOWN_MARGIN_M = 0.15
-_MOST_POINTS = 1200
+_LEAST_CELLS = 10  # of walls: fewer say nothing about where a grid belongs
+_MOST_POINTS = 1200  # of walls that are compared: 60 m of them on cells of 5 cm
+_WALL_BLUR_CELLS = 2.0  # the picture of walls is smoothed by this to tell their direction
+# What the walls of another place earn on a coarse cell: 1 on a wall and no less than 0.6, less
+# beside one (smoothed by a cell), and -0.5 in free space, where they cannot be.
+_WALL_BLUR = 1.0
+_LEAST_WALL = 0.6
+_FREE_PENALTY = 0.5
+_FREE_MAJORITY = 0.5  # share of a coarse cell that is free, when it holds no wall
+_FLAT = 1e-9  # keeps the direction of a picture without a gradient from dividing by nought
+_TINY = 1e-6  # keeps a picture without a wall from dividing by nought
 
 ImageArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """One submap's grid prepared for matching, in the grid's frame.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CoarseGrid:
+    """A grid on cells of `cell_m`, a whole multiple of its resolution, for a search everywhere.
+
+    `walls` and `free` (N, 2) centres of the cells of each kind in the grid's frame; `layers`
+    (2, H, W) what walls (first) and free space (second) of another place earn on a cell; `origin`
+    their lower left corner.
+    """
+
+    cell_m: float
+    walls: FloatArray
+    free: FloatArray
+    layers: ImageArray
+    origin: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownArea:
+    """What a grid knows of each cell, of `resolution` metres from `origin`.
+
+    `wall_distance` and `depth` (H, W) metres to the nearest wall and to the nearest cell that is
+    not free; `known` (H, W) whether it was seen, or lies next to what was.
+    """
+
+    wall_distance: ImageArray
+    depth: ImageArray
+    known: BoolArray
+    resolution: float
+    origin: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreparedGrid:
+    """One grid prepared for matching, in the grid's frame.
 
     `walls` (N, 2) points of the occupied cells; `direction` of its walls in [0, pi / 2) rad;
-    `wall_distance` and `depth` (H, W) metres to the nearest wall and to the nearest cell that is
-    not free, `known` (H, W), of cells of `resolution` from `origin`; `coarse_walls` and
-    `coarse_free` (N, 2) points 0.2 m apart; `target` and `obstacles` the coarse images that
-    other places' walls and free space are correlated with, from `coarse_origin`.
+    `field` and `wide` how near walls are, for the refinement and, more tolerant, for ranking.
     """
 
     walls: FloatArray
     direction: float
     field: ScoreField
     wide: ScoreField
-    wall_distance: ImageArray
-    depth: ImageArray
-    known: NDArray[np.bool_]
-    resolution: float
-    origin: tuple[float, float]
-    coarse_walls: FloatArray
-    coarse_free: FloatArray
-    target: ImageArray
-    obstacles: ImageArray
-    coarse_origin: tuple[float, float]
+    area: KnownArea
+    coarse: CoarseGrid
 
 
-def prepare(grid: GridMap) -> Place | None:
+def prepared(grid: GridMap, config: RecognitionConfig) -> PreparedGrid | None:
     """The grid prepared for matching; None when it shows too little of a wall."""
     grid = cropped(grid)
     occupied = np.argwhere(grid.occupied)
-    if len(occupied) < 10:
+    if len(occupied) < _LEAST_CELLS:
         return None
-    kept = evenly(occupied, _MOST_POINTS)
-    margin = np.uint8(max(1, round(KNOWN_MARGIN_M / grid.resolution)))
-    seen = (grid.cells != UNKNOWN).astype(np.uint8)
-    known = cv2.dilate(seen, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8))
-    walls, free, target = _coarse(grid)
-    return Place(
-        walls=grid.centres_of(kept),
+    return PreparedGrid(
+        walls=grid.centres_of(evenly(occupied, _MOST_POINTS)),
         direction=wall_direction(grid),
-        field=ScoreField.from_grid(grid, FIELD_SIGMA_M),
-        wide=ScoreField.from_grid(grid, WIDE_SIGMA_M),
-        wall_distance=_distance((grid.cells != OCCUPIED), grid.resolution),
-        depth=_distance(grid.free, grid.resolution),
-        known=np.asarray(known > 0),
-        resolution=grid.resolution,
-        origin=grid.origin,
-        coarse_walls=_coarse_points(walls, grid.origin),
-        coarse_free=_coarse_points(free, grid.origin),
-        target=target,
-        obstacles=walls.astype(np.float32),
-        coarse_origin=grid.origin,
+        field=ScoreField.from_grid(grid, config.match_sigma_m),
+        wide=ScoreField.from_grid(grid, 2.0 * config.match_sigma_m),
+        area=_known_area(grid, config.inlier_m),
+        coarse=_coarse(grid, config.match_cell_m),
     )
 
 
-class Places:
-    """Grids prepared for matching by id, the `most` last used of them at a time."""
+class PreparedGrids:
+    """Grids prepared for matching by number, the `most` last used of them at a time."""
 
-    def __init__(self, most: int) -> None:
+    def __init__(self, config: RecognitionConfig, most: int) -> None:
+        self.config = config
         self.most = most
-        self._prepared: OrderedDict[int, Place | None] = OrderedDict()
+        self._grids: OrderedDict[int, PreparedGrid | None] = OrderedDict()
 
-    def of(self, id_: int, grid: GridMap) -> Place | None:
-        """The prepared grid of one id, which is always the same."""
-        if id_ not in self._prepared:
-            self._prepared[id_] = prepare(grid)
-            if len(self._prepared) > self.most:
-                self._prepared.popitem(last=False)
-        self._prepared.move_to_end(id_)
-        return self._prepared[id_]
+    def of(self, number: int, grid: GridMap) -> PreparedGrid | None:
+        """The prepared grid of one number, which is always the same."""
+        if number not in self._grids:
+            self._grids[number] = prepared(grid, self.config)
+            if len(self._grids) > self.most:
+                self._grids.popitem(last=False)
+        self._grids.move_to_end(number)
+        return self._grids[number]
 
 
 def wall_direction(grid: GridMap) -> float:
@@ -103,56 +119,73 @@ def wall_direction(grid: GridMap) -> float:
     From the gradient of the blurred picture of the obstacles: four times its angle is the same for
     a wall, its back and the walls across.
     """
-    picture = cv2.GaussianBlur(grid.occupied.astype(np.float32), (0, 0), 2.0)
+    picture = cv2.GaussianBlur(grid.occupied.astype(np.float32), (0, 0), _WALL_BLUR_CELLS)
     dx = cv2.Sobel(picture, cv2.CV_32F, 1, 0)
     dy = cv2.Sobel(picture, cv2.CV_32F, 0, 1)
     gradient = dx + 1j * dy
     square = gradient * gradient
-    total = complex((square * square / (np.abs(square) + 1e-9)).sum(dtype=np.complex128))
+    total = complex((square * square / (np.abs(square) + _FLAT)).sum(dtype=np.complex128))
     return (math.atan2(total.imag, total.real) / 4.0) % (math.pi / 2.0)
 
 
 def cropped(grid: GridMap) -> GridMap:
-    """The grid cut down to its known cells."""
+    """The grid cut down to its known cells; a grid without any stays as it is."""
     seen = grid.cells != UNKNOWN
     rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
     if not len(rows):
         return grid
-    r, c = int(rows[0]), int(columns[0])
-    origin = (grid.origin[0] + c * grid.resolution, grid.origin[1] + r * grid.resolution)
-    cells = grid.cells[r : int(rows[-1]) + 1, c : int(columns[-1]) + 1].copy()
-    return GridMap(cells, grid.resolution, origin)
+    return grid.window(
+        slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    )
 
 
-def _distance(inside: NDArray[np.bool_], resolution: float) -> ImageArray:
-    """(H, W) metres from each cell inside to the nearest outside; 1 km when there is none."""
+def _known_area(grid: GridMap, reach_m: float) -> KnownArea:
+    """What the grid knows, up to `reach_m` past the cells that were seen."""
+    margin = max(1, round(reach_m / grid.resolution))
+    seen = (grid.cells != UNKNOWN).astype(np.uint8)
+    known = cv2.dilate(seen, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8))
+    return KnownArea(
+        wall_distance=_distance((grid.cells != OCCUPIED), grid.resolution),
+        depth=_distance(grid.free, grid.resolution),
+        known=np.asarray(known > 0),
+        resolution=grid.resolution,
+        origin=grid.origin,
+    )
+
+
+def _distance(inside: BoolArray, resolution: float) -> ImageArray:
+    """(H, W) metres from each cell inside to the nearest outside; NO_OBSTACLE_M without one."""
     if inside.all():
-        return np.full(inside.shape, 1e3, dtype=np.float32)
+        return np.full(inside.shape, NO_OBSTACLE_M, dtype=np.float32)
     cells = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
     return np.asarray(cells * np.float32(resolution), dtype=np.float32)
 
 
-def _coarse(grid: GridMap) -> tuple[NDArray[np.bool_], NDArray[np.bool_], ImageArray]:
-    """Walls and free space on cells of 0.2 m, and the image that walls of others should fall on:
-    1 on a wall, -0.5 in free space.
-    """
-    factor = max(1, round(COARSE_M / grid.resolution))
+def _coarse(grid: GridMap, about_m: float) -> CoarseGrid:
+    """The grid on cells of about `about_m` metres."""
+    factor = max(1, round(about_m / grid.resolution))
     height, width = grid.cells.shape
     padded = np.pad(
         grid.cells, ((0, -height % factor), (0, -width % factor)), constant_values=UNKNOWN
     )
     blocks = padded.reshape(padded.shape[0] // factor, factor, -1, factor)
     walls = (blocks == OCCUPIED).any(axis=(1, 3))
-    free = (blocks == 0).mean(axis=(1, 3)) > 0.5
-    free &= ~walls
-    near = cv2.GaussianBlur(walls.astype(np.float32), (3, 3), 1.0)
-    near /= max(float(near.max()), 1e-6)
-    target = np.where(walls, np.maximum(near, 0.6), near) - 0.5 * free
-    return walls, free, target.astype(np.float32)
+    free = ((blocks == FREE).mean(axis=(1, 3)) > _FREE_MAJORITY) & ~walls
+    near = cv2.GaussianBlur(walls.astype(np.float32), (3, 3), _WALL_BLUR)
+    near /= max(float(near.max()), _TINY)
+    of_walls = np.where(walls, np.maximum(near, _LEAST_WALL), near) - _FREE_PENALTY * free
+    of_free = -_FREE_PENALTY * walls
+    cells = np.where(walls, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.uint8)
+    coarse = GridMap(cells, factor * grid.resolution, grid.origin)
+    return CoarseGrid(
+        cell_m=coarse.resolution,
+        walls=_centres(coarse, coarse.occupied),
+        free=_centres(coarse, coarse.free),
+        layers=np.stack([of_walls, of_free]).astype(np.float32),
+        origin=grid.origin,
+    )
 
 
-def _coarse_points(picture: NDArray[np.bool_], origin: tuple[float, float]) -> FloatArray:
-    """(N, 2) x and y of the centres of coarse cells."""
-    rows, columns = np.nonzero(picture)
-    centres = (np.column_stack([columns, rows]) + 0.5) * COARSE_M
-    return np.asarray(centres + np.asarray(origin), dtype=np.float64)
+def _centres(grid: GridMap, cells: BoolArray) -> FloatArray:
+    """(N, 2) centres of some cells (H, W), each x beside its y: sums depend on that, in the end."""
+    return np.ascontiguousarray(grid.centres_of(np.argwhere(cells)))

@@ -13,33 +13,37 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.sampling import evenly
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.grids.correlation import Target, cell_counts, peaks
 from specmap_cli.grids.matching import refine
-from specmap_cli.recognition.closure.prepared import COARSE_M, ImageArray, Place
+from specmap_cli.recognition.closure.prepared import CoarseGrid, KnownArea, PreparedGrid
 
-_SLACKS_RAD = (0.0, math.radians(-3.0), math.radians(3.0))
-_PEAKS = 8
+_CONTRADICTION_WEIGHT = 2.0  # separates right from wrong transforms of fr079 without an error
+# How much is tried: more of each takes longer and found nothing more on fr079 and simulated tours.
+_SLACK_RAD = math.radians(3.0)  # the direction of few walls is good to a few degrees
+_PEAKS_PER_ROTATION = 2
+_PEAKS_APART_M = 1.0
+_TRANSFORMS = 8
 _REFINED = 3
-_HOPELESS = 0.3
-_SURE = 0.8
-_REFINE_POINTS = 160
-_FINAL_POINTS = 1000
-_INLIER_M = 0.15
-_DEEP_M = 0.25
-_CLEAR_M = 0.3
+# Points and shift of the refinement: first from a coarse cell away, then for the last centimetres.
+_ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 160, 6, 0.6
+_FINE_POINTS, _FINE_STEPS, _FINE_SHIFT_M = 1000, 15, 0.2
+# Transforms farther apart are different ones to try, and rivals when both fit.
+_DIFFERENT_M, _DIFFERENT_RAD = 0.5, math.radians(2.0)
+_RIVAL_M, _RIVAL_RAD = 1.0, math.radians(10.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
     """The best transform between two grids and how well they agree under it.
 
     `score` is the smaller share of inliers less twice the larger share of contradictions, at most
     1; `inliers` the smaller count of wall points confirmed; `overlap` and `least_overlap` the
-    larger and the smaller share of a place's walls that the other one knows about; `lead` how much
+    larger and the smaller share of a grid's walls that the other one knows about; `lead` how much
     better it is than the next best transform that is a different one.
     """
 
@@ -51,50 +55,33 @@ class Check:
     lead: float = 0.0
 
 
-def verify(old: Place, new: Place) -> Check | None:
-    """The best transform between two places and its judgement; None when nothing overlaps.
+def verify(old: PreparedGrid, new: PreparedGrid, config: RecognitionConfig) -> Check | None:
+    """The best transform between two grids and its judgement; None when nothing overlaps.
 
     Directions of walls are taken as they are first; when that looks promising but not right, they
     are tried a few degrees off as well.
     """
-    best = _best(old, new, _SLACKS_RAD[:1])
-    if best is not None and _HOPELESS <= best.score < _SURE:
-        slack = _best(old, new, _SLACKS_RAD)
-        best = slack if slack is not None and _rank(slack) > _rank(best) else best
+    best = _best(old, new, (0.0,), config)
+    if best is not None and config.hopeless_score <= best.score < config.sure_score:
+        other = _best(old, new, (0.0, -_SLACK_RAD, _SLACK_RAD), config)
+        best = other if other is not None and _rank(other) > _rank(best) else best
     return best
 
 
-def _best(old: Place, new: Place, slacks: Sequence[float]) -> Check | None:
-    """The best transform whose rotation is within the slacks of aligned walls."""
-    points = evenly(new.walls, _REFINE_POINTS)
-    guesses = _candidates(old, new, slacks)
-    likely = np.argsort([-old.wide.score(points, guess) for guess in guesses], kind="stable")
-    checks = []
-    for k in likely[:_REFINED]:
-        match = refine(old.field, points, guesses[k], iterations=6, max_shift=0.6)
-        checks.append(judge(old, new, match.pose))
-    if not checks:
-        return None
-    checks.sort(key=_rank, reverse=True)
-    best = checks[0]
-    if best.score < _HOPELESS:
-        return best
-    points = evenly(new.walls, _FINAL_POINTS)
-    match = refine(old.field, points, best.old_from_new, iterations=15, max_shift=0.2)
-    final = judge(old, new, match.pose)
-    centre = new.coarse_walls.mean(axis=0)
-    rivals = [c for c in checks[1:] if _apart(c.old_from_new, best.old_from_new, centre, 1.0, 10.0)]
-    lead = _rank(best) - max((_rank(rival) for rival in rivals), default=-1.0)
-    return replace(final if final.score >= best.score else best, lead=lead)
-
-
-def judge(old: Place, new: Place, old_from_new: Pose2) -> Check:
-    """How well two places agree under a given transform."""
-    inlier, contra, inliers, overlap = _agreement(old, old_from_new.apply(new.walls))
-    back = _agreement(new, old_from_new.inverse().apply(old.walls))
-    score = min(inlier, back[0]) - 2.0 * max(contra, back[1])
-    overlaps = overlap, back[3]
-    return Check(old_from_new, score, min(inliers, back[2]), max(overlaps), min(overlaps))
+def judge(
+    old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2, config: RecognitionConfig
+) -> Check:
+    """How well two grids agree under a given transform."""
+    there = _agreement(old.area, old_from_new.apply(new.walls), config)
+    back = _agreement(new.area, old_from_new.inverse().apply(old.walls), config)
+    contradicted = max(there.contradicted, back.contradicted)
+    return Check(
+        old_from_new=old_from_new,
+        score=min(there.confirmed, back.confirmed) - _CONTRADICTION_WEIGHT * contradicted,
+        inliers=min(there.inliers, back.inliers),
+        overlap=max(there.known, back.known),
+        least_overlap=min(there.known, back.known),
+    )
 
 
 def tracks_overlap(
@@ -109,104 +96,123 @@ def tracks_overlap(
     return float(min(near.any(axis=0).mean(), near.any(axis=1).mean()))
 
 
+def _best(
+    old: PreparedGrid, new: PreparedGrid, slacks: Sequence[float], config: RecognitionConfig
+) -> Check | None:
+    """The best transform whose rotation is within the slacks of aligned walls."""
+    points = evenly(new.walls, _ROUGH_POINTS)
+    guesses = _candidates(old, new, slacks)
+    likely = np.argsort([-old.wide.score(points, guess) for guess in guesses], kind="stable")
+    checks = []
+    for k in likely[:_REFINED]:
+        match = refine(old.field, points, guesses[k], _ROUGH_STEPS, _ROUGH_SHIFT_M)
+        checks.append(judge(old, new, match.pose, config))
+    if not checks:
+        return None
+    checks.sort(key=_rank, reverse=True)
+    best = checks[0]
+    if best.score < config.hopeless_score:
+        return best
+    points = evenly(new.walls, _FINE_POINTS)
+    match = refine(old.field, points, best.old_from_new, _FINE_STEPS, _FINE_SHIFT_M)
+    final = judge(old, new, match.pose, config)
+    lead = _lead(checks, new.coarse.walls.mean(axis=0))
+    return replace(final if final.score >= best.score else best, lead=lead)
+
+
+def _lead(checks: Sequence[Check], centre: FloatArray) -> float:
+    """How much better the first of some checks is than the best that is a different transform.
+
+    They are different when they place `centre` (2,) of the new grid elsewhere, or turn it.
+    """
+    best = checks[0]
+    rivals = [
+        check
+        for check in checks[1:]
+        if _apart(check.old_from_new, best.old_from_new, centre, _RIVAL_M, _RIVAL_RAD)
+    ]
+    return _rank(best) - max((_rank(rival) for rival in rivals), default=-1.0)
+
+
 def _rank(check: Check) -> float:
     """What decides between transforms: agreement, and how much of the walls it covers."""
     return check.score * math.sqrt(check.overlap) if check.score > 0.0 else check.score - 1.0
 
 
-def _agreement(place: Place, points: FloatArray) -> tuple[float, float, int, float]:
-    """Shares of inliers and of contradictions among the points in known area, the count of
-    inliers, and the share of all points in known area.
+@dataclass(frozen=True, slots=True)
+class _Agreement:
+    """Of points on walls: the share in a known area, and of these the shares that it confirms and
+    contradicts, and the count of those confirmed.
     """
-    cells = np.floor((points - place.origin) / place.resolution).astype(np.intp)
-    height, width = place.known.shape
+
+    known: float
+    confirmed: float
+    contradicted: float
+    inliers: int
+
+
+def _agreement(area: KnownArea, points: FloatArray, config: RecognitionConfig) -> _Agreement:
+    """What an area says to points (N, 2) on walls, in its grid's frame."""
+    cells = np.floor((points - area.origin) / area.resolution).astype(np.intp)
+    height, width = area.known.shape
     inside = ((cells >= 0) & (cells < (width, height))).all(axis=1)
     columns, rows = cells[inside].T
-    known = place.known[rows, columns]
+    known = area.known[rows, columns]
     columns, rows = columns[known], rows[known]
     if not len(rows):
-        return 0.0, 0.0, 0, 0.0
-    distance = place.wall_distance[rows, columns]
-    inliers = int(np.count_nonzero(distance <= _INLIER_M))
-    contradicted = (distance > _CLEAR_M) & (place.depth[rows, columns] > _DEEP_M)
-    return (
+        return _Agreement(0.0, 0.0, 0.0, 0)
+    distance, depth = area.wall_distance[rows, columns], area.depth[rows, columns]
+    inliers = int(np.count_nonzero(distance <= config.inlier_m))
+    contradicted = (distance > config.contradiction_m) & (depth > config.contradiction_depth_m)
+    return _Agreement(
+        len(rows) / len(points),
         inliers / len(rows),
         float(np.count_nonzero(contradicted)) / len(rows),
         inliers,
-        len(rows) / len(points),
     )
 
 
-def _candidates(old: Place, new: Place, slacks: Sequence[float]) -> list[Pose2]:
+def _candidates(old: PreparedGrid, new: PreparedGrid, slacks: Sequence[float]) -> list[Pose2]:
     """The most promising transforms old_from_new, best first."""
     aligned = old.direction - new.direction
-    centre = new.coarse_walls.mean(axis=0)
+    centre = new.coarse.walls.mean(axis=0)
     found: list[tuple[float, Pose2]] = []
     for angle in (aligned + k * math.pi / 2 + slack for k in range(4) for slack in slacks):
-        turn = Pose2(0.0, 0.0, wrap_angle(angle))
-        correlation = _correlate(
-            old, turn.apply(new.coarse_walls - centre), turn.apply(new.coarse_free - centre)
-        )
-        for value, x, y in _peaks(correlation, old.target.shape):
-            at = Pose2(x + old.coarse_origin[0], y + old.coarse_origin[1], turn.theta)
-            found.append((value, at @ Pose2(-float(centre[0]), -float(centre[1]), 0.0)))
+        found.extend(_shifts(old.coarse, new.coarse, centre, wrap_angle(angle)))
     found.sort(key=lambda item: -item[0])
     kept: list[Pose2] = []
     for _, pose in found:
-        if all(_apart(pose, other, centre, 0.5, 2.0) for other in kept):
+        if all(_apart(pose, other, centre, _DIFFERENT_M, _DIFFERENT_RAD) for other in kept):
             kept.append(pose)
-        if len(kept) == _PEAKS:
+        if len(kept) == _TRANSFORMS:
             break
     return kept
 
 
-def _correlate(old: Place, walls: FloatArray, free: FloatArray) -> ImageArray:
-    """How well walls (N, 2) and free space (M, 2) of another place, turned and centred, fall on an
-    old place, for every shift in coarse cells; periodic, with room enough not to wrap.
+def _shifts(
+    old: CoarseGrid, new: CoarseGrid, centre: FloatArray, angle: float
+) -> list[tuple[float, Pose2]]:
+    """The best transforms old_from_new of one rotation about `centre` (2,), with their values.
+
+    Walls and free space of the new grid, turned, are laid on the old one at every shift in cells.
     """
-    reach = 2 * np.ceil(np.abs(np.vstack([walls, free])).max(axis=0) / COARSE_M).astype(int) + 3
-    rows, columns = old.target.shape
-    shape = [
-        scipy.fft.next_fast_len(rows + int(reach[1]), real=True),
-        scipy.fft.next_fast_len(columns + int(reach[0]), real=True),
-    ]
-    pictures = np.stack([_picture(walls, shape), _picture(free, shape)])
-    moved = np.conj(scipy.fft.rfft2(pictures))
-    product = scipy.fft.rfft2(old.target, shape) * moved[0]
-    product -= 0.5 * scipy.fft.rfft2(old.obstacles, shape) * moved[1]
-    return np.asarray(scipy.fft.irfft2(product, shape), dtype=np.float32)
+    turn, cell = Pose2(0.0, 0.0, angle), old.cell_m
+    parts = turn.apply(new.walls - centre), turn.apply(new.free - centre)
+    # to both sides, and what rounding to cells adds
+    reach = 2 * np.ceil(np.abs(np.vstack(parts)).max(axis=0) / cell).astype(int) + 3
+    target = Target.of(old.layers, (int(reach[1]), int(reach[0])))
+    pictures = [np.minimum(cell_counts(points, cell, target.shape), 1) for points in parts]
+    correlation = target.correlate(np.stack(pictures).astype(np.float32))
+    apart = round(_PEAKS_APART_M / cell)
+    shifts = []
+    for peak in peaks(correlation, target.size, cell, _PEAKS_PER_ROTATION, apart):
+        at = Pose2(peak.x + old.origin[0], peak.y + old.origin[1], angle)
+        shifts.append((peak.value, at @ Pose2(-float(centre[0]), -float(centre[1]), 0.0)))
+    return shifts
 
 
-def _picture(points: FloatArray, shape: list[int]) -> ImageArray:
-    """Points (N, 2) on a periodic coarse image whose cell [0, 0] is centred on the origin."""
-    columns, rows = np.floor(points / COARSE_M + 0.5).astype(np.intp).T
-    flat = (rows % shape[0]) * shape[1] + columns % shape[1]
-    counts = np.bincount(flat, minlength=shape[0] * shape[1])
-    return np.minimum(counts, 1).astype(np.float32).reshape(shape)
-
-
-def _peaks(
-    correlation: ImageArray, size: tuple[int, ...], count: int = 2
-) -> list[tuple[float, float, float]]:
-    """(value, x, y) of the highest places of a correlation, 1 m apart, from the image's corner."""
-    correlation = correlation.copy()
-    height, width = correlation.shape
-    suppressed = round(1.0 / COARSE_M)
-    found: list[tuple[float, float, float]] = []
-    for _ in range(count):
-        row, column = divmod(int(correlation.argmax()), width)
-        value = float(correlation[row, column])
-        near_rows = np.arange(row - suppressed, row + suppressed + 1) % height
-        near_columns = np.arange(column - suppressed, column + suppressed + 1) % width
-        correlation[np.ix_(near_rows, near_columns)] = -np.inf
-        row -= height if row > (height + size[0]) // 2 else 0
-        column -= width if column > (width + size[1]) // 2 else 0
-        found.append((value, (column + 0.5) * COARSE_M, (row + 0.5) * COARSE_M))
-    return found
-
-
-def _apart(a: Pose2, b: Pose2, centre: FloatArray, metres: float, degrees: float) -> bool:
-    """Whether two transforms place `centre` (2,) some metres, or turn some degrees, apart."""
+def _apart(a: Pose2, b: Pose2, centre: FloatArray, metres: float, radians: float) -> bool:
+    """Whether two transforms place `centre` (2,) farther apart than this, or turn it further."""
     shift = a.apply(centre[None])[0] - b.apply(centre[None])[0]
     turn = abs(wrap_angle(a.theta - b.theta))
-    return math.hypot(*shift.tolist()) > metres or turn > math.radians(degrees)
+    return math.hypot(*shift.tolist()) > metres or turn > radians

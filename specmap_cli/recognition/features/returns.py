@@ -1,7 +1,7 @@
-"""The outline of one scan: its returns in order, the raw material of every feature.
+"""The returns of one scan in order: the raw material of every feature.
 
-The outline of a full circle starts after its widest jump, so that a turn of the robot, which only
-shifts the beams, leaves it as it is up to a rotation of the plane.
+Those of a full circle start after the widest jump. A turn of the robot, which only shifts the
+beams, then leaves them as they are, up to a rotation of the plane.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
 
+# These define features: classifiers on disk hold thresholds on what comes of them.
 PAIR_STEP_M = 0.1
 PAIR_STEPS = 120  # distances of pairs are told apart up to 12 m
-_PAIR_POINTS = 90
+_PAIR_POINTS = 90  # 4,005 pairs: the shares are good to a percent, and cheap
 
 
-@dataclass(frozen=True)
-class Outline:
-    """Returns of one scan in the order of their bearings.
+@dataclass(frozen=True, kw_only=True)  # without slots: some properties are computed once
+class Returns:
+    """The returns of one scan in the order of their bearings.
 
     `ranges` (N,) and `bearings` (N,); `points` (N, 2) in the laser frame; `steps` (N - 1,) metres
     from each point to the next; `closed` when the sweep is a full circle, whose last point then
@@ -92,9 +93,10 @@ def pairs_of(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return first, second
 
 
-def outline_of(scan: PlanarScan) -> Outline:
-    """The outline of a scan. Readings that are invalid, and those without a return, are left out;
-    beyond `range_max`, or infinite, there is no return.
+def returns_of(scan: PlanarScan) -> Returns:
+    """The returns of a scan. A reading of `range_max` or more, or infinite, is no return.
+
+    Invalid readings, which are NaN or nought, are neither.
     """
     ranges = scan.ranges
     valid = ranges > 0.0
@@ -110,7 +112,15 @@ def outline_of(scan: PlanarScan) -> Outline:
         if steps[widest] > closing:
             r, b, points = (np.roll(a, -widest - 1, axis=0) for a in (r, b, points))
             steps = np.concatenate([steps[widest + 1 :], [closing], steps[:widest]])
-    return Outline(r, b, points, steps, scan.full_circle, len(ranges), no_return)
+    return Returns(
+        ranges=r,
+        bearings=b,
+        points=points,
+        steps=steps,
+        closed=scan.full_circle,
+        beams=len(ranges),
+        no_return=no_return,
+    )
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:

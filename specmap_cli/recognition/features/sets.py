@@ -1,63 +1,110 @@
-"""Features of one planar scan: the sets by name and their computation.
+"""Features of one planar scan: the sets by name, and their computation.
 
-`table1` is Table I of the paper; `shape` adds a finer distance histogram, pieces and cut ranges;
-`pairs` is Table I with the point-pair histogram; `places` is all of these, which generalise to new
-paths, and `full` adds the profile of the ranges, for views like those of the map's own scans. Every
-column is documented where its group is defined, finite for every scan, and unchanged by turning.
+This table is the one place where sets are named. `table1` is Table I of the paper; `shape` adds a
+finer distance histogram, pieces and cut ranges; `pairs` is Table I with the point-pair histogram;
+`places` is all of these, which generalise to new paths; `full` adds the profile of the ranges, for
+views like those of the map's own scans.
+
+A package adds a set by an entry point of the group `specmap.features` that names a tuple of
+`FeatureGroup`; the set is then a value of the settings `feature_set`::
+
+    [project.entry-points."specmap.features"]
+    mine = "my_package.features:GROUPS"
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from typing import Any
 
 import numpy as np
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features import point_pairs, profile, shape, table1
-from specmap_cli.recognition.features.returns import Outline, outline_of
+from specmap_cli.recognition.features.group import FeatureGroup
+from specmap_cli.recognition.features.returns import returns_of
 
-Group = tuple[Callable[[Outline], list[float]], tuple[str, ...]]
+FeatureSet = tuple[FeatureGroup, ...]
 
-_PAIRS: tuple[Group, ...] = ((point_pairs.point_pair_histogram, point_pairs.NAMES),)
-FEATURE_GROUPS: dict[str, tuple[Group, ...]] = {
+ENTRY_POINTS = "specmap.features"
+BUILT_IN: Mapping[str, FeatureSet] = {
     "table1": table1.GROUPS,
-    "pairs": table1.GROUPS + _PAIRS,
+    "pairs": table1.GROUPS + point_pairs.GROUPS,
     "shape": table1.GROUPS + shape.GROUPS,
-    "places": table1.GROUPS + shape.GROUPS + _PAIRS,
-    "full": table1.GROUPS + shape.GROUPS + _PAIRS + profile.GROUPS,
-}
-FEATURE_SETS: dict[str, tuple[str, ...]] = {
-    name: tuple(column for _, columns in groups for column in columns)
-    for name, groups in FEATURE_GROUPS.items()
+    "places": table1.GROUPS + shape.GROUPS + point_pairs.GROUPS,
+    "full": table1.GROUPS + shape.GROUPS + point_pairs.GROUPS + profile.GROUPS,
 }
 
 
-def scan_features(scan: PlanarScan, feature_set: str = "full") -> FloatArray:
-    """(F,) features of one scan, the columns named by `FEATURE_SETS[feature_set]`; always finite.
+@cache
+def feature_sets() -> Mapping[str, FeatureSet]:
+    """The sets by name: those of this package, then those of other packages.
 
-    Raises UsageError for a set that does not exist.
+    Read once a process. Raises UsageError for a package whose set cannot be used.
     """
-    outline = outline_of(scan)
+    table = with_plugins(ENTRY_POINTS, BUILT_IN)
+    return {name: _usable(name, groups) for name, groups in table.items()}
+
+
+def check_feature_sets(config: Config) -> None:
+    """Raise UsageError when a setting names a feature set that does not exist."""
+    feature_names(config.recognition.feature_set, "recognition.feature_set")
+    feature_names(config.localization.feature_set, "localization.feature_set")
+
+
+def feature_names(feature_set: str, setting: str = "feature_set") -> tuple[str, ...]:
+    """The names (F,) of a set's columns.
+
+    Raises UsageError for a set that does not exist; `setting` is the key that named it.
+    """
+    groups = _groups_of(feature_set, setting)
+    return tuple(column for group in groups for column in group.columns)
+
+
+def histogram_columns(feature_set: str) -> list[int]:
+    """Numbers of a set's columns that are histograms of the scan's shape, ascending."""
+    wanted = {name for group in _groups_of(feature_set) for name in group.histogram}
+    return [k for k, name in enumerate(feature_names(feature_set)) if name in wanted]
+
+
+def scan_features(scan: PlanarScan, feature_set: str) -> FloatArray:
+    """(F,) features of one scan, in the order of `feature_names(feature_set)`; always finite.
+
+    Raises UsageError for a set that does not exist, and for one whose functions break their word.
+    """
+    returns = returns_of(scan)
     values: list[float] = []
-    for function, _ in _groups(feature_set):
-        values += function(outline)
-    return np.array(values)
+    for group in _groups_of(feature_set):
+        given = group.compute(returns)
+        if len(given) != len(group.columns):
+            found = f"gives {len(given)} values for its {len(group.columns)} columns"
+            raise _unusable(feature_set, f"the group of {group.columns[0]!r} {found}")
+        values.extend(given)
+    features = np.array(values, dtype=np.float64)
+    if not np.isfinite(features).all():
+        first = feature_names(feature_set)[int(np.argmin(np.isfinite(features)))]
+        raise _unusable(feature_set, f"{first!r} is not finite for a scan")
+    return features
 
 
-def scans_features(scans: Iterable[PlanarScan], feature_set: str = "full") -> FloatArray:
+def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
     """(n, F) features of several scans."""
     rows = [scan_features(scan, feature_set) for scan in scans]
-    return np.array(rows).reshape(len(rows), len(FEATURE_SETS[feature_set]))
+    return np.array(rows).reshape(len(rows), len(feature_names(feature_set)))
 
 
 class KeyframeFeatures:
     """Features of the keyframes of a store, each computed once: some kilobytes a keyframe."""
 
     def __init__(self, store: KeyframeStore, feature_set: str) -> None:
-        self.store, self.feature_set = store, feature_set
+        self.store = store
+        self.feature_set = feature_set
         self._rows: dict[int, FloatArray] = {}
 
     def of(self, numbers: Sequence[int]) -> FloatArray:
@@ -65,12 +112,32 @@ class KeyframeFeatures:
         for number in numbers:
             if number not in self._rows:
                 self._rows[number] = scan_features(self.store.scan(number), self.feature_set)
-        return np.array([self._rows[number] for number in numbers])
+        rows = [self._rows[number] for number in numbers]
+        return np.array(rows).reshape(len(rows), len(feature_names(self.feature_set)))
 
 
-def _groups(feature_set: str) -> tuple[Group, ...]:
-    try:
-        return FEATURE_GROUPS[feature_set]
-    except KeyError:
-        known = ", ".join(sorted(FEATURE_GROUPS))
-        raise UsageError(f"unknown feature set {feature_set!r}: choose from {known}") from None
+def _groups_of(feature_set: str, setting: str = "feature_set") -> FeatureSet:
+    table = feature_sets()
+    if feature_set not in table:
+        raise UsageError(
+            f"{setting}: unknown feature set {feature_set!r}: choose from "
+            f"{', '.join(sorted(table))}, or install the package that offers it"
+        )
+    return table[feature_set]
+
+
+def _usable(name: str, groups: Any) -> FeatureSet:
+    """The set that a package offers, as a tuple of groups with columns of different names."""
+    listed = tuple(groups) if isinstance(groups, Iterable) else ()
+    if not listed or not all(isinstance(group, FeatureGroup) for group in listed):
+        raise _unusable(name, "it is no tuple of FeatureGroup")
+    columns = [column for group in listed for column in group.columns]
+    if len(set(columns)) < len(columns):
+        raise _unusable(name, "two of its columns have one name")
+    if not all(group.columns and set(group.histogram) <= set(group.columns) for group in listed):
+        raise _unusable(name, "a group has no columns, or histograms that are none of them")
+    return listed
+
+
+def _unusable(name: str, why: str) -> UsageError:
+    return UsageError(f"feature set {name!r}: {why}; mend or remove the package that offers it")

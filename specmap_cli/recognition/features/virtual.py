@@ -15,11 +15,23 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.core.tracks import moved
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.ray_casting import cast_ranges
 
-_SPACING_M = 0.2
-_SPACING_RAD = 0.3
+_NEAREST_M = 0.05  # a return this near to the virtual laser has no bearing to speak of
+
+
+def all_round(ranges: FloatArray, range_max: float, stamp_ns: int = 0) -> PlanarScan:
+    """The full-circle scan of ranges (B,) at the bearings of `circle(B)`."""
+    return PlanarScan(
+        stamp_ns=stamp_ns,
+        bearings=circle(len(ranges)),
+        ranges=ranges,
+        range_max=range_max,
+        full_circle=True,
+    )
 
 
 def circle(beams: int) -> FloatArray:
@@ -28,15 +40,15 @@ def circle(beams: int) -> FloatArray:
 
 
 class RecentScans:
-    """The scans of the last `window_m` metres, thinned to one every 0.2 m or 0.3 rad.
+    """The scans of a window of the path, thinned, from which a virtual scan is put together.
 
-    `filled` is the path they cover as a share of the window.
+    The window is the last `window_share` of `config.window_m`. `filled` is the path that the scans
+    cover as a share of it.
     """
 
-    def __init__(self, window_m: float, beams: int, max_range: float) -> None:
-        self.window_m = window_m
-        self.beams = beams
-        self.max_range = max_range
+    def __init__(self, config: LocalizationConfig, window_share: float = 1.0) -> None:
+        self.config = config
+        self.window_m = window_share * config.window_m
         self._kept: deque[tuple[float, Pose2, FloatArray]] = deque()
         self._travelled = 0.0
         self._started = 0.0
@@ -55,17 +67,18 @@ class RecentScans:
 
     def add(self, scan: PosedScan) -> None:
         """Take in one registered scan."""
-        self.add_points(scan.planar.hits(self.max_range), scan.map_from_base, scan.base_from_laser)
+        points = scan.planar.hits(self.config.virtual_range_m)
+        self.add_points(points, scan.map_from_base, scan.base_from_laser)
 
     def add_points(self, points: FloatArray, map_from_base: Pose2, base_from_laser: Pose2) -> None:
         """Take in the returns (N, 2) of one scan, in the laser's frame."""
         if self._last is not None:
             self._travelled += (self._last.inverse() @ map_from_base).distance
         self._last = map_from_base
-        if self._kept:
-            step = self._kept[-1][1].inverse() @ map_from_base
-            if step.distance < _SPACING_M and abs(step.theta) < _SPACING_RAD:
-                return
+        before = self._kept[-1][1] if self._kept else None
+        spacing = self.config.virtual_spacing_m, self.config.virtual_spacing_rad
+        if not moved(before, map_from_base, *spacing):
+            return
         placed = (map_from_base @ base_from_laser).apply(points)
         self._kept.append((self._travelled, map_from_base, placed))
         while self._kept[0][0] < self._travelled - self.window_m:
@@ -76,7 +89,8 @@ class RecentScans:
         placed = [points for _, _, points in self._kept]
         points = np.vstack(placed) if placed else np.zeros((0, 2))
         seen = map_from_laser.inverse().apply(points)
-        return nearest_returns(seen, self.beams, self.max_range, stamp_ns)
+        beams, reach = self.config.virtual_beams, self.config.virtual_range_m
+        return nearest_returns(seen, beams, reach, stamp_ns)
 
 
 def nearest_returns(
@@ -86,15 +100,14 @@ def nearest_returns(
     ranges = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2)
     beam = np.floor((np.arctan2(points[:, 1], points[:, 0]) / (2 * math.pi) + 0.5) * beams + 0.5)
     nearest = np.full(beams, np.inf)
-    seen = (ranges > 0.05) & (ranges < max_range)
+    seen = (ranges > _NEAREST_M) & (ranges < max_range)
     np.minimum.at(nearest, beam[seen].astype(np.intp) % beams, ranges[seen])
-    return PlanarScan(stamp_ns, circle(beams), nearest, max_range, True)
+    return all_round(nearest, max_range, stamp_ns)
 
 
 def cast_circles(
     grid: GridMap, origins: NDArray[Any], beams: int, max_range: float
 ) -> list[PlanarScan]:
     """Full-circle scans cast in a grid from origins (N, 2) of its frame."""
-    bearings = circle(beams)
-    ranges = cast_ranges(grid.obstacle_distance(), grid, origins, bearings, max_range)
-    return [PlanarScan(0, bearings, row, max_range, True) for row in ranges]
+    ranges = cast_ranges(grid.obstacle_distance(), grid, origins, circle(beams), max_range)
+    return [all_round(row, max_range) for row in ranges]

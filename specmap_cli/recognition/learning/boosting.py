@@ -1,8 +1,8 @@
 """AdaBoost on one-threshold weak classifiers, exactly as in the paper (Section III-A, eq. 2, 3).
 
-`StumpBoost` is the paper's own; `TreeBoost`, from `recognition.trees`, is the default: the same
-idea with quantised features and weak classifiers of two levels. Both are estimators: the
-constructor stores, `fit` learns, `margins` is the sum of votes, whose sign is the label.
+`StumpBoost` is the paper's own; `TreeBoost`, of `learning.trees`, is the default: the same idea
+with quantised features and weak classifiers of two levels. Both are estimators: the constructor
+stores, `fit` learns, `margins` is the sum of votes, whose sign is the label.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from specmap_cli.recognition.learning.trees import TreeBoost
 
 __all__ = ["Booster", "Stump", "StumpBoost", "TreeBoost", "booster_from_dict"]
 
-_SMALLEST_ERROR = 1e-10
+_SMALLEST_ERROR = 1e-10  # below it a round separates the samples: its votes stay finite
+_CHANCE = 0.5 - 1e-12  # the error of a coin, but for rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ class StumpBoost:
         self.rounds_ = []
         for _ in range(self.rounds):
             feature, threshold, polarity, error = _best_stump(values, splits, (weights * y)[order])
-            if error >= 0.5 - 1e-12:
+            if error >= _CHANCE:
                 break
             bounded = max(error, _SMALLEST_ERROR)
             votes = 0.5 * np.log((1.0 - bounded) / bounded)
@@ -104,17 +105,18 @@ class StumpBoost:
         column = {name: k for k, name in enumerate(names)}
         rounds = objects(data, "rounds")
         booster = cls(names, len(rounds))
-        for k, entry in enumerate(rounds):
-            where = f"round {k}"
-            booster.rounds_.append(
-                Stump(
-                    field(entry, "feature", column, where),
-                    number(entry, "threshold", where),
-                    field(entry, "polarity", {1: 1, -1: -1}, where),
-                    number(entry, "votes", where),
-                )
-            )
+        booster.rounds_ = [_stump(entry, column, f"round {k}") for k, entry in enumerate(rounds)]
         return booster
+
+
+def _stump(entry: Any, column: Mapping[str, int], where: str) -> Stump:
+    """One round as `StumpBoost.to_dict` wrote it."""
+    return Stump(
+        feature=field(entry, "feature", column, where),
+        threshold=number(entry, "threshold", where),
+        polarity=field(entry, "polarity", {1: 1, -1: -1}, where),
+        votes=number(entry, "votes", where),
+    )
 
 
 Booster = StumpBoost | TreeBoost

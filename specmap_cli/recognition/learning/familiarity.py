@@ -6,7 +6,8 @@ of another building falls on some side of every threshold. The distance between 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,93 +15,91 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.sampling import evenly
-from specmap_cli.recognition.features.sets import FEATURE_SETS
+from specmap_cli.recognition.features.sets import histogram_columns
 from specmap_cli.recognition.learning.json_fields import number, objects, refuse
 
-PER_SUBMAP = 80
-_HISTOGRAMS = ("pairs_", "distance_", "fine_distance_")
 _STEPS = 255  # square roots of shares are stored as whole numbers of 1 / 255
+_MOST_LEFT = 600  # samples that the limit is taken from: enough for a quantile, and quick
+_LEAST_LEFT = 20  # fewer of them say nothing about a quantile
+_TINY = 1e-9  # keeps a limit of nought, when all samples are alike, from dividing
 
 
 class Familiarity:
     """Exemplars of a map's places; `distance` is the L1 distance of the square roots of histograms.
 
-    `limit` is the distance past which a scan looks like no place of the map; `exemplars` (k, D)
-    whole numbers from 0 to 255.
+    `fit` keeps at most `per_submap` samples of a submap as exemplars. It learns `exemplars_`
+    (k, D), whole numbers from 0 to 255, and `limit_`, the distance past which a scan looks like no
+    place of the map: all but a share of `false_unknown` of the other samples lie within it.
     """
 
-    def __init__(self, feature_set: str, exemplars: NDArray[Any], limit: float) -> None:
+    def __init__(self, feature_set: str, false_unknown: float = 0.05, per_submap: int = 80) -> None:
         self.feature_set = feature_set
-        self.exemplars = np.asarray(exemplars, dtype=np.uint8)
-        self.limit = limit
-        self._columns = _columns(feature_set)
-        self._places = self.exemplars.astype(np.float32) / _STEPS
+        self.false_unknown = false_unknown
+        self.per_submap = per_submap
+        self.exemplars_: NDArray[np.uint8] = np.zeros((0, 0), dtype=np.uint8)
+        self.limit_ = math.nan
+        self._columns = histogram_columns(feature_set)
+        self._places: NDArray[np.float32] = np.zeros((0, 0), dtype=np.float32)
 
-    @classmethod
-    def of(
-        cls,
-        feature_set: str,
-        samples: Mapping[int, FloatArray],
-        false_unknown: float,
-    ) -> Familiarity | None:
-        """Exemplars of every submap's samples (n, F), the limit from the samples left over.
+    def can_fit(self, samples: Mapping[int, FloatArray]) -> bool:
+        """Whether the feature set holds histograms, and enough samples are left for a limit."""
+        left = sum(len(X) - len(self._chosen(len(X))) for X in samples.values())
+        return bool(self._columns) and left >= _LEAST_LEFT
 
-        All but a share of `false_unknown` of these lie within it. None when the set has no
-        histograms, or when there are too few samples.
-        """
-        if not _columns(feature_set):
-            return None
-        chosen = {
-            i: evenly(np.arange(len(X)), min(PER_SUBMAP, (len(X) + 1) // 2))
-            for i, X in sorted(samples.items())
-        }
-        rest = [np.delete(X, chosen[i], axis=0) for i, X in sorted(samples.items())]
-        left = evenly(np.vstack(rest), 600)
-        if len(left) < 20:
-            return None
-        known = cls(
-            feature_set,
-            _coded(np.vstack([samples[i][rows] for i, rows in chosen.items()]), feature_set),
-            0.0,
-        )
-        known.limit = round(float(np.quantile(known.distance(left), 1.0 - false_unknown)), 6)
-        return known
+    def fit(self, samples: Mapping[int, FloatArray]) -> Familiarity:
+        """Learn from the features (n, F) of every submap's samples; returns self."""
+        chosen = {i: self._chosen(len(X)) for i, X in sorted(samples.items())}
+        kept = np.vstack([samples[i][rows] for i, rows in chosen.items()])
+        self._keep(np.round(self._roots(kept) * _STEPS).astype(np.uint8))
+        rest = [np.delete(samples[i], rows, axis=0) for i, rows in chosen.items()]
+        left = self.distance(evenly(np.vstack(rest), _MOST_LEFT))
+        self.limit_ = round(float(np.quantile(left, 1.0 - self.false_unknown)), 6)
+        return self
 
     def distance(self, X: NDArray[Any]) -> FloatArray:
         """(n,) distance of features X (n, F) to the nearest exemplar."""
-        roots = np.sqrt(np.asarray(X, dtype=np.float32)[:, self._columns])
+        roots = self._roots(np.asarray(X, dtype=np.float32))
         nearest = [np.abs(self._places - row).sum(axis=1).min() for row in roots]
         return np.array(nearest, dtype=np.float64)
 
     def strangeness(self, X: NDArray[Any]) -> FloatArray:
         """(n,) distance over the limit: above one where nothing fits."""
-        return self.distance(X) / max(self.limit, 1e-9)
+        return self.distance(X) / max(self.limit_, _TINY)
 
     def to_dict(self) -> dict[str, Any]:
         """Limit and exemplars, ready for JSON."""
-        return {"limit": self.limit, "rows": [row.tobytes().hex() for row in self.exemplars]}
+        return {"limit": self.limit_, "rows": [row.tobytes().hex() for row in self.exemplars_]}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], feature_set: str) -> Familiarity:
         """What `to_dict` described; MapError names what makes no sense."""
         limit = number(data, "limit", "exemplars")
-        width = len(_columns(feature_set))
-        rows = objects(data, "rows", "exemplars")
-        try:
-            coded = [np.frombuffer(bytes.fromhex(row), dtype=np.uint8) for row in rows]
-        except (TypeError, ValueError):
-            raise refuse("exemplars", "a row is no hexadecimal text") from None
+        known = cls(feature_set)
+        width = len(known._columns)
+        coded = _decoded(objects(data, "rows", "exemplars"))
         if not coded or any(len(row) != width for row in coded) or limit < 0.0 or not width:
             raise refuse("exemplars", f"rows are not of {width} values")
-        return cls(feature_set, np.array(coded), limit)
+        known._keep(np.array(coded))
+        known.limit_ = limit
+        return known
+
+    def _keep(self, exemplars: NDArray[np.uint8]) -> None:
+        # column by column in memory, learned or from a file: sums are the same to the last bit
+        self.exemplars_ = np.asfortranarray(exemplars)
+        self._places = self.exemplars_.astype(np.float32) / np.float32(_STEPS)
+
+    def _chosen(self, count: int) -> NDArray[np.intp]:
+        """Which of `count` samples become exemplars: evenly spread, at most half of them."""
+        return evenly(np.arange(count), min(self.per_submap, (count + 1) // 2))
+
+    def _roots(self, X: NDArray[Any]) -> NDArray[Any]:
+        """(n, D) square roots of the histograms of features X (n, F)."""
+        return np.asarray(np.sqrt(np.clip(X[:, self._columns], 0.0, 1.0)))
 
 
-def _columns(feature_set: str) -> list[int]:
-    """The columns of a feature set that are histograms of the scan's shape."""
-    names = FEATURE_SETS[feature_set]
-    return [k for k, name in enumerate(names) if name.startswith(_HISTOGRAMS)]
-
-
-def _coded(X: FloatArray, feature_set: str) -> NDArray[np.uint8]:
-    """(n, D) square roots of the histograms as whole numbers."""
-    return np.round(np.sqrt(X[:, _columns(feature_set)]) * _STEPS).astype(np.uint8)
+def _decoded(rows: Sequence[Any]) -> list[NDArray[np.uint8]]:
+    """The exemplars that hexadecimal text stands for."""
+    try:
+        return [np.frombuffer(bytes.fromhex(row), dtype=np.uint8) for row in rows]
+    except (TypeError, ValueError):
+        raise refuse("exemplars", "a row is no hexadecimal text") from None

@@ -22,6 +22,14 @@ def field(entry: Any, key: str, choices: Mapping[Any, Any], where: str) -> Any:
     return choices[value]
 
 
+def text(entry: Any, key: str, where: str) -> str:
+    """The text `entry[key]`."""
+    value = _value(entry, key, where)
+    if not isinstance(value, str):
+        raise refuse(where, f"{key!r} is {value!r}, which is no text")
+    return value
+
+
 def number(entry: Any, key: str, where: str) -> float:
     """The finite number `entry[key]`."""
     return _finite(_value(entry, key, where), key, where)
@@ -60,6 +68,10 @@ def _value(entry: Any, key: str, where: str) -> Any:
 
 
 def _finite(value: Any, key: str, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise refuse(where, f"{key!r} holds {value!r}, which is no finite number")
+    try:
+        finite = not isinstance(value, bool) and math.isfinite(value)
+    except (TypeError, OverflowError):  # text, a list; a whole number beyond all floats
+        finite = False
+    if not finite:
+        raise refuse(where, f"{key!r} holds {value!r:.60}, which is no finite number")
     return float(value)

@@ -8,19 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.config import Config, LocalizationConfig
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.sampling import evenly
+from specmap_cli.core.settings import Config, LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.sets import KeyframeFeatures, scan_features, scans_features
 from specmap_cli.recognition.features.virtual import RecentScans, cast_circles
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, OneVsAll, Sensor
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
+from specmap_cli.recognition.learning.one_vs_all import OneVsAll
+from specmap_cli.recognition.learning.sensor import Sensor
 
-_TRACK_REACH_M = 1.5
-_WINDOW_SHARES = (0.1, 0.2, 0.5, 1.0)  # of the window: it has to work while it fills
-_MOST_WINDOW_SAMPLES = 800
+# Of the window: 1, 2, 5 and 10 m by default, as it has to work while it fills.
+_WINDOW_SHARES = (0.1, 0.2, 0.5, 1.0)
+_DRAWS = 6  # free cells drawn for one that is wanted: most lie too far from the track
+_ALIKE_SHARE = 0.5  # of the cast samples is dealt out evenly, the rest by area
 
 
 def train_localizer(
@@ -30,20 +34,24 @@ def train_localizer(
     grids: Mapping[int, GridMap],
     config: Config,
     rng: np.random.Generator,
-    features: KeyframeFeatures | None = None,
 ) -> ClassifierSet:
     """Classifiers of raw scans and, where wanted, of virtual ones.
 
     The two are independent: `train_raw` and `train_virtual` may be called apart, each with one of
     `rng.spawn(2)`. `submaps` lists the keyframes of each submap, ascending; `poses` (n, 3) are
     those of all keyframes, map from base; `grids` are in the frame of each submap's first keyframe.
-    `features` are those of the store's keyframes known so far.
     """
     raw_rng, virtual_rng = rng.spawn(2)
-    trained = train_raw(store, submaps, config, raw_rng, features)
-    virtual = train_virtual(store, submaps, poses, grids, config, virtual_rng)
-    trained.virtual, trained.virtual_known = virtual
-    return trained
+    return ClassifierSet(
+        sensor=sensor_of(store, submaps),
+        raw=train_raw(store, submaps, config, raw_rng),
+        virtual=train_virtual(store, submaps, poses, grids, config, virtual_rng),
+    )
+
+
+def sensor_of(store: KeyframeStore, submaps: Mapping[int, Sequence[int]]) -> Sensor:
+    """The laser of the first keyframe that is in a submap."""
+    return Sensor.of(store.scan(min(numbers[0] for numbers in submaps.values())))
 
 
 def train_raw(
@@ -52,16 +60,12 @@ def train_raw(
     config: Config,
     rng: np.random.Generator,
     features: KeyframeFeatures | None = None,
-) -> ClassifierSet:
-    """Classifiers of raw scans alone."""
-    recognition = config.recognition
-    features = features or KeyframeFeatures(store, recognition.feature_set)
-    raw = {i: features.of(numbers) for i, numbers in submaps.items()}
-    sensor = Sensor.of(store.scan(min(numbers[0] for numbers in submaps.values())))
-    trained = ClassifierSet.train(raw, sensor, recognition, rng)
-    false_unknown = config.localization.false_unknown
-    trained.raw_known = Familiarity.of(recognition.feature_set, raw, false_unknown)
-    return trained
+) -> Recogniser:
+    """What tells the submaps apart by raw scans; `features` are those known so far."""
+    feature_set = config.recognition.feature_set
+    features = features or KeyframeFeatures(store, feature_set)
+    samples = {i: features.of(numbers) for i, numbers in submaps.items()}
+    return train(samples, feature_set, config, rng)
 
 
 def train_virtual(
@@ -71,15 +75,26 @@ def train_virtual(
     grids: Mapping[int, GridMap],
     config: Config,
     rng: np.random.Generator,
-) -> tuple[OneVsAll | None, Familiarity | None]:
-    """Classifiers of virtual scans, and which scans look like any place; None where not wanted."""
+) -> Recogniser | None:
+    """What tells the submaps apart by virtual scans; None where these are not wanted."""
     localization = config.localization
     if not localization.virtual:
-        return None, None
+        return None
     samples = virtual_samples(store, submaps, poses, grids, localization, rng)
-    model = OneVsAll(localization.feature_set, config.recognition).fit(samples, rng)
-    known = Familiarity.of(localization.feature_set, samples, localization.false_unknown)
-    return model, known
+    return train(samples, localization.feature_set, config, rng)
+
+
+def train(
+    samples: Mapping[int, FloatArray],
+    feature_set: str,
+    config: Config,
+    rng: np.random.Generator,
+) -> Recogniser:
+    """What tells submaps apart, from the features (n, F) of every submap's scans."""
+    localization = config.localization
+    classifiers = OneVsAll(feature_set, config.recognition).fit(samples, rng)
+    known = Familiarity(feature_set, localization.false_unknown, localization.exemplars)
+    return Recogniser(classifiers, known.fit(samples) if known.can_fit(samples) else None)
 
 
 def virtual_samples(
@@ -97,24 +112,23 @@ def virtual_samples(
         rows[int(owner[keyframe])].append(features)
     samples = {}
     counts = _share_out(localization.augmentation, {i: g.free_area_m2 for i, g in grids.items()})
-    tracked = np.flatnonzero(owner >= 0)
+    tracked = np.flatnonzero(owner != NO_SUBMAP)
     tree = cKDTree(poses[tracked, :2])
     for i in sorted(submaps):
+        drawn = _free_places(grids[i], localization.augmentation_clearance_m, counts[i], rng)
         map_from_submap = Pose2(*poses[submaps[i][0]].tolist())
-        origins = _free_origins(
-            grids[i], map_from_submap, tree, owner[tracked] == i, counts[i], rng
-        )
-        scans = cast_circles(
-            grids[i], origins, localization.virtual_beams, localization.virtual_range_m
-        )
+        distance, nearest = tree.query(map_from_submap.apply(drawn))
+        near = (distance < localization.augmentation_reach_m) & (owner[tracked][nearest] == i)
+        beams, reach = localization.virtual_beams, localization.virtual_range_m
+        scans = cast_circles(grids[i], drawn[near][: counts[i]], beams, reach)
         cast = scans_features(scans, localization.feature_set)
         samples[i] = np.vstack([*(row[None] for row in rows[i]), cast])
     return samples
 
 
 def _owners(submaps: Mapping[int, Sequence[int]], count: int) -> NDArray[np.intp]:
-    """(count,) submap of every keyframe, -1 for none."""
-    owner = np.full(count, -1, dtype=np.intp)
+    """(count,) submap of every keyframe, NO_SUBMAP for none."""
+    owner = np.full(count, NO_SUBMAP, dtype=np.intp)
     for i, numbers in submaps.items():
         owner[np.asarray(numbers, dtype=np.intp)] = i
     return owner
@@ -127,14 +141,9 @@ def _along_the_track(
     localization: LocalizationConfig,
 ) -> Iterator[tuple[int, FloatArray]]:
     """Keyframes in turn with the features of what the window showed there, of several lengths."""
-    windows = [
-        RecentScans(
-            share * localization.window_m, localization.virtual_beams, localization.virtual_range_m
-        )
-        for share in _WINDOW_SHARES
-    ]
-    numbers = np.flatnonzero(owner >= 0)
-    sampled = set(evenly(numbers, _MOST_WINDOW_SAMPLES).tolist())
+    windows = [RecentScans(localization, share) for share in _WINDOW_SHARES]
+    numbers = np.flatnonzero(owner != NO_SUBMAP)
+    sampled = set(evenly(numbers, localization.track_samples).tolist())
     turn = 0
     for number in numbers.tolist():
         pose, mounting = Pose2(*poses[number].tolist()), store.base_from_laser(number)
@@ -150,28 +159,19 @@ def _along_the_track(
 def _share_out(total: int, areas: Mapping[int, float]) -> dict[int, int]:
     """How many of `total` samples each submap gets: half alike, half by its area."""
     whole = sum(areas.values())
-    even = 0.5 / max(1, len(areas))
+    even = _ALIKE_SHARE / max(1, len(areas))
+    by_area = 1.0 - _ALIKE_SHARE
     return {
-        i: round(total * (even + (0.5 * area / whole if whole > 0.0 else even)))
+        i: round(total * (even + (by_area * area / whole if whole > 0.0 else even)))
         for i, area in sorted(areas.items())
     }
 
 
-def _free_origins(
-    grid: GridMap,
-    map_from_submap: Pose2,
-    tree: cKDTree,
-    own: NDArray[np.bool_],
-    count: int,
-    rng: np.random.Generator,
+def _free_places(
+    grid: GridMap, clearance_m: float, count: int, rng: np.random.Generator
 ) -> FloatArray:
-    """(n, 2) places in free cells near the track and nearer to this submap's than to others'.
-
-    `tree` holds the keyframes' places in the map, `own` (k,) which of them are this submap's.
-    """
-    cells = np.argwhere(grid.clearance() > 0.25)
+    """(n, 2) places drawn from the free cells that lie farther than this from all others."""
+    cells = np.argwhere(grid.clearance() > clearance_m)
     if not len(cells) or not count:
         return np.zeros((0, 2))
-    drawn = grid.centres_of(cells[rng.integers(len(cells), size=6 * count)])
-    distance, nearest = tree.query(map_from_submap.apply(drawn))
-    return np.asarray(drawn[(distance < _TRACK_REACH_M) & own[nearest]][:count])
+    return grid.centres_of(cells[rng.integers(len(cells), size=_DRAWS * count)])

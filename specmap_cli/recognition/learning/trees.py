@@ -17,9 +17,14 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.learning.json_fields import field, mapping, number, numbers, objects
 
-BINS = 32
+BINS = 32  # more of them learn no better, and cost a round in proportion
 CodeArray = NDArray[np.uint8]
+# Weight trimming (Friedman, Hastie and Tibshirani, 2000): every few rounds the samples that hold
+# the last 2 % of the weight are left out of the search for splits, which they hardly change.
 _TRIM_EVERY = 8
+_HEAVY_SHARE = 0.98
+_NO_EDGE = 1e300  # a threshold that no value reaches, as JSON knows no infinity
+_VOTE_DECIMALS = 6  # of votes on disk: they are of the order of one
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +68,22 @@ class Forest:
     thresholds: FloatArray
     votes: FloatArray
 
+    @classmethod
+    def joined(cls, forests: Sequence[Forest]) -> Forest:
+        """The trees of several forests, one forest after the other."""
+        return cls(
+            np.vstack([forest.features for forest in forests]),
+            np.vstack([forest.thresholds for forest in forests]),
+            np.vstack([forest.votes for forest in forests]),
+        )
+
     def tree_votes(self, X: NDArray[Any]) -> FloatArray:
         """(n, T) vote of each tree on samples X (n, F)."""
         trees = np.arange(len(self.votes))
         upper = X[:, self.features[:, 0]] >= self.thresholds[:, 0]
         node = trees * 3 + 1 + upper
         feature = self.features.ravel()[node]
-        value = np.take_along_axis(X, feature, axis=1) if len(X) > 1 else X[0][feature]
+        value = X[0][feature] if len(X) == 1 else np.take_along_axis(X, feature, axis=1)
         above = value >= self.thresholds.ravel()[node]
         return np.asarray(self.votes.ravel()[trees * 4 + 2 * upper + above])
 
@@ -108,7 +122,7 @@ class TreeBoost:
         positive = np.asarray(y) > 0
         counts = max(1, int(positive.sum())), max(1, int((~positive).sum()))
         weights = np.where(positive, 0.5 / counts[0], 0.5 / counts[1])
-        smooth = 0.5 / len(positive)
+        smooth = 0.5 / len(positive)  # half a sample in each class: no leaf's odds are infinite
         rng = np.random.default_rng(self.seed)
         drawn = max(1, round(self.feature_share * len(codes)))
         active = np.arange(len(positive))
@@ -218,10 +232,10 @@ def _leaves(codes: CodeArray, nodes: NDArray[np.intp], cuts: NDArray[np.intp]) -
     return np.asarray(2 * upper + above, dtype=np.intp)
 
 
-def _heavy(weights: FloatArray, share: float = 0.98) -> NDArray[np.intp]:
-    """The samples that hold `share` of the weight, ascending; the others wait."""
+def _heavy(weights: FloatArray) -> NDArray[np.intp]:
+    """The heaviest samples, which hold 98 % of the weight, ascending; the others wait."""
     order = np.argsort(-weights, kind="stable")
-    enough = int(np.searchsorted(np.cumsum(weights[order]), share * weights.sum())) + 1
+    enough = int(np.searchsorted(np.cumsum(weights[order]), _HEAVY_SHARE * weights.sum())) + 1
     return np.sort(order[:enough])
 
 
@@ -233,6 +247,6 @@ def _forest(
     cuts = np.array([t[1] for t in trees], dtype=np.intp).reshape(-1, 3)
     thresholds = quantiser.edges[features, cuts]
     # no edge stands there: the feature has fewer distinct values, and nothing lies above
-    thresholds = np.where(np.isfinite(thresholds), thresholds, 1e300)
-    votes = np.round(np.array([t[2] for t in trees]).reshape(-1, 4), 6)
+    thresholds = np.where(np.isfinite(thresholds), thresholds, _NO_EDGE)
+    votes = np.round(np.array([t[2] for t in trees]).reshape(-1, 4), _VOTE_DECIMALS)
     return Forest(features, thresholds, votes)

@@ -6,30 +6,31 @@ margins are the evidence. One more state, the last, is "unknown": outside of the
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import LocalizationConfig
 
-_LEAP = 1e-4  # chance of arriving anywhere: kidnapped, or by an edge that was never driven
-_LEAVE = 1e-4  # chance of leaving the map, or of coming back
+_SMALLEST = 1e-300  # keeps a probability of nought out of a logarithm or a quotient
 
 
 class HiddenMarkovFilter:
     """Forward filter and smoother. States are the submaps `ids` in ascending order, then unknown.
 
-    `adjacency` names the neighbours of every submap; `stay` is the chance to remain in a submap
-    from one scan to the next. `transition_` (m + 1, m + 1) holds rows that sum to one.
+    `adjacency` names the neighbours of every submap; `config` says how likely it is to stay, to
+    leap anywhere and to leave the map. `transition` (m + 1, m + 1) holds rows that sum to one: the
+    chance to go from the row's state to the column's.
     """
 
-    def __init__(self, adjacency: Mapping[int, Collection[int]], stay: float = 0.97) -> None:
-        self.adjacency = adjacency
-        self.stay = stay
+    def __init__(
+        self, adjacency: Mapping[int, Collection[int]], config: LocalizationConfig
+    ) -> None:
         self.ids = sorted(adjacency)
-        self.transition_ = _transitions(self.ids, adjacency, stay)
+        self.transition = _transitions(self.ids, adjacency, config)
         self._belief: FloatArray | None = None
 
     def reset(self) -> None:
@@ -38,9 +39,7 @@ class HiddenMarkovFilter:
 
     def predicted(self) -> FloatArray:
         """(m + 1,) probabilities of the states at the next scan, before it is seen."""
-        if self._belief is None:
-            return np.full(len(self.ids) + 1, 1.0 / (len(self.ids) + 1))
-        return np.asarray(self._belief @ self.transition_)
+        return self._after(self._belief)
 
     def with_unknown(self, known: NDArray[Any], worth: float) -> FloatArray:
         """(m + 1,) the log likelihoods `known` (m,) of the submaps and, last, that of unknown.
@@ -50,8 +49,8 @@ class HiddenMarkovFilter:
         """
         prior = self.predicted()[:-1]
         highest = float(np.max(known))
-        together = float(prior @ np.exp(known - highest)) / max(float(prior.sum()), 1e-300)
-        return np.append(known, highest + np.log(max(together, 1e-300)) + worth)
+        together = float(prior @ np.exp(known - highest)) / max(float(prior.sum()), _SMALLEST)
+        return np.append(known, highest + np.log(max(together, _SMALLEST)) + worth)
 
     def update(self, log_likelihoods: NDArray[Any]) -> FloatArray:
         """(m + 1,) probabilities of the states after one more scan of given log likelihoods."""
@@ -60,40 +59,49 @@ class HiddenMarkovFilter:
         return self._belief
 
     def smooth(self, log_likelihoods: NDArray[Any]) -> FloatArray:
-        """(T, m + 1) probabilities given all scans, by forward and backward passes."""
+        """(T, m + 1) probabilities given all scans (T, m + 1), by forward and backward passes.
+
+        They are those of a log of their own: what the filter has seen does not matter.
+        """
         evidence = np.asarray(log_likelihoods, dtype=np.float64)
         likelihoods = np.exp(evidence - evidence.max(axis=1, keepdims=True))
-        kept = self._belief
-        self.reset()
-        forward = np.array([self.update(row) for row in evidence]).reshape(evidence.shape)
-        self._belief = kept
-        smoothed = forward.copy()
+        smoothed = np.empty(evidence.shape)
+        belief: FloatArray | None = None
+        for t, row in enumerate(evidence):
+            belief = _posterior(self._after(belief), row)
+            smoothed[t] = belief
         backward = np.ones(evidence.shape[1])
         for t in range(len(evidence) - 2, -1, -1):
-            backward = self.transition_ @ (likelihoods[t + 1] * backward)
+            backward = self.transition @ (likelihoods[t + 1] * backward)
             backward /= backward.sum()
-            smoothed[t] = forward[t] * backward
+            smoothed[t] *= backward
             smoothed[t] /= smoothed[t].sum()
         return smoothed
 
+    def _after(self, belief: FloatArray | None) -> FloatArray:
+        """(m + 1,) probabilities one scan after `belief`; without any, all states are as likely."""
+        if belief is None:
+            return np.full(len(self.transition), 1.0 / len(self.transition))
+        return np.asarray(belief @ self.transition)
+
 
 def _transitions(
-    ids: list[int], adjacency: Mapping[int, Collection[int]], stay: float
+    ids: Sequence[int], adjacency: Mapping[int, Collection[int]], config: LocalizationConfig
 ) -> FloatArray:
     """(m + 1, m + 1) chance of going from the row's state to the column's."""
     m = len(ids)
     number = {submap: k for k, submap in enumerate(ids)}
     transition = np.zeros((m + 1, m + 1))
     for submap, k in number.items():
-        neighbours = sorted(number[n] for n in adjacency[submap] if n in number and n != submap)
-        transition[k, k] = stay if neighbours else 1.0
+        neighbours = {number[n] for n in adjacency[submap] if n in number and n != submap}
+        transition[k, k] = config.stay if neighbours else 1.0
         for n in neighbours:
-            transition[k, n] = (1.0 - stay) / len(neighbours)
-    transition[:m, :m] *= 1.0 - _LEAP - _LEAVE
-    transition[:m, :m] += _LEAP / max(1, m)
-    transition[:m, m] = _LEAVE
-    transition[m, :m] = _LEAVE / max(1, m)
-    transition[m, m] = 1.0 - (_LEAVE if m else 0.0)
+            transition[k, n] = (1.0 - config.stay) / len(neighbours)
+    transition[:m, :m] *= 1.0 - config.leap - config.leave
+    transition[:m, :m] += config.leap / max(1, m)
+    transition[:m, m] = config.leave
+    transition[m, :m] = config.leave / max(1, m)
+    transition[m, m] = 1.0 - (config.leave if m else 0.0)
     return transition
 
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.sampling import evenly
+from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.matching import Match, ScoreField, Window, refine, search, search_everywhere
 
-_MOST_POINTS = 180
-_FOLLOW = Window(0.4, math.radians(12.0), 0.1, math.radians(2.0))
-_LOST_SCORE = 0.55
+_MOST_POINTS = 180  # one every other degree: what a match costs grows with them
+# Steps of the searches: what the refinement after them mends (0.3 m at the most).
+_FOLLOW_STEP_M, _FOLLOW_STEP_RAD = 0.1, math.radians(2.0)
+_SEARCH_STEP_M = 0.2
 
 
 class MetricTracker:
@@ -23,8 +25,9 @@ class MetricTracker:
     is searched as a whole; otherwise the motion since the last scan says where to look.
     """
 
-    def __init__(self, grids: Mapping[int, GridMap]) -> None:
+    def __init__(self, grids: Mapping[int, GridMap], config: LocalizationConfig) -> None:
         self.grids = grids
+        self.config = config
         self._fields: dict[int, ScoreField] = {}
         self._last: tuple[int, Pose2, Pose2] | None = None  # submap, its pose, map_from_base
 
@@ -35,23 +38,33 @@ class MetricTracker:
         match: Match | None = None
         if self._last is not None and self._last[0] == submap and not posed.restarted:
             guess = self._last[1] @ (self._last[2].inverse() @ posed.map_from_base)
-            match = search(field, points, guess, _FOLLOW)
+            match = search(field, points, guess, self._window())
             match = refine(field, points, match.pose)
-        if match is None or match.score < _LOST_SCORE:
-            match = self._anywhere(field, points, match)
+        if match is None or match.score < self.config.lost_score:
+            match = _anywhere(field, points, match)
         self._last = (submap, match.pose, posed.map_from_base)
         return match
 
-    def _anywhere(self, field: ScoreField, points: FloatArray, fallback: Match | None) -> Match:
-        found = search_everywhere(field, points, step=0.2)
-        best = fallback or Match(Pose2(0.0, 0.0, 0.0), 0.0)
-        for candidate in found:
-            match = refine(field, points, candidate.pose)
-            if match.score > best.score:
-                best = match
-        return best
+    def _window(self) -> Window:
+        """Where a scan is sought about the pose that the motion since the last one gives."""
+        return Window(
+            distance_m=self.config.follow_m,
+            angle_rad=self.config.follow_rad,
+            step_m=_FOLLOW_STEP_M,
+            angle_step_rad=_FOLLOW_STEP_RAD,
+        )
 
     def _field(self, submap: int) -> ScoreField:
         if submap not in self._fields:
             self._fields[submap] = ScoreField.from_grid(self.grids[submap])
         return self._fields[submap]
+
+
+def _anywhere(field: ScoreField, points: FloatArray, fallback: Match | None) -> Match:
+    """The best refined match anywhere on the field, unless the fallback is as good."""
+    best = fallback or Match(IDENTITY, 0.0)
+    for candidate in search_everywhere(field, points, step=_SEARCH_STEP_M):
+        match = refine(field, points, candidate.pose)
+        if match.score > best.score:
+            best = match
+    return best

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import gzip
 import math
+import random
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from specmap_cli.core.config import LogConfig
+from specmap_cli.core.errors import LogError
 from specmap_cli.core.records import Sweep
+from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.carmen import flaser_angles
+from specmap_cli.logs.readers.carmen import CarmenFile
+from specmap_cli.logs.readers.carmen_lines import flaser_angles, keyword_of, parse_line
 from specmap_cli.logs.stream import SweepStream
 
 RANGES = " ".join(f"{1 + i / 100:.2f}" for i in range(178))
@@ -75,7 +80,8 @@ def test_the_contents_are_those_of_the_messages(front: Path) -> None:
 @pytest.mark.parametrize(
     ("beams", "first", "step"),
     [(180, -90.0, 1.0), (181, -90.0, 1.0), (360, -90.0, 0.5), (361, -90.0, 0.5)]
-    + [(541, -135.0, 0.5), (1081, -135.0, 0.25), (401, -90.0, 0.45)],
+    + [(541, -135.0, 0.5), (1081, -135.0, 0.25), (401, -90.0, 0.45), (1, -90.0, 180.0)]
+    + [(720, -90.0, 0.25), (721, -90.0, 0.25), (682, -119.705, 239.41 / 681)],
 )
 def test_flaser_angles(beams: int, first: float, step: float) -> None:
     start, increment = flaser_angles(beams)
@@ -143,4 +149,139 @@ def test_a_zipped_log_is_read(front: Path) -> None:
     path.write_bytes(path.read_bytes()[:-20])
     sweeps, stream = read(path)
     assert len(sweeps) <= 2
-    assert "the gzip compression ends early" in stream.warnings[0]
+    assert "the gzip compression is damaged or ends early" in stream.warnings[0]
+
+
+def odom(stamp: str, logger: str = "7.5", pose: str = "1.0 2.0 0.5") -> str:
+    return f"ODOM {pose} 0.1 0.0 0.0 {stamp} nohost {logger}\n"
+
+
+@pytest.mark.parametrize(
+    ("written", "stamp_ns"),
+    [
+        ("10.000001", 10_000_001_000),
+        ("1700000000.123456789", 1_700_000_000_123_456_789),
+        ("1700000000.1234567891", 1_700_000_000_123_456_789),
+        ("12", 12_000_000_000),
+        ("-1.5", -1_500_000_000),
+        ("-0.25", -250_000_000),
+        ("1.5e3", 1_500_000_000_000),
+        ("0.000000", 7_500_000_000),
+        ("0", 7_500_000_000),
+    ],
+)
+def test_stamps_are_exact(written: str, stamp_ns: int) -> None:
+    line = parse_line("ODOM", odom(written).encode().split())
+    assert line.stamp_ns == stamp_ns
+    assert line.odom_from_base == (1.0, 2.0, 0.5)
+    assert line.scan is None
+
+
+@given(st.integers(0, 2**61))
+def test_nanoseconds_are_kept_to_the_last_digit(stamp_ns: int) -> None:
+    written = f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}"
+    line = parse_line("ODOM", odom(written, written).encode().split())
+    assert line.stamp_ns == stamp_ns
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "ODOM 1.0 2.0",
+        odom("inf"),
+        odom("nan"),
+        odom("1e400"),
+        odom("9e18"),
+        odom("1.0", pose="1.0 2.0 inf"),
+        odom("1.0", pose="nan 2.0 0.5"),
+        odom("1.0", pose="1.0 1e300 0.5"),
+        "FLASER",
+        "FLASER -3 1.0 2.0 0.0 1.0 2.0 0.0 1.0 nohost 1.0 9 9 9 9",
+        "FLASER 0 1.0 2.0 0.0 1.0 2.0 0.0 1.0 nohost 1.0",
+        "FLASER 99999999999999999999 1.0 2.0",
+        flaser(1.0, "1.1 2.0 0.0", "1.0 2.0 0.0").replace("1.50", "1.5O"),
+        flaser(1.0, "1.1 2.0 0.0", "1.0 2.0 0.0").replace("1.50", "1e99"),
+        flaser(1.0, "1.1 2.0 inf", "1.0 2.0 0.0"),
+        robotlaser(1.0).replace(" 5 ", " 50 "),
+        robotlaser(1.0).replace("0.500000", "nan"),
+        robotlaser(1.0).replace("-1.000000", "1e39"),
+        robotlaser(1.0).replace("30.000000", "inf"),
+    ],
+)
+def test_a_line_that_is_not_whole_costs_only_itself(tmp_path: Path, line: str) -> None:
+    """Each is passed by every stage of reading: the survey, the mountings, the messages."""
+    path = tmp_path / "log.clf"
+    sound = flaser(0.5, "1.1 2.0 0.0", "1.0 2.0 0.0")
+    path.write_text(sound + line.rstrip() + "\n" + sound)
+    sweeps, stream = read(path)
+    assert len(sweeps) == 2
+    keyword = line.split()[0]
+    assert stream.log.damage == [
+        f"{path}: line 2 (byte {len(sound)}) is damaged: one {keyword} after 0.500 s is lost"
+    ]
+
+
+def test_random_damage_is_survived(tmp_path: Path) -> None:
+    path = tmp_path / "log.clf"
+    sound = "".join(
+        flaser(t, "1.1 2.0 0.0", "1.0 2.0 0.0") + robotlaser(t) + odom(f"{t}.1")
+        for t in range(1, 5)
+    ).encode()
+    for seed in range(40):
+        rng = random.Random(seed)
+        data = bytearray(sound)
+        for _ in range(rng.randrange(1, 40)):
+            data[rng.randrange(20, len(data))] = rng.choice(b"0123456789 .-e\nxF\x00\t")
+        path.write_bytes(data)
+        with open_log(path) as log:
+            messages = list(log.messages())
+            assert {m.topic for m in messages} <= {"/odom", "/flaser", "/robotlaser1", "/tf_static"}
+            assert log.contents.messages == len(messages)
+            assert all("\n" not in line for line in log.damage)
+
+
+@pytest.mark.parametrize(
+    ("line", "keyword"),
+    [
+        (b"FLASER 180 1.0", "FLASER"),
+        (b"ROBOTLASER1 4", "ROBOTLASER1"),
+        (b"ODOM", "ODOM"),
+        (b"RLASER\r\n", "RLASER"),
+        (b"ODOMETRY 1", None),
+        (b"# FLASER 180", None),
+        (b"RAWLASER1 0", None),
+        (b"", None),
+    ],
+)
+def test_keywords_stand_at_the_start_of_a_line(line: bytes, keyword: str | None) -> None:
+    assert keyword_of(line) == keyword
+
+
+@pytest.mark.parametrize(("comments", "known"), [(40_000, True), (80_000, False)])
+def test_data_may_come_after_many_comments(tmp_path: Path, comments: int, known: bool) -> None:
+    path = tmp_path / "log.clf"
+    path.write_text("# parameters of a robot, one a line, and so on\n" * 2 * comments + odom("1.0"))
+    assert CarmenFile.sniff(path.read_bytes()[:4096], path) is known
+    if not known:
+        with pytest.raises(LogError, match="a text file, not a recording"):
+            open_log(path)
+
+
+def test_a_reading_of_80_m_is_no_return(tmp_path: Path) -> None:
+    path = tmp_path / "log.clf"
+    path.write_text("FLASER 3 79.99 80.00 81.83 1.0 2.0 0.0 1.0 2.0 0.0 1.0 nohost 1.0\n")
+    (sweep,), _ = read(path)
+    assert sweep.planar.ranges.tolist() == pytest.approx([79.99, math.inf, math.inf])
+    assert sweep.planar.range_max == 80.0
+
+
+def test_a_mounting_may_differ_by_rounding(tmp_path: Path) -> None:
+    path = tmp_path / "log.clf"
+    base = "1.0 2.0 0.0"
+    for offset, known in ((0.009, True), (0.02, False)):
+        path.write_text(
+            flaser(1.0, "1.1 2.0 0.0", base) + flaser(1.1, f"{1.1 + offset} 2.0 0.0", base)
+        )
+        with open_log(path) as log:
+            assert ("/tf_static" in {t.name for t in log.topics()}) is known
+            assert sum(m.topic == "/tf_static" for m in log.messages()) == known

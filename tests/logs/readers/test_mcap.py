@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,9 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.recording import Message
+from specmap_cli.logs.readers.chunks import ChunkRef, OpenedChunk
+from specmap_cli.logs.readers.mcap import McapFile
+from specmap_cli.logs.readers.recording import Message, TopicInfo
 
 ReadRest = Callable[[Path], tuple[list[Message], list[str]]]
 CutInTenths = Callable[[Path, list[Message]], None]
@@ -110,10 +113,11 @@ def test_a_damaged_chunk_costs_only_itself(
     with open_log(path) as log:
         found = list(log.messages())
         assert len(log.damage) == 1
-        assert "is damaged: messages between 10" in log.damage[0]
-        assert "s are lost" in log.damage[0]
+        assert "is damaged: " in log.damage[0]
+        assert ", between 100.350 s and 100.450 s, are lost" in log.damage[0]
         assert list(log.messages()) == found
         assert len(log.damage) == 1, "said once, however often it is read"
+        assert len(found) + log.missing.total() == len(drive_messages)
     assert 0.5 * len(drive_messages) < len(found) < len(drive_messages)
     assert all(m in drive_messages for m in found)
 
@@ -164,3 +168,166 @@ def test_other_encodings_are_listed_but_no_scans(tmp_path: Path) -> None:
         writer.finish()  # type: ignore[no-untyped-call]
     with open_log(path) as log:
         assert [t.type for t in log.topics()] == ["foxglove.LaserScan (protobuf)"]
+
+
+def test_a_wrong_checksum_of_the_index_makes_it_untrusted(
+    tmp_path: Path, drive_messages: list[Message]
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages)
+    data = bytearray(path.read_bytes())
+    data[-9] ^= 0xFF  # of the checksum, right before the closing magic
+    path.write_bytes(data)
+    with open_log(path) as log:
+        assert list(log.messages()) == drive_messages
+        assert log.damage == []
+
+
+def test_private_records_are_passed_over(tmp_path: Path, drive_messages: list[Message]) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages)
+    data = path.read_bytes()
+    end = 8 + 9 + struct.unpack_from("<Q", data, 9)[0]  # of the header record
+    private = struct.pack("<BQ", 0x93, 5) + b"extra"
+    path.write_bytes(data[:end] + private + data[end:])
+    with open_log(path) as log:
+        assert list(log.messages()) == drive_messages
+        assert log.damage == []
+
+
+def test_an_unknown_record_is_passed_over_and_said(
+    tmp_path: Path, drive_messages: list[Message]
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages, use_chunking=False, index_types=IndexType.NONE)
+    data = path.read_bytes()
+    place = data.index(drive_messages[40].data) - 9 - 22
+    path.write_bytes(data[:place] + b"\x7a" + data[place + 1 :])
+    with open_log(path) as log:
+        assert list(log.messages()) == drive_messages[:40] + drive_messages[41:]
+        assert log.damage == [
+            f"{path}: the record at byte {place} is of no known kind (opcode 122): what it holds "
+            f"in its {31 + len(drive_messages[40].data)} bytes is lost"
+        ]
+
+
+def test_where_no_record_follows_the_reading_ends_and_it_is_said(
+    tmp_path: Path, drive_messages: list[Message]
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages, use_chunking=False, index_types=IndexType.NONE)
+    data = path.read_bytes()
+    place = data.index(drive_messages[40].data) - 9 - 22
+    path.write_bytes(data[:place] + b"\x7a\x01" + data[place + 2 :])
+    with open_log(path) as log:
+        assert list(log.messages()) == drive_messages[:40]
+        last = drive_messages[39].time_ns / 1e9
+        said = f"damaged at byte {place} of {len(data)}: what followed {last:.3f} s is lost"
+        assert log.damage == [f"{path}: {said}"]
+
+
+def test_an_unknown_compression_costs_its_chunks(
+    tmp_path: Path, drive_messages: list[Message]
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages, compression=CompressionType.ZSTD)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    data = bytearray(path.read_bytes())
+    for chunk in summary.chunk_indexes[1:]:
+        place = data.index(b"zstd", chunk.chunk_start_offset)
+        data[place : place + 4] = b"best"
+    path.write_bytes(data)
+    with open_log(path) as log:
+        found = list(log.messages())
+        assert found == drive_messages[: len(found)]
+        assert 0 < len(found) < len(drive_messages)
+        assert len(log.damage) == min(len(summary.chunk_indexes) - 1, 21)
+
+
+def test_a_damaged_head_of_an_indexed_chunk_costs_nothing(
+    tmp_path: Path, drive_messages: list[Message]
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages, compression=CompressionType.NONE)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[2]
+    data = bytearray(path.read_bytes())
+    data[chunk.chunk_start_offset] = 0x05  # no chunk any more
+    path.write_bytes(data)
+    with open_log(path) as log:
+        assert list(log.messages()) == drive_messages
+        assert log.damage == [
+            f"{path}: chunk at byte {chunk.chunk_start_offset} is damaged, but all of its 4 "
+            "messages are found"
+        ]
+
+
+def test_a_channel_without_a_schema_is_listed(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/note", "", 0)
+        writer.add_message(channel, 5, b"hello", 5)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with open_log(path) as log:
+        assert log.topics() == [TopicInfo("/note", "unknown (no encoding)", 1)]
+
+
+def test_a_file_without_messages_is_a_log_without_messages(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, [])
+    with open_log(path) as log:
+        assert list(log.messages()) == []
+        assert (log.topics(), log.damage) == ([], [])
+        assert (log.contents.start_ns, log.contents.end_ns) == (0, 0)
+
+
+def test_only_chunks_of_the_wanted_topics_are_read(
+    tmp_path: Path, drive_messages: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, sorted(drive_messages, key=lambda m: m.topic))
+    read: list[int] = []
+    opened = McapFile._open_chunk
+
+    def spy(file: McapFile, ref: ChunkRef) -> OpenedChunk:
+        read.append(ref.offset)
+        return opened(file, ref)
+
+    monkeypatch.setattr(McapFile, "_open_chunk", spy)
+    with open_log(path) as log:
+        assert len(list(log.messages(["/tf_static"]))) == 1
+        assert len(read) == 1
+        list(log.messages())
+        assert len(read) > 3
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [(0, 0x77), (0, 0x06), (1, 0xF0), (8, 0x01), (9, 0x4D)],
+    ids=["opcode", "other opcode", "length", "huge length", "channel"],
+)
+def test_a_damaged_record_in_a_chunk_without_checksum_is_told(
+    tmp_path: Path, drive_messages: list[Message], indexed: bool, place: int, value: int
+) -> None:
+    path = tmp_path / "log.mcap"
+    index = IndexType.ALL if indexed else IndexType.NONE
+    plain = CompressionType.NONE
+    write_mcap(path, drive_messages, enable_crcs=False, compression=plain, index_types=index)
+    data = bytearray(path.read_bytes())
+    data[data.index(drive_messages[50].data) - 31 + place] = value
+    path.write_bytes(data)
+    with open_log(path) as log:
+        found = list(log.messages())
+        assert len(found) + log.missing.total() >= len(drive_messages) * indexed
+        assert [m for m in found if m not in drive_messages] == found[50:51] * (
+            place == 1 and value == 0xF0
+        )
+        assert len(log.damage) == 1
+        assert "is damaged" in log.damage[0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sqlite3
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -199,3 +201,152 @@ def test_random_damage_in_a_bag_is_survived(
         found, said = read_rest(path)
         assert len(found) <= 20
         assert all(str(path) in line and "\n" not in line for line in said)
+
+
+def test_a_database_of_a_recorder_that_was_killed_is_read(
+    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
+) -> None:
+    """Its last messages are still in the log beside it."""
+    write_db3(tmp_path / "live.db3", drive_messages[:40])
+    with sqlite3.connect(tmp_path / "live.db3") as db:
+        db.execute("PRAGMA journal_mode = WAL")
+        numbers = dict(db.execute("SELECT name, id FROM topics").fetchall())
+        rows = [(numbers[m.topic], m.time_ns, m.data) for m in drive_messages[40:]]
+        db.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
+        db.commit()
+        for file in ("live.db3", "live.db3-wal"):
+            shutil.copy(tmp_path / file, tmp_path / file.replace("live", "killed"))
+    db.close()
+    with open_log(tmp_path / "killed.db3") as log:
+        assert list(log.messages()) == drive_messages
+        assert log.damage == []
+
+
+def test_rows_that_are_no_messages_are_passed_over(
+    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
+) -> None:
+    path = tmp_path / "log.db3"
+    write_db3(path, drive_messages)
+    with sqlite3.connect(path) as db:
+        insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)"
+        db.execute(insert, ("yesterday", b"data"))
+        db.execute(insert, (drive_messages[-1].time_ns + 1, "text"))
+    db.close()
+    with open_log(path) as log:
+        assert list(log.messages()) == drive_messages
+
+
+def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "addresses.db"
+    with sqlite3.connect(path) as db:
+        db.execute("CREATE TABLE people(name TEXT)")
+    db.close()
+    with pytest.raises(LogError) as caught:
+        open_log(path)
+    assert str(caught.value) == f"{path}: no readable rosbag2 file: no such table: topics"
+
+
+def test_a_file_name_may_hold_what_a_link_may_not(
+    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
+) -> None:
+    path = tmp_path / "my log?#100%.db3"
+    write_db3(path, drive_messages)
+    with open_log(path) as log:
+        assert log.contents.messages == len(drive_messages)
+
+
+def test_an_old_transform_type_gets_its_new_name(
+    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
+) -> None:
+    old = [m._replace(type="tf/tfMessage") for m in drive_messages if m.topic == "/tf_static"]
+    write_db3(tmp_path / "log.db3", old)
+    with open_log(tmp_path / "log.db3") as log:
+        assert [t.type for t in log.topics()] == ["tf2_msgs/msg/TFMessage"]
+
+
+def test_a_message_that_does_not_fit_its_type_is_left_out_and_said(
+    tmp_path: Path, drive_messages: list[Message]
+) -> None:
+    path = tmp_path / "log.bag"
+    scans = [m for m in drive_messages if m.topic == "/scan"][:3]
+    with Rosbag1Writer(path) as writer:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        connection = writer.add_connection("/scan", scans[0].type, typestore=store)
+        for number, m in enumerate(scans):
+            raw = bytes(store.cdr_to_ros1(m.data, m.type))
+            writer.write(connection, m.time_ns, raw[:9] if number == 1 else raw)
+    with open_log(path) as log:
+        assert list(log.messages()) == [scans[0], scans[2]]
+        said = (
+            f"the message on /scan at {scans[1].time_ns / 1e9:.3f} s does not fit its type "
+            "sensor_msgs/msg/LaserScan; left out"
+        )
+        assert log.damage == [f"{path}: {said}"]
+        assert log.missing == {"/scan": 1}
+
+
+def test_types_that_nothing_reads_stay_as_they_are(tmp_path: Path) -> None:
+    path = tmp_path / "log.bag"
+    with Rosbag1Writer(path) as writer:
+        store = get_typestore(Stores.ROS1_NOETIC)
+        connection = writer.add_connection("/cmd_vel", "geometry_msgs/msg/Twist", typestore=store)
+        writer.write(connection, 5, bytes(48))
+    with open_log(path) as log:
+        assert list(log.messages()) == [
+            Message("/cmd_vel", "geometry_msgs/msg/Twist", 5, bytes(48))
+        ]
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag", "db3"])
+def test_messages_may_be_asked_for_twice_at_once(
+    tmp_path: Path,
+    drive: Path,
+    drive_messages: list[Message],
+    write_bag: WriteBag,
+    write_db3: WriteDb3,
+    kind: str,
+) -> None:
+    path = drive if kind == "mcap" else tmp_path / f"log.{kind}"
+    if kind != "mcap":
+        (write_bag if kind == "bag" else write_db3)(path, drive_messages)
+    with open_log(path) as log:
+        for one, other in zip(log.messages(), log.messages(), strict=True):
+            assert one == other
+        scans, poses = log.messages(["/scan"]), log.messages(["/odom"])
+        assert [m for pair in zip(scans, poses, strict=False) for m in pair][:2] == [
+            next(m for m in drive_messages if m.topic == "/scan"),
+            next(m for m in drive_messages if m.topic == "/odom"),
+        ]
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [(b"op=\x02", b"op=\x04"), (b"op=\x02", b"op=\x42"), (b"op=\x02", b"xp=\x02")]
+    + [(b"conn=", b"conm="), (b"conn=\x01", b"conn=\x51"), (b"time=", b"mite=")],
+)
+def test_a_damaged_record_in_a_chunk_is_told(
+    tmp_path: Path,
+    drive_messages: list[Message],
+    write_bag: WriteBag,
+    old: bytes,
+    new: bytes,
+    indexed: bool,
+) -> None:
+    path = tmp_path / "log.bag"
+    write_bag(path, drive_messages)
+    data = bytearray(path.read_bytes())
+    if not indexed:
+        place = data.index(b"index_pos=") + len(b"index_pos=")
+        data[place : place + 8] = bytes(8)
+    chunk = data.index(b"compression=none", data.index(b"compression=none") + 1)
+    header = data.index(b"op=\x02", chunk) - 60  # of the first message in the second chunk
+    place = data.index(old, header)
+    data[place : place + len(new)] = new
+    path.write_bytes(data)
+    with open_log(path) as log:
+        found = list(log.messages())
+        assert len(found) < len(drive_messages)
+        assert all(m in drive_messages for m in found)
+        assert len(log.damage) == 1
+        assert "chunk at byte" in log.damage[0]

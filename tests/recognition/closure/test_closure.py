@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import RecognitionConfig, load_config
-from specmap_cli.core.geometry import Pose2, wrap_angle
+from specmap_cli.core.config import load_config
+from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import Closure
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
-from specmap_cli.recognition.closure.prepared import prepare, wall_direction
-from specmap_cli.recognition.closure.verification import judge, tracks_overlap, verify
+from specmap_cli.recognition.closure.prepared import PreparedGrid
+from specmap_cli.recognition.closure.verification import Check
 
 QUICK = RecognitionConfig(closure_rounds=20)
 ORDER = [0, 1, 2, 3, 0, 2, 1]
@@ -83,13 +86,15 @@ def test_a_room_found_again_merges_whatever_the_drift_on_a_long_way(twins: Any) 
     assert closure.merged
 
 
-def test_a_submap_without_a_wall_is_considered_and_refused(building: Any) -> None:
+def test_a_submap_without_a_wall_is_considered_and_refused_once(building: Any) -> None:
     loop = closer()
     loop.consider(building.visit(0, 0))
-    view = building.visit(1, 0)
     empty = GridMap(np.full((30, 30), UNKNOWN, dtype=np.uint8), 0.05)
-    bare = type(view)(1, view.features, empty, view.track)
-    assert not any(c.verified for c in loop.consider(bare))
+    (closure,) = loop.consider(replace(building.visit(1, 0), grid=empty))
+    assert (closure.old, closure.new, closure.verified) == (0, 1, False)
+    assert closure.reason == "a grid shows too few walls to match"
+    assert math.isnan(closure.score)
+    assert loop.consider_leftovers({0: [1], 1: [0]}) == []
 
 
 def test_leftover_duplicates_are_found_through_the_topology(building: Any) -> None:
@@ -98,7 +103,7 @@ def test_leftover_duplicates_are_found_through_the_topology(building: Any) -> No
     for number, room in enumerate([0, 1, 2]):
         loop.consider(building.visit(number, room, seed=number))
     loop.consider(building.visit(3, 0, seed=3))
-    loop._checked.clear()
+    loop._compared.clear()
     adjacency = {0: [1], 1: [0, 3], 2: [], 3: [1]}
     found = loop.consider_leftovers(adjacency)
     assert [(c.old, c.new) for c in found if c.merged] == [(0, 3)]
@@ -132,7 +137,8 @@ def test_the_paper_s_rule_waits_for_two_submaps_and_takes_the_best_xi(building: 
 
 
 def test_xi_is_the_product_of_both_claims() -> None:
-    assert Claims(0.5, 0.4, 0.0, np.ones(1)).xi == pytest.approx(0.2)
+    claims = Claims(new_by_old=0.5, old_by_new=0.4, rank=0.0, by_stay=np.ones(1))
+    assert claims.xi == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("booster", ["trees", "stumps"])
@@ -152,53 +158,212 @@ def test_a_classifier_is_kept_until_the_map_has_grown(building: Any) -> None:
         ranker.remember(k, building.visit(k, k % 4, seed=k).features)
     new = building.visit(9, 2, seed=4).features
     ranker.claims(new)
-    kept = {k: c[2] for k, c in ranker._classifiers.items()}
+    kept = {k: c.booster for k, c in ranker._classifiers.items()}
     ranker.remember(5, building.visit(5, 1, seed=8).features)
     ranker.claims(new)
-    assert all(ranker._classifiers[k][2] is kept[k] for k in range(5))
+    assert all(ranker._classifiers[k].booster is kept[k] for k in range(5))
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.7, -2.4])
-def test_verification_needs_no_guess(building: Any, turn: float) -> None:
-    old, new = building.visit(0, 1, seed=0), building.visit(1, 1, seed=2)
-    first, second = prepare(old.grid), prepare(new.grid)
-    assert first is not None
-    assert second is not None
-    check = verify(first, second)
-    assert check is not None
-    error = building.truth(1, 0, 2).inverse() @ check.old_from_new
-    assert error.distance < 0.06
-    assert check.score > 0.8
-    moved = judge(first, second, check.old_from_new @ Pose2(0.6, 0.0, turn))
-    assert moved.score < check.score
+class Oracle:
+    """Stands in for the match of two grids: says how well they match, and remembers who asked."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.scores: dict[tuple[int, int], float] = {}
+        self.asked: list[tuple[int, int]] = []
+        self.numbers: dict[int, int] = {}
+        closing = "specmap_cli.recognition.closure.loop_closer"
+        monkeypatch.setattr(f"{closing}.PreparedGrids.of", self.prepared)
+        monkeypatch.setattr(f"{closing}.verify", self.verify)
+
+    def prepared(self, number: int, grid: GridMap) -> Any:
+        """The number of the stay in place of its grid."""
+        assert isinstance(grid, GridMap)
+        return number
+
+    def verify(self, old: Any, new: Any, config: RecognitionConfig) -> Check:
+        """A match of the given score, nearly on top of each other."""
+        assert config.verify
+        self.asked.append((old, new))
+        score = self.scores.get((old, new), 0.1)
+        return Check(
+            old_from_new=Pose2(0.1 * old, 0.0, 0.0),
+            score=score,
+            inliers=999,
+            overlap=1.0,
+            least_overlap=1.0,
+            lead=1.0,
+        )
 
 
-def test_free_space_where_the_other_has_a_wall_counts_against(building: Any) -> None:
-    first, other = prepare(building.visit(0, 1).grid), prepare(building.visit(1, 2).grid)
-    assert first is not None
-    assert other is not None
-    check = verify(first, other)
-    assert check is not None
-    assert check.score < 0.75
+@pytest.fixture
+def oracle(monkeypatch: pytest.MonkeyPatch) -> Oracle:
+    return Oracle(monkeypatch)
 
 
-@pytest.mark.parametrize("degrees", [0, 10, 37, 80])
-def test_the_direction_of_walls_turns_with_them(degrees: float) -> None:
-    cells = np.full((200, 200), FREE, dtype=np.uint8)
-    rows, columns = np.mgrid[:200, :200] - 100
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    along, across = c * columns + s * rows, -s * columns + c * rows
-    box = (np.maximum(np.abs(along) - 60, np.abs(across) - 40) > 0) & (
-        np.maximum(np.abs(along) - 64, np.abs(across) - 44) < 0
-    )
-    cells[box] = OCCUPIED
-    found = wall_direction(GridMap(cells, 0.05))
-    off = wrap_angle(4.0 * (found - np.radians(degrees))) / 4.0
-    assert abs(np.degrees(off)) < 1.0
+def considered(loop: LoopCloser, building: Any, numbers: list[int]) -> list[list[Closure]]:
+    """The closures of successive stays, each in the room of its number modulo four."""
+    return [loop.consider(building.visit(k, k % 4, seed=k // 4)) for k in numbers]
 
 
-def test_tracks_overlap_by_the_smaller_share() -> None:
-    line = np.column_stack([np.arange(0.0, 10.0, 0.5), np.zeros(20), np.zeros(20)])
-    assert tracks_overlap(line, line, Pose2(0.0, 0.5, 0.0), 1.0) == 1.0
-    assert tracks_overlap(line, line[:2], Pose2(0.0, 0.0, 0.0), 1.0) == pytest.approx(0.2)
-    assert tracks_overlap(line, line[:0], Pose2(0.0, 0.0, 0.0), 1.0) == 0.0
+# quick to rank, and any match merges
+SMALL = RecognitionConfig(closure_rounds=3, groups=1, merge_overlap=0.0)
+
+
+@pytest.mark.parametrize("candidates", [1, 2, 9])
+def test_only_the_best_ranked_candidates_are_matched(
+    building: Any, oracle: Oracle, candidates: int
+) -> None:
+    loop = closer(QUICK.model_copy(update={"candidates": candidates}))
+    for number, closures in enumerate(considered(loop, building, [0, 1, 2, 3, 4])):
+        assert len(closures) == min(candidates, number)
+    of_last = [old for old, new in oracle.asked if new == 4]
+    assert of_last[0] == 0  # the room it is in again is matched first
+    assert len(of_last) == len(set(of_last)) == min(candidates, 4)
+
+
+def test_of_several_merges_the_best_match_is_left(building: Any, oracle: Oracle) -> None:
+    loop = closer(SMALL)
+    oracle.scores = {(0, 3): 0.8, (1, 3): 0.95, (2, 3): 0.9}
+    closures = considered(loop, building, [0, 1, 2, 3])[-1]
+    assert (closures[0].old, closures[0].merged, closures[0].verified) == (1, True, True)
+    assert sorted(c.old for c in closures) == [0, 1, 2]
+    for closure in closures[1:]:
+        assert (closure.merged, closure.reason) == (False, "another submap fits better")
+        assert closure.verified
+        assert closure.old_from_new == Pose2(0.1 * closure.old, 0.0, 0.0)
+
+
+def test_closures_come_with_merges_first_then_what_matches_then_by_xi(
+    building: Any, oracle: Oracle
+) -> None:
+    loop = closer(SMALL.model_copy(update={"candidates": 9, "merge_overlap": 1.1}))
+    oracle.scores = {(2, 4): 0.9}  # matches; no track can overlap enough to merge
+    closures = considered(loop, building, [0, 1, 2, 3, 4])[-1]
+    assert [c.verified for c in closures] == [True, False, False, False]
+    assert closures[0].old == 2
+    xis = [c.xi for c in closures[1:]]
+    assert xis == sorted(xis, reverse=True)
+    assert all(c.old_from_new is None for c in closures[1:])
+
+
+@pytest.mark.parametrize("members", [1, 2, 5])
+def test_a_few_stays_of_a_submap_are_matched_and_the_best_is_told(
+    building: Any, oracle: Oracle, members: int
+) -> None:
+    loop = closer(SMALL.model_copy(update={"members": members}))
+    considered(loop, building, [0, 4, 8])
+    loop.merge(0, 4)
+    loop.merge(0, 8)
+    oracle.asked.clear()
+    oracle.scores = {(0, 12): 0.2, (4, 12): 0.3, (8, 12): 0.4}
+    (closure,) = considered(loop, building, [12])[0]
+    assert len(oracle.asked) == min(members, 3)
+    assert closure.score == max(oracle.scores[pair] for pair in oracle.asked)
+
+
+def test_the_first_merge_with_a_submap_ends_the_search_in_it(building: Any, oracle: Oracle) -> None:
+    loop = closer(SMALL.model_copy(update={"members": 9}))
+    considered(loop, building, [0, 4, 8])
+    loop.merge(0, 4)
+    loop.merge(0, 8)
+    oracle.asked.clear()
+    oracle.scores = {(k, 12): 0.9 for k in (0, 4, 8)}
+    assert considered(loop, building, [12])[0][0].merged
+    assert len(oracle.asked) == 1
+
+
+def test_a_stay_merged_away_is_named_by_its_own_number(building: Any, oracle: Oracle) -> None:
+    """Closures name stays, which keep their numbers; submaps have that of their first stay."""
+    loop = closer(SMALL.model_copy(update={"members": 9}))
+    considered(loop, building, [0, 1, 4])
+    loop.merge(4, 0)
+    oracle.scores = {(4, 8): 0.9}
+    closures = considered(loop, building, [8])[0]
+    assert (closures[0].old, closures[0].merged) == (4, True)
+    loop.merge(closures[0].old, closures[0].new)
+    assert sorted(loop._submaps) == [0, 1]
+    assert [stay.number for stay in loop._submaps[0]] == [0, 4, 8]
+
+
+LINE = {0: [1], 1: [0, 2], 2: [1, 3], 3: [2]}
+
+
+def test_leftovers_are_one_or_two_edges_apart(building: Any, oracle: Oracle) -> None:
+    loop = closer(SMALL.model_copy(update={"candidates": 1, "leftovers": 9}))
+    considered(loop, building, [0, 1, 2, 3])
+    before = set(oracle.asked)
+    found = loop.consider_leftovers(LINE)
+    pairs = {(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)}  # all but the two ends
+    assert {(c.old, c.new) for c in found} == pairs - before
+    assert len(oracle.asked) == len(set(oracle.asked))
+    assert loop.consider_leftovers(LINE) == []  # no pair is matched twice
+
+
+def test_a_duplicate_found_ends_the_search_until_it_is_merged(
+    building: Any, oracle: Oracle
+) -> None:
+    loop = closer(SMALL.model_copy(update={"candidates": 1, "leftovers": 9}))
+    considered(loop, building, [0, 1, 2, 3])
+    oracle.scores = {(a, b): 0.9 for a in range(4) for b in range(4)}
+    merged = 0
+    adjacency: dict[int, list[int]] = LINE
+    while found := [c for c in loop.consider_leftovers(adjacency) if c.merged]:
+        assert len(found) == 1
+        loop.merge(found[-1].old, found[-1].new)
+        merged += 1
+        left = sorted(loop._submaps)
+        adjacency = {a: [b for b in left if b != a] for a in left}
+    assert merged >= 1
+    assert len(loop._submaps) == 4 - merged
+
+
+@pytest.mark.parametrize(("leftovers", "most"), [(0, 0), (1, 3), (2, 5)])
+def test_few_leftovers_of_each_submap_are_matched(
+    building: Any, oracle: Oracle, leftovers: int, most: int
+) -> None:
+    loop = closer(SMALL.model_copy(update={"candidates": 1, "leftovers": leftovers}))
+    considered(loop, building, [0, 1, 2, 3])
+    oracle.asked.clear()
+    loop.consider_leftovers({a: [b for b in range(4) if b != a] for a in range(4)})
+    assert len(oracle.asked) <= most
+    news = [new for _, new in oracle.asked]
+    assert all(news.count(new) <= leftovers for new in news)
+
+
+def test_without_grids_no_leftover_is_asked(building: Any, oracle: Oracle) -> None:
+    loop = closer(SMALL.model_copy(update={"verify": False}))
+    considered(loop, building, [0, 1, 2])
+    assert loop.consider_leftovers(LINE) == []
+    assert oracle.asked == []
+
+
+def test_grids_are_prepared_once_and_kept_cropped(
+    building: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepared: list[tuple[int, ...]] = []
+
+    def watched(grid: GridMap, config: RecognitionConfig) -> PreparedGrid | None:
+        prepared.append(grid.cells.shape)
+        assert config is loop.config
+        return None
+
+    monkeypatch.setattr("specmap_cli.recognition.closure.prepared.prepared", watched)
+    loop = closer(SMALL.model_copy(update={"candidates": 9}))
+    stay = building.visit(0, 0)
+    wide = GridMap(np.pad(stay.grid.cells, 50, constant_values=UNKNOWN), 0.05)
+    loop.consider(replace(stay, grid=wide))
+    considered(loop, building, [1, 2, 3])
+    assert len(prepared) == 4
+    assert all(shape < wide.cells.shape for shape in prepared)
+
+
+def test_considering_changes_nothing_of_the_stay(building: Any) -> None:
+    stay = building.visit(0, 0)
+    copy = replace(stay, features=stay.features.copy())
+    loop = closer(SMALL.model_copy(update={"samples_per_submap": 5}))
+    loop.consider(stay)
+    assert (stay.features == copy.features).all()
+    assert stay.grid is copy.grid
+    assert len(loop._submaps[0][0].features) == 5
+    assert loop._submaps[0][0].map_from_stay is None
+    assert building.visit(1, 1, travelled_m=3.0).map_from_stay != IDENTITY

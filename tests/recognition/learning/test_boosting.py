@@ -91,6 +91,89 @@ def test_a_separable_set_ends_early_and_chance_ends_at_once() -> None:
     assert (constant.margins(X) < 0.0).all()
 
 
+@given(st.integers(0, 1000), st.integers(1, 12))
+@settings(max_examples=10)
+def test_weights_sum_to_one_and_make_the_last_classifier_worthless(seed: int, rounds: int) -> None:
+    """Eq. 3 by a loop: after its round every weak classifier is as good as a coin."""
+    X, y = blobs(seed, n=50)
+    weights = np.full(len(y), 1.0 / len(y))
+    for stump in StumpBoost(NAMES, rounds).fit(X, y).rounds_:
+        h = np.where(stump.polarity * X[:, stump.feature] < stump.polarity * stump.threshold, 1, -1)
+        error = float(weights[h != y].sum())
+        assert stump.votes == pytest.approx(0.5 * np.log((1.0 - error) / error))
+        weights = weights * np.exp(-y * stump.votes * h)
+        weights = weights / weights.sum()
+        assert weights.sum() == pytest.approx(1.0)
+        assert weights[h != y].sum() == pytest.approx(0.5)
+
+
+@given(st.integers(0, 1000))
+@settings(max_examples=10)
+def test_the_training_error_keeps_its_bound(seed: int) -> None:
+    """At most the product of 2 sqrt(error (1 - error)) over the rounds (Freund and Schapire)."""
+    X, y = blobs(seed, n=60)
+    model = StumpBoost(NAMES, 20).fit(X, y)
+    errors = 1.0 / (1.0 + np.exp(2.0 * np.array([s.votes for s in model.rounds_])))
+    bound = np.prod(2.0 * np.sqrt(errors * (1.0 - errors)))
+    assert (np.sign(model.margins(X)) != y).mean() <= bound + 1e-9
+
+
+@pytest.mark.parametrize("booster", [StumpBoost(NAMES, 15), TreeBoost(NAMES, 15)])
+def test_a_monotone_change_of_the_features_changes_no_label(
+    booster: StumpBoost | TreeBoost,
+) -> None:
+    """Only the order of the values counts, but for where between two of them a threshold stands."""
+    X, y = blobs(8)
+    plain = booster.fit(X, y).margins(X)
+    stretched = booster.fit(np.exp(X), y).margins(np.exp(X))
+    assert stretched == pytest.approx(plain)
+
+
+@pytest.mark.parametrize("booster", [StumpBoost(NAMES, 25), TreeBoost(NAMES, 25)])
+def test_margins_are_what_a_reader_of_the_file_would_add_up(
+    booster: StumpBoost | TreeBoost,
+) -> None:
+    X, y = blobs(9)
+    rounds = json.loads(json.dumps(booster.fit(X, y).to_dict()))["rounds"]
+    fresh, _ = blobs(10, n=30)
+    for row, margin in zip(fresh, booster.margins(fresh).tolist(), strict=True):
+        sample = dict(zip(NAMES, row.tolist(), strict=True))
+        assert margin == pytest.approx(sum(vote_of(entry, sample) for entry in rounds))
+
+
+def vote_of(entry: dict[str, Any], sample: dict[str, float]) -> float:
+    """The vote of one round of a file on a sample by name."""
+    if "polarity" in entry:
+        sign = entry["polarity"]
+        claims = sign * sample[entry["feature"]] < sign * entry["threshold"]
+        return float(entry["votes"] if claims else -entry["votes"])
+    upper = sample[entry["root"]["feature"]] >= entry["root"]["threshold"]
+    node = entry["above" if upper else "below"]
+    leaf = 2 * upper + (sample[node["feature"]] >= node["threshold"])
+    return float(entry["votes"][leaf])
+
+
+@pytest.mark.parametrize("booster", [StumpBoost(NAMES, 5), TreeBoost(NAMES, 5)])
+def test_no_sample_has_no_margin(booster: StumpBoost | TreeBoost) -> None:
+    booster.fit(*blobs(11))
+    assert booster.margins(np.zeros((0, len(NAMES)))).shape == (0,)
+
+
+@pytest.mark.parametrize(("booster", "margin"), [(StumpBoost(NAMES), -1.0), (TreeBoost(NAMES), 0)])
+def test_a_booster_without_rounds_claims_nothing(
+    booster: StumpBoost | TreeBoost, margin: float
+) -> None:
+    back = booster_from_dict(booster.to_dict(), NAMES)
+    assert back.margins(np.ones((3, len(NAMES)))).tolist() == [margin] * 3
+
+
+@pytest.mark.parametrize("booster", [StumpBoost(NAMES, 9), TreeBoost(NAMES, 9, seed=4)])
+def test_fitting_again_forgets_the_first_time(booster: StumpBoost | TreeBoost) -> None:
+    once = booster.fit(*blobs(12)).to_dict()
+    booster.fit(*blobs(13))
+    assert booster.fit(*blobs(12)).to_dict() == once
+
+
 def test_trees_learn_what_no_sum_of_stumps_can() -> None:
     rng = np.random.default_rng(0)
     X = rng.uniform(-1.0, 1.0, (400, 6))

@@ -9,88 +9,140 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from specmap_cli.core.config import RecognitionConfig
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import PlanarScan
-from specmap_cli.recognition.features.sets import FEATURE_SETS
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, OneVsAll, Sensor
-from specmap_cli.recognition.learning.familiarity import Familiarity
+from specmap_cli.core.settings import Config
+from specmap_cli.recognition.features.sets import feature_names
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
+from specmap_cli.recognition.learning.sensor import Sensor
+from specmap_cli.recognition.learning.training import train
+from tests.recognition.learning.made_up import PAPER, SMALL, samples_of
 
-SENSOR = Sensor(360, 2 * math.pi, 20.0, True)
-SMALL = RecognitionConfig(rounds=25, feature_set="pairs")
-PAPER = RecognitionConfig(rounds=10, feature_set="table1", booster="stumps")
-
-
-def samples(config: RecognitionConfig, classes: int = 3, n: int = 90) -> dict[int, FloatArray]:
-    """Samples of classes 0, 2, 4, ... that differ in a few columns."""
-    rng = np.random.default_rng(1)
-    width = len(FEATURE_SETS[config.feature_set])
-    made = {}
-    for k in range(classes):
-        X = rng.uniform(0.0, 0.2, (n, width))
-        X[:, 3 * k : 3 * k + 3] += 0.3
-        made[2 * k] = X
-    return made
+SENSOR = Sensor(beams=360, field_of_view=2 * math.pi, range_max=20.0, full_circle=True)
 
 
-def trained(config: RecognitionConfig = SMALL) -> ClassifierSet:
-    made = samples(config)
-    model = ClassifierSet.train(made, SENSOR, config, np.random.default_rng(0))
-    model.virtual = OneVsAll(config.feature_set, config).fit(made, np.random.default_rng(1))
-    model.virtual_known = Familiarity.of(config.feature_set, made, 0.05)
-    return model
+def recogniser(config: Config, seed: int = 0) -> Recogniser:
+    made = samples_of(config)
+    return train(made, config.recognition.feature_set, config, np.random.default_rng(seed))
+
+
+def classifier_set(config: Config = SMALL) -> ClassifierSet:
+    return ClassifierSet(sensor=SENSOR, raw=recogniser(config), virtual=recogniser(config, 1))
 
 
 @pytest.mark.parametrize("config", [SMALL, PAPER])
-def test_every_class_claims_its_own(config: RecognitionConfig) -> None:
-    made = samples(config)
-    model = ClassifierSet.train(made, SENSOR, config, np.random.default_rng(0))
-    assert model.ids == [0, 2, 4]
+def test_every_class_claims_its_own(config: Config) -> None:
+    model, made = recogniser(config), samples_of(config)
+    assert model.ids == (0, 2, 4)
     for k, i in enumerate(model.ids):
         assert (model.margins(made[i]).argmax(axis=1) == k).mean() > 0.97
 
 
 @pytest.mark.parametrize("config", [SMALL, PAPER])
-def test_margins_are_those_of_the_boosters(config: RecognitionConfig) -> None:
-    model = trained(config)
-    X = samples(config)[2]
-    expected = np.column_stack([b.margins(X) for b in model.raw.boosters.values()])
-    assert model.margins(X) == pytest.approx(expected)
-    assert model.margins(X[:1]) == pytest.approx(expected[:1])
-
-
-@pytest.mark.parametrize("config", [SMALL, PAPER])
-def test_a_file_gives_the_same_set_back(config: RecognitionConfig) -> None:
-    model = trained(config)
+def test_a_file_gives_the_same_set_back(config: Config) -> None:
+    model = classifier_set(config)
     back = ClassifierSet.from_json(model.to_json())
     assert back.to_json() == model.to_json()
     assert back.sensor == SENSOR
-    X = np.vstack(list(samples(config).values()))
-    assert back.margins(X) == pytest.approx(model.margins(X))
-    assert back.virtual is not None
-    if model.virtual_known is not None:
-        assert back.virtual_known is not None
-        assert back.virtual_known.distance(X) == pytest.approx(model.virtual_known.distance(X))
+    assert back.ids == model.ids == [0, 2, 4]
+    X = np.vstack(list(samples_of(config).values()))
+    assert back.margins(X).tolist() == model.margins(X).tolist()
+    for kind in ("raw", "virtual"):
+        read, learned = getattr(back, kind), getattr(model, kind)
+        assert read.feature_set == learned.feature_set
+        assert read.strangeness(X).tolist() == learned.strangeness(X).tolist()
+
+
+def test_a_set_is_complete_when_it_exists() -> None:
+    model = classifier_set()
+    for name in ("sensor", "raw", "virtual"):
+        with pytest.raises(AttributeError):
+            setattr(model, name, None)
+    with pytest.raises(AttributeError):
+        model.raw.familiarity = None  # type: ignore[misc]
+
+
+def test_virtual_classifiers_are_optional() -> None:
+    model = ClassifierSet(sensor=SENSOR, raw=recogniser(SMALL))
+    assert model.virtual is None
+    assert "virtual" not in json.loads(model.to_json())
+    assert ClassifierSet.from_json(model.to_json()).virtual is None
+
+
+def test_without_exemplars_nothing_is_strange() -> None:
+    learned = recogniser(SMALL)
+    model = Recogniser(learned.classifiers, None)
+    assert "exemplars" not in model.to_dict()
+    assert model.strangeness(np.zeros((3, 118))).tolist() == [-math.inf] * 3
 
 
 def test_the_file_names_features_and_holds_no_pickled_thing() -> None:
-    data = json.loads(trained().to_json())
+    data = json.loads(classifier_set().to_json())
     first = data["raw"]["classifiers"]["0"]["rounds"][0]
-    assert first["root"]["feature"] in FEATURE_SETS["pairs"]
+    assert first["root"]["feature"] in feature_names("pairs")
     assert set(first) == {"root", "below", "above", "votes"}
 
 
-def test_one_class_is_enough() -> None:
-    made = {7: samples(SMALL)[0]}
-    model = ClassifierSet.train(made, SENSOR, SMALL, np.random.default_rng(0))
-    assert model.ids == [7]
-    assert (model.margins(made[7]) > 0.0).all()
+def test_the_file_has_a_round_a_line_and_is_plain_json() -> None:
+    text = classifier_set().to_json()
+    lines = [line for line in text.splitlines() if '"votes"' in line]
+    assert len(lines) == 2 * 3 * 25  # raw and virtual, three submaps, 25 rounds
+    for line in lines:
+        assert set(json.loads(line.strip().rstrip(","))) == {"root", "below", "above", "votes"}
+    assert text.endswith("}\n")
+    assert json.loads(text) == json.loads(json.dumps(json.loads(text), allow_nan=False))
 
 
 def test_training_is_repeatable() -> None:
-    assert trained().to_json() == trained().to_json()
+    assert classifier_set().to_json() == classifier_set().to_json()
+
+
+splits = st.fixed_dictionaries(
+    {
+        "feature": st.sampled_from(feature_names("table1")),
+        "threshold": st.floats(-1e9, 1e9),
+    }
+)
+votes = st.floats(-10.0, 10.0)
+stump_rounds = st.fixed_dictionaries(
+    {
+        "feature": st.sampled_from(feature_names("table1")),
+        "threshold": st.floats(-1e9, 1e9),
+        "polarity": st.sampled_from([1, -1]),
+        "votes": votes,
+    }
+)
+tree_rounds = st.fixed_dictionaries(
+    {
+        "root": splits,
+        "below": splits,
+        "above": splits,
+        "votes": st.lists(votes, min_size=4, max_size=4),
+    }
+)
+boosters = st.one_of(
+    st.builds(lambda r: {"kind": "stumps", "rounds": r}, st.lists(stump_rounds, max_size=3)),
+    st.builds(lambda r: {"kind": "trees", "rounds": r}, st.lists(tree_rounds, max_size=3)),
+)
+
+
+@given(st.dictionaries(st.integers(0, 99), boosters, min_size=1, max_size=4))
+def test_dump_after_load_is_identity(classifiers: dict[int, Any]) -> None:
+    """Also of sets that no training makes: mixed kinds, other numbers of rounds, none at all."""
+    data = json.loads(ClassifierSet(sensor=SENSOR, raw=recogniser(PAPER)).to_json())
+    data["raw"] = {
+        "feature_set": "table1",
+        "classifiers": {str(i): booster for i, booster in classifiers.items()},
+    }
+    back = ClassifierSet.from_json(json.dumps(data))
+    assert json.loads(back.to_json()) == data
+    assert back.ids == sorted(classifiers)
+    X = np.random.default_rng(0).normal(size=(3, len(feature_names("table1"))))
+    alone = [back.raw.classifiers.boosters_[i].margins(X) for i in back.ids]
+    assert back.margins(X) == pytest.approx(np.column_stack(alone))
+    assert back.margins(X[:0]).shape == (0, len(classifiers))
 
 
 def edit(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
@@ -108,7 +160,11 @@ def edit(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
     [
         edit("schema_version", 99),
         edit("sensor", "a laser"),
+        edit("sensor", None),
         edit("sensor/beams", -4),
+        edit("sensor/beams", 10**12),
+        edit("sensor/beams", 10**400),
+        edit("sensor/field_of_view", 7.0),
         edit("sensor/full_circle", "yes"),
         edit("sensor/range_max", float("inf")),
         edit("raw", []),
@@ -118,50 +174,54 @@ def edit(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         edit("raw/classifiers/0/kind", "oracle"),
         edit("raw/classifiers/0/rounds/2/root/feature", "height"),
         edit("raw/classifiers/0/rounds/2/votes", [1, 2, 3]),
+        edit("raw/classifiers/0/rounds/2/votes", [1, 2, 3, 10**400]),
+        edit("raw/classifiers/0/rounds", {}),
         edit("raw/classifiers/first", {"kind": "trees", "rounds": []}),
+        edit("raw/classifiers/" + "9" * 5000, {"kind": "trees", "rounds": []}),
         edit("virtual/classifiers", {"1": {"kind": "trees", "rounds": []}}),
         edit("virtual/exemplars/rows/0", "zz"),
         edit("virtual/exemplars/rows/0", "00"),
         edit("virtual/exemplars/limit", None),
+        edit("virtual/exemplars/limit", -0.1),
+        edit("virtual/exemplars/rows", []),
+        edit("virtual/exemplars/rows", 3),
+        edit("virtual/exemplars", []),
     ],
 )
 def test_a_file_edited_into_nonsense_is_refused_in_one_line(
     change: Callable[[dict[str, Any]], None],
 ) -> None:
-    data = json.loads(trained().to_json())
+    data = json.loads(classifier_set().to_json())
     change(data)
     with pytest.raises(MapError) as error:
         ClassifierSet.from_json(json.dumps(data))
     assert "\n" not in str(error.value)
     assert "build the map again" in str(error.value)
+    assert len(str(error.value)) < 300
+
+
+def test_a_set_that_is_not_installed_is_told_with_what_to_do() -> None:
+    data = json.loads(classifier_set().to_json())
+    data["raw"]["feature_set"] = "mine"
+    with pytest.raises(MapError) as error:
+        ClassifierSet.from_json(json.dumps(data))
+    assert str(error.value) == (
+        "classifiers: file: its feature set 'mine' is not installed: install the package that "
+        "offers it, or build the map again"
+    )
+
+
+def test_the_submap_at_fault_is_named() -> None:
+    data = json.loads(classifier_set().to_json())
+    data["raw"]["classifiers"]["4"]["rounds"][7]["below"]["feature"] = "height"
+    with pytest.raises(MapError) as error:
+        ClassifierSet.from_json(json.dumps(data))
+    assert str(error.value) == (
+        "submap 4: round 7, below: 'feature' is 'height', which is not known; build the map again"
+    )
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", "7", "[" * 100_000])
 def test_what_is_no_object_is_refused(text: str) -> None:
     with pytest.raises(MapError):
         ClassifierSet.from_json(text)
-
-
-def test_sensors_are_told_apart() -> None:
-    bearings = np.linspace(-np.pi / 2, np.pi / 2, 181)
-    half = Sensor.of(PlanarScan(0, bearings, np.ones(181), 20.0, False))
-    assert half.field_of_view == pytest.approx(math.pi)
-    assert half.sees_as(half)
-    assert not half.sees_as(SENSOR)
-    assert not SENSOR.sees_as(Sensor(180, 2 * math.pi, 20.0, True))
-    assert half.bearings() == pytest.approx(bearings)
-    assert "181 beams over 180 degrees" in str(half)
-
-
-def test_strange_samples_are_far_from_every_exemplar() -> None:
-    made = samples(SMALL)
-    known = Familiarity.of("pairs", made, 0.05)
-    assert known is not None
-    assert (known.strangeness(made[2]) <= 1.0).mean() > 0.9
-    foreign = made[2].copy()
-    foreign[:, 60:] += 0.4
-    assert (known.strangeness(foreign) > 1.0).all()
-
-
-def test_a_set_without_histograms_knows_nothing_strange() -> None:
-    assert Familiarity.of("table1", {0: np.zeros((5, len(FEATURE_SETS["table1"])))}, 0.1) is None

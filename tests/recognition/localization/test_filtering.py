@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from itertools import pairwise, product
 
 import numpy as np
@@ -9,21 +10,28 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
 
-LINE = {0: [1], 1: [0, 2], 2: [1], 5: []}
+LINE: dict[int, list[int]] = {0: [1], 1: [0, 2], 2: [1], 5: []}
+
+
+def hidden_markov(
+    adjacency: Mapping[int, Collection[int]], **settings: float
+) -> HiddenMarkovFilter:
+    return HiddenMarkovFilter(adjacency, LocalizationConfig.model_validate(settings))
 
 
 @given(st.integers(0, 10_000), st.integers(1, 4))
 def test_filter_and_smoother_are_sums_over_all_paths(seed: int, steps: int) -> None:
     evidence = np.random.default_rng(seed).normal(0.0, 2.0, (steps, 5))
-    model = HiddenMarkovFilter(LINE, stay=0.8)
+    model = hidden_markov(LINE, stay=0.8)
     weights = np.zeros((steps, 5))
     ends = np.zeros(5)
     for path in product(range(5), repeat=steps):
         weight = 0.2 * np.exp(sum(evidence[t, s] for t, s in enumerate(path)))
         for a, b in pairwise(path):
-            weight *= model.transition_[a, b]
+            weight *= model.transition[a, b]
         ends[path[-1]] += weight
         for t, s in enumerate(path):
             weights[t, s] += weight
@@ -35,8 +43,8 @@ def test_filter_and_smoother_are_sums_over_all_paths(seed: int, steps: int) -> N
 
 
 def test_transitions_follow_the_topology() -> None:
-    model = HiddenMarkovFilter(LINE, stay=0.9)
-    transition = model.transition_
+    model = hidden_markov(LINE, stay=0.9)
+    transition = model.transition
     assert transition.sum(axis=1) == pytest.approx(np.ones(5))
     assert model.ids == [0, 1, 2, 5]
     assert transition[1, 0] == pytest.approx(transition[1, 2])
@@ -45,7 +53,7 @@ def test_transitions_follow_the_topology() -> None:
 
 
 def test_a_stray_scan_does_not_move_the_robot() -> None:
-    model = HiddenMarkovFilter(LINE)
+    model = hidden_markov(LINE)
     stay, stray = np.array([2.0, 0, 0, 0, -5.0]), np.array([0, 0, 2.0, 0, -5.0])
     for _ in range(5):
         model.update(stay)
@@ -58,7 +66,7 @@ def test_a_stray_scan_does_not_move_the_robot() -> None:
 
 
 def test_unknown_wins_when_it_explains_the_scans_better() -> None:
-    model = HiddenMarkovFilter({3: []})
+    model = hidden_markov({3: []})
     assert int(model.update(np.array([1.0, 0.0])).argmax()) == 0
     for _ in range(15):
         belief = model.update(np.array([0.0, 1.0]))
@@ -66,21 +74,21 @@ def test_unknown_wins_when_it_explains_the_scans_better() -> None:
 
 
 def test_impossible_evidence_for_unknown_keeps_it_out() -> None:
-    model = HiddenMarkovFilter({0: [1], 1: [0]})
+    model = hidden_markov({0: [1], 1: [0]})
     belief = model.update(np.array([-3.0, -40.0, -np.inf]))
     assert belief[2] == 0.0
     assert np.isfinite(model.smooth(np.array([[0.0, 1.0, -np.inf]] * 3))).all()
 
 
 def test_smoothing_leaves_the_filter_as_it_was() -> None:
-    model = HiddenMarkovFilter(LINE)
+    model = hidden_markov(LINE)
     model.update(np.array([5.0, 0, 0, 0, 0]))
     model.smooth(np.array([[0.0, 0, 5.0, 0, 0]] * 4))
     assert int(model.update(np.zeros(5)).argmax()) == 0
 
 
 def test_unknown_is_weighed_against_what_the_submaps_explain_together() -> None:
-    model = HiddenMarkovFilter({0: [1], 1: [0]})
+    model = hidden_markov({0: [1], 1: [0]})
     known = np.array([-1.0, -9.0])
     prior = model.predicted()
     together = (prior[:2] @ np.exp(known)) / prior[:2].sum()
@@ -88,3 +96,103 @@ def test_unknown_is_weighed_against_what_the_submaps_explain_together() -> None:
     # with no worth of its own unknown neither gains nor loses, whatever the submaps say
     belief = model.update(model.with_unknown(known, 0.0))
     assert belief[2] == pytest.approx(prior[2])
+
+
+networks = st.dictionaries(
+    st.integers(0, 9), st.lists(st.integers(0, 9), max_size=4), min_size=1, max_size=6
+)
+chances = st.floats(0.001, 0.4)
+
+
+@given(networks, st.floats(0.01, 0.99), chances, chances)
+def test_rows_of_transitions_sum_to_one_and_say_what_the_settings_say(
+    adjacency: dict[int, list[int]], stay: float, leap: float, leave: float
+) -> None:
+    model = hidden_markov(adjacency, stay=stay, leap=leap, leave=leave)
+    ids, m = model.ids, len(model.ids)
+    assert model.transition.sum(axis=1) == pytest.approx(np.ones(m + 1))
+    assert (model.transition >= 0.0).all()
+    inside = 1.0 - leap - leave
+    for row, id_ in enumerate(ids):
+        near = {n for n in adjacency[id_] if n in adjacency and n != id_}
+        for column, other in enumerate(ids):
+            chance = leap / m
+            if other == id_:
+                chance += inside * (stay if near else 1.0)
+            elif other in near:
+                chance += inside * (1.0 - stay) / len(near)
+            assert model.transition[row, column] == pytest.approx(chance)
+        assert model.transition[row, m] == pytest.approx(leave)
+    assert model.transition[m, :m] == pytest.approx(np.full(m, leave / m))
+
+
+@given(st.integers(0, 999), st.floats(-50.0, 50.0))
+def test_only_differences_of_log_likelihoods_count(seed: int, shift: float) -> None:
+    evidence = np.random.default_rng(seed).normal(0.0, 3.0, (6, 5))
+    one, other = hidden_markov(LINE), hidden_markov(LINE)
+    for row in evidence:
+        assert other.update(row + shift) == pytest.approx(one.update(row))
+    assert hidden_markov(LINE).smooth(evidence + shift) == pytest.approx(
+        hidden_markov(LINE).smooth(evidence)
+    )
+
+
+@given(st.integers(0, 999))
+def test_the_last_scan_smoothed_is_the_last_scan_filtered(seed: int) -> None:
+    evidence = np.random.default_rng(seed).normal(0.0, 3.0, (7, 5))
+    model = hidden_markov(LINE)
+    for row in evidence:
+        filtered = model.update(row)
+    assert model.smooth(evidence)[-1] == pytest.approx(filtered)
+
+
+def test_the_names_of_submaps_do_not_matter() -> None:
+    renamed = {10 * i + 3: [10 * n + 3 for n in near] for i, near in LINE.items()}
+    evidence = np.random.default_rng(1).normal(0.0, 2.0, (5, 5))
+    assert hidden_markov(renamed).smooth(evidence).tolist() == (
+        hidden_markov(LINE).smooth(evidence).tolist()
+    )
+
+
+def test_before_the_first_scan_every_state_is_as_likely() -> None:
+    model = hidden_markov(LINE)
+    assert model.predicted().tolist() == [0.2] * 5
+    model.update(np.array([9.0, 0.0, 0.0, 0.0, 0.0]))
+    assert model.predicted()[0] > 0.9
+    model.reset()
+    assert model.predicted().tolist() == [0.2] * 5
+
+
+def test_a_kidnapped_robot_is_found_again_sooner_when_leaps_are_likely() -> None:
+    """From one end of a long corridor to a room without a way to it."""
+
+    def scans_needed(leap: float) -> int:
+        model = hidden_markov(LINE, leap=leap)
+        for _ in range(10):
+            model.update(np.array([3.0, 0.0, 0.0, 0.0, -20.0]))
+        for count in range(1, 100):
+            belief = model.update(np.array([0.0, 0.0, 0.0, 1.0, -20.0]))
+            if int(belief.argmax()) == 3:
+                return count
+        return 100
+
+    assert scans_needed(1e-6) > scans_needed(1e-4) > scans_needed(1e-2) >= 1
+
+
+def test_evidence_that_rules_out_every_likely_state_leaves_the_prior() -> None:
+    model = hidden_markov({0: [], 1: []}, leap=1e-300, leave=0.0)
+    before = model.update(np.array([0.0, -800.0, -np.inf]))
+    after = model.update(np.array([-np.inf, -np.inf, 0.0]))  # unknown is out of reach
+    assert before[0] == pytest.approx(1.0)
+    assert after == pytest.approx(before)
+
+
+@pytest.mark.parametrize("worth", [-0.2, 0.0, 0.2, 3.0])
+def test_unknown_gains_by_its_worth_and_by_nothing_else(worth: float) -> None:
+    """However well the submaps are told apart."""
+    for spread in (0.0, 1.0, 10.0):
+        model = hidden_markov(LINE)
+        prior = model.predicted()
+        belief = model.update(model.with_unknown(spread * np.arange(4.0), worth))
+        odds = (belief[4] / belief[:4].sum()) / (prior[4] / prior[:4].sum())
+        assert np.log(odds) == pytest.approx(worth)

@@ -1,0 +1,46 @@
+"""Writing to stdout, where the results go, and lines for stderr."""
+
+from __future__ import annotations
+
+import os
+import sys
+import unicodedata
+from contextlib import suppress
+
+
+def print_text(text: str) -> None:
+    """`text` on stdout; a reader that has seen enough, such as `head`, is no error.
+
+    What the terminal cannot show, such as a file name of any bytes, is escaped.
+    """
+    try:
+        try:
+            print(text, end="", flush=True)
+        except UnicodeEncodeError:
+            encoding = sys.stdout.encoding
+            shown = text.encode(encoding, "backslashreplace").decode(encoding)
+            print(shown, end="", flush=True)
+    except BrokenPipeError:
+        discard_stdout()
+
+
+def discard_stdout() -> None:
+    """What is still buffered has nowhere to go: the interpreter must not try again at its exit."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    with suppress(OSError, AttributeError):  # closed, or no file at all
+        os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+
+
+def one_line(text: str) -> str:
+    """`text` as one line: spaces for white space, escapes for what no terminal can show.
+
+    That is control characters, which it would obey, and bytes of a file name that are no text.
+    """
+    return "".join(_shown(character) for character in " ".join(text.split()))
+
+
+def _shown(character: str) -> str:
+    if unicodedata.category(character) not in {"Cc", "Cs"}:  # control, surrogate
+        return character
+    return character.encode("unicode_escape").decode("ascii")

@@ -1,0 +1,51 @@
+"""What other packages add: readers, exporters, registration methods and sets of features.
+
+A package offers something by an entry point in its own pyproject.toml, under the group of its kind:
+`specmap.readers`, `specmap.exporters`, `specmap.registration` or `specmap.features`::
+
+    [project.entry-points."specmap.readers"]
+    my_format = "my_package.reader:MyReader"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, TypeVar
+
+from specmap_cli.core.errors import UsageError
+
+Kind = TypeVar("Kind")
+
+
+def with_plugins(group: str, built_in: Mapping[str, Kind]) -> dict[str, Kind]:
+    """The built-in things of a kind and those that installed packages offer, by name.
+
+    Built-in ones come first, the others follow by name. Raises UsageError for an entry point that
+    cannot be loaded, and for one that takes the name of another.
+    """
+    table = dict(built_in)
+    for point in sorted(entry_points(group=group), key=lambda point: (point.name, point.value)):
+        if point.name in table:
+            raise UsageError(
+                f"{_origin(point)}: offers {point.name!r} in {group}, which exists already: "
+                "remove the package or rename its entry point"
+            )
+        table[point.name] = _loaded(point)
+    return table
+
+
+def _loaded(point: EntryPoint) -> Any:
+    """The object that an entry point names; any failure of its package is told in one line."""
+    try:
+        return point.load()
+    except Exception as error:
+        raise UsageError(
+            f"{_origin(point)}: its {point.group} entry {point.name!r} cannot be loaded: "
+            f"{type(error).__name__}: {error}; mend or remove the package"
+        ) from error
+
+
+def _origin(point: EntryPoint) -> str:
+    """The package that offers an entry point."""
+    return f"package {point.dist.name}" if point.dist is not None else "a package"

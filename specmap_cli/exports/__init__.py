@@ -1,0 +1,1 @@
+"""Finished maps in the formats of other tools: one module a format, behind one table."""

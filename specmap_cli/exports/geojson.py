@@ -1,0 +1,76 @@
+"""GeoJSON, the outlines and the links: for QGIS and other tools that show shapes.
+
+Coordinates are metres in the frame of the map, not degrees: load the file into a project without a
+coordinate reference system, or place it by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import IO, Any
+
+from specmap_cli.core.text import to_json
+from specmap_cli.maps.schema import EdgeRecord, NodeRecord
+from specmap_cli.maps.store import StoredMap
+
+Place = tuple[float, float]
+
+
+class GeoJson:
+    """A polygon for each submap that owns space, a line for each link (RFC 7946)."""
+
+    description = "GeoJSON: outlines and links in metres of the map, for QGIS"
+
+    def write(self, stored: StoredMap, target: IO[bytes]) -> None:
+        """Write the features of a map, submaps first."""
+        nodes = {node.id: node for node in stored.record.nodes}
+        places = {id_: node.centroid or (node.x, node.y) for id_, node in nodes.items()}
+        features = [
+            *(_submap(node) for node in nodes.values() if node.polygon),
+            *(_link(edge, places) for edge in stored.record.edges),
+        ]
+        target.write(to_json({"type": "FeatureCollection", "features": features}).encode())
+
+
+def _submap(node: NodeRecord) -> dict[str, Any]:
+    """The outline of a submap: a ring that ends where it starts."""
+    ring = [*node.polygon, node.polygon[0]]
+    return _feature(
+        "Polygon",
+        [ring],
+        {
+            "kind": "submap",
+            "id": node.id,
+            "name": node.name,
+            "area_m2": node.area_m2,
+            "scans": node.scans,
+            "visits": len(node.visits),
+        },
+    )
+
+
+def _link(edge: EdgeRecord, places: Mapping[int, Place]) -> dict[str, Any]:
+    """A link from centroid to centroid, through its crossing where one is known."""
+    crossing = [] if edge.x is None or edge.y is None else [(edge.x, edge.y)]
+    line = [places[edge.source], *crossing, places[edge.target]]
+    return _feature(
+        "LineString",
+        line,
+        {
+            "kind": edge.kind,
+            "source": edge.source,
+            "target": edge.target,
+            "distance_m": edge.distance_m,
+            "traversals": len(edge.traversals),
+            "width_m": edge.width_m,
+        },
+    )
+
+
+def _feature(kind: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
+    """One GeoJSON feature."""
+    return {
+        "type": "Feature",
+        "geometry": {"type": kind, "coordinates": coordinates},
+        "properties": properties,
+    }

@@ -1,0 +1,58 @@
+"""The table of export formats, which other packages extend, and the writing of one file.
+
+An exporter is any object with a `description` and a method `write`. A package of its own offers one
+by an entry point of the group `specmap.exporters`; the entry point's name is the format's::
+
+    class Names:
+        description = "the names of the submaps, a line each"
+
+        def write(self, stored: StoredMap, target: IO[bytes]) -> None:
+            for node in stored.record.nodes:
+                target.write(f"{node.name}\\n".encode())
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import IO, Protocol
+
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.files import complete_file
+from specmap_cli.core.plugins import with_plugins
+from specmap_cli.exports.geojson import GeoJson
+from specmap_cli.exports.graphml import GraphMl
+from specmap_cli.maps.store import StoredMap
+
+GROUP = "specmap.exporters"
+
+
+class Exporter(Protocol):
+    """Writes a finished map in one format."""
+
+    description: str
+
+    def write(self, stored: StoredMap, target: IO[bytes]) -> None:
+        """Write the map to an open file. Raises MapError when the map is damaged."""
+
+
+def exporters() -> dict[str, Exporter]:
+    """Every exporter by the name of its format. Raises UsageError for a broken plug-in."""
+    built_in: dict[str, Exporter] = {"geojson": GeoJson(), "graphml": GraphMl()}
+    offered = with_plugins(GROUP, built_in)
+    return {name: each() if isinstance(each, type) else each for name, each in offered.items()}
+
+
+def export_map(stored: StoredMap, name: str, out: Path | str, *, overwrite: bool = False) -> None:
+    """Write a map in the format `name` to the file `out`, complete or not at all.
+
+    Raises UsageError for a format that nobody offers, and for a file that exists (unless
+    `overwrite`) or cannot be written; MapError for a damaged map.
+    """
+    target, known = Path(out), exporters()
+    if name not in known:
+        raise UsageError(f"unknown format {name!r}: choose from {', '.join(sorted(known))}")
+    if os.path.lexists(target) and not overwrite:
+        raise UsageError(f"{target}: exists already: choose another name or say --overwrite")
+    with complete_file(target) as file:
+        known[name].write(stored, file)

@@ -1,0 +1,93 @@
+"""The last centimetres of a match: Gauss-Newton on an interpolated score field.
+
+Kohlbrecher et al., "A Flexible and Scalable SLAM System with Full 3D Motion Estimation" (SSRR
+2011), with damping and step halving.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.grids.score_field import ScoreField
+
+_FEWEST_POINTS = 3  # as many as unknowns
+_DAMPING = 1e-6  # a point, added to the normal matrix: along a single wall it is singular
+_LONGEST_STEP = 0.1  # metres and radians: about a sigma, as far as the field is nearly linear
+_HALVINGS = 4  # of a step that makes it worse, before giving up
+_SHORTEST_STEP = 1e-4  # metres and radians: it ends here, far below a cell
+_TINY = 1e-12  # keeps a step of nothing from dividing by zero
+
+
+def descend(
+    field: ScoreField, points: NDArray[Any], guess: Pose2, iterations: int, max_shift_m: float
+) -> Pose2:
+    """The pose near `guess` at which sum (1 - M(p))^2 over points (N, 2) is least.
+
+    M(p) is the interpolated field under a point. No more than `iterations` steps are made, none of
+    which leads farther than `max_shift_m` from the guess or makes the sum larger.
+    """
+    if len(points) < _FEWEST_POINTS:
+        return guess
+    pose, cost = guess, _cost(field, points, guess)
+    for _ in range(iterations):
+        step = _step(field, points, pose)
+        for _ in range(_HALVINGS):
+            trial = Pose2(*(np.array(pose) + step).tolist())
+            trial_cost = _cost(field, points, trial)
+            if trial_cost < cost:
+                break
+            step = step / 2
+        else:
+            break
+        if math.hypot(trial.x - guess.x, trial.y - guess.y) > max_shift_m:
+            break
+        pose, cost = trial, trial_cost
+        if float(np.abs(step).max()) < _SHORTEST_STEP:
+            break
+    return Pose2(pose.x, pose.y, wrap_angle(pose.theta))
+
+
+def _step(field: ScoreField, points: NDArray[Any], pose: Pose2) -> FloatArray:
+    """The Gauss-Newton step (3,) from a pose, cut to the longest allowed."""
+    values, jacobian = interpolated(field, points, pose)
+    normal = jacobian.T @ jacobian + _DAMPING * len(points) * np.eye(3)
+    step = np.linalg.solve(normal, jacobian.T @ (1.0 - values))
+    return np.asarray(step * min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), _TINY)))
+
+
+def _cost(field: ScoreField, points: NDArray[Any], pose: Pose2) -> float:
+    """Sum over the points of (1 - interpolated value)^2."""
+    values, _ = interpolated(field, points, pose)
+    return float(((1.0 - values) ** 2).sum())
+
+
+def interpolated(
+    field: ScoreField, points: NDArray[Any], pose: Pose2
+) -> tuple[FloatArray, FloatArray]:
+    """Bilinear values (N,) under points (N, 2) at `pose`, and their derivative (N, 3) by it.
+
+    Both are 0 for points outside the outermost cell centres of the field.
+    """
+    placed = pose.apply(points)
+    u = (placed - field.origin) / field.resolution - 0.5
+    height, width = field.values.shape
+    if min(height, width) < 2:
+        return np.zeros(len(u)), np.zeros((len(u), 3))
+    inside = np.all((u >= 0) & (u < (width - 1, height - 1)), axis=1)
+    base = np.clip(np.floor(u).astype(np.intp), 0, (width - 2, height - 2))
+    fx, fy = np.clip(u - base, 0.0, 1.0).T
+    start = base[:, 1] * width + base[:, 0]
+    flat = field.values.ravel()
+    v00, v01 = flat.take(start), flat.take(start + 1)
+    v10, v11 = flat.take(start + width), flat.take(start + width + 1)
+    low, high = v00 + (v01 - v00) * fx, v10 + (v11 - v10) * fx
+    dx = ((v01 - v00) * (1 - fy) + (v11 - v10) * fy) / field.resolution
+    dy = (high - low) / field.resolution
+    turned = placed - (pose.x, pose.y)
+    jacobian = np.column_stack([dx, dy, dy * turned[:, 0] - dx * turned[:, 1]])
+    return (low + (high - low) * fy) * inside, jacobian * inside[:, None]

@@ -1,0 +1,86 @@
+"""Closures against the drift of the path: what it explains, and what nothing explains.
+
+Drift grows along the shortest chain of links between the two keyframes of a closure. In look-alike
+rooms off one corridor that chain is short, and a closure between them impossible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse.csgraph import dijkstra
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.layout.path_graph import Draft, Graph, lengths_matrix
+from specmap_cli.layout.pose_graph import Link
+
+_LEAST_M = 1e-3  # length of a link between two nodes at one place: csgraph takes 0 for no edge
+_CUT_SHORT = 0.9  # a chain below this share of the path goes over a nearby pass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SortedClosures:
+    """Closures that agree with a layout (`near`), that drift explains (`far`), or nothing does."""
+
+    near: tuple[Link, ...]
+    far: tuple[Link, ...]
+    refuted: tuple[Link, ...]
+
+
+def sort_by_drift(
+    graph: Graph, draft: Draft, closures: Sequence[Link], config: RelaxationConfig
+) -> SortedClosures:
+    """Closures by how far the layout in the making is from what they say, in their order.
+
+    Any of them may mend `closure_slack_m`. Along a chain that passes cut short drift is
+    `drift_share` of its length, along another one `closure_drift_share`.
+    """
+    near: list[Link] = []
+    far: list[Link] = []
+    refuted: list[Link] = []
+    for closure, chain_m in zip(closures, chain_lengths(graph, draft.loops, closures), strict=True):
+        away_m = _away_m(graph, draft.poses, closure)
+        share = config.closure_drift_share
+        if chain_m < _CUT_SHORT * _path_between(graph, closure):
+            share = config.drift_share
+        if away_m > config.closure_slack_m + share * chain_m:
+            refuted.append(closure)
+        else:
+            (near if away_m <= config.closure_slack_m else far).append(closure)
+    return SortedClosures(near=tuple(near), far=tuple(far), refuted=tuple(refuted))
+
+
+def chain_lengths(graph: Graph, loops: Sequence[Link], closures: Sequence[Link]) -> FloatArray:
+    """(c,) metres along the shortest chain of links between the ends of each closure.
+
+    The chain runs over motions that were tracked and over `loops`, never over a break; inf where
+    there is none. By Dijkstra's algorithm, once for each keyframe from which a closure starts.
+    """
+    if not closures:
+        return np.zeros(0)
+    links = [link for link in (*graph.odometry, *loops) if link.kind != "loose"]
+    lengths = [max(link.source_from_target.distance, _LEAST_M) for link in links]
+    matrix = lengths_matrix(len(graph.nodes), [_rows(graph, link) for link in links], lengths)
+    starts, ends = zip(*(_rows(graph, closure) for closure in closures), strict=True)
+    unique, which = np.unique(starts, return_inverse=True)
+    return np.asarray(dijkstra(matrix, directed=False, indices=unique)[which, list(ends)])
+
+
+def _rows(graph: Graph, link: Link) -> tuple[int, int]:
+    return graph.row[link.source], graph.row[link.target]
+
+
+def _path_between(graph: Graph, link: Link) -> float:
+    """Metres driven between the two ends of a link."""
+    source, target = _rows(graph, link)
+    return abs(float(graph.path[target] - graph.path[source]))
+
+
+def _away_m(graph: Graph, poses: FloatArray, link: Link) -> float:
+    """Metres between where a link and the poses (M, 3) put its target."""
+    source, target = (Pose2(*poses[row].tolist()) for row in _rows(graph, link))
+    expected = source.inverse() @ target
+    return (link.source_from_target.inverse() @ expected).distance

@@ -1,0 +1,95 @@
+"""Walls matched with walls: from a rough pose to the best one, and how far it can be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.grids.matching import ScoreField, Window, covariance, refine, search, thinned
+from specmap_cli.layout.path_graph import Graph
+from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.walls import CELL_M
+
+# Searches go from coarse to fine, their points thinned to about the step: four cells first, over
+# all that the path may have drifted, then two cells, then none.
+_BLUR_M = 0.1  # sigma of the field: a wall is found from twice as far
+_COARSE_CELLS, _COARSE_M, COARSE_POINTS_M = 4, 0.2, 0.25
+_FINE, FINE_POINTS_M = Window(distance_m=0.3, angle_rad=0.09, step_m=0.1), 0.2
+_REFINED_POINTS_M, _REFINED_STEPS = 0.1, 8
+# The heading drifts by some degrees a metre, and is searched no farther than a scan still overlaps.
+_TURN_PER_M, _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.15, 0.06, 0.35
+# Of places that fit alike the nearer wins: a metre off costs as much as 1 % of the points.
+_PENALTY_PER_M2, _PENALTY_PER_RAD2 = 0.01, 0.05
+_SIDE = 4.0  # of the field of a place, in ranges: stray points beyond it cost no memory
+# Error of the best match: a cell's side over the root of 12, and what people and furniture moved.
+_FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])
+
+
+@dataclass(frozen=True, slots=True)
+class WallFit:
+    """The pose of points among others, and its information (3, 3) in the points' own frame."""
+
+    target_from_source: Pose2
+    information: FloatArray
+
+
+def match_walls(
+    source: FloatArray, target: FloatArray, guess: Pose2, drift_m: float, config: RelaxationConfig
+) -> WallFit | None:
+    """The pose of points `source` (N, 2) among `target` (M, 2), if they fit there.
+
+    `guess` is `target_from_source`; `drift_m` bounds how wrong it may be.
+    """
+    field = field_of(target, config)
+    window = Window(
+        distance_m=drift_m,
+        angle_rad=float(np.clip(_TURN_PER_M * drift_m, _LEAST_TURN_RAD, _MOST_TURN_RAD)),
+        step_m=_COARSE_M,
+        penalty_per_m2=_PENALTY_PER_M2,
+        penalty_per_rad2=_PENALTY_PER_RAD2,
+    )
+    few = thinned(source, COARSE_POINTS_M)
+    rough = search(field.coarser(_COARSE_CELLS), few, guess, window)
+    return confirmed(field, source, rough.pose, config.loop_score, config)
+
+
+def field_of(target: FloatArray, config: RelaxationConfig) -> ScoreField:
+    """The score field of the walls (M, 2) around one place."""
+    return ScoreField.from_points(target, CELL_M, _BLUR_M, _SIDE * config.match_range_m)
+
+
+def confirmed(
+    field: ScoreField,
+    source: FloatArray,
+    rough: Pose2,
+    least_score: float,
+    config: RelaxationConfig,
+) -> WallFit | None:
+    """A rough pose of points (N, 2) brought to the optimum, if `least_score` is reached there."""
+    few = thinned(source, FINE_POINTS_M)
+    if len(few) < config.match_points:
+        return None
+    fine = search(field, few, rough, _FINE)
+    near = refine(field, thinned(source, _REFINED_POINTS_M), fine.pose, _REFINED_STEPS)
+    if near.score < least_score:
+        return None
+    pose = refine(field.sharper(), thinned(source, CELL_M), near.pose).pose
+    spread = covariance(field, few, pose)
+    turn = np.eye(3)
+    turn[:2, :2] = pose.rotation().T  # errors are weighed in the source's own frame
+    information = np.linalg.inv(turn @ spread @ turn.T + _FLOOR)
+    return WallFit(pose, np.asarray(information, dtype=np.float64))
+
+
+def nearby_link(graph: Graph, old: int, new: int, fit: WallFit) -> Link:
+    """The link of two rows of a graph whose walls fit, seen from the older one."""
+    return Link(
+        source=int(graph.nodes[old]),
+        target=int(graph.nodes[new]),
+        source_from_target=fit.target_from_source,
+        information=fit.information,
+        kind="nearby",
+    )

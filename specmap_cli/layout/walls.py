@@ -1,0 +1,57 @@
+"""The walls that the robot saw around nodes of the graph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.score_field import thinned
+from specmap_cli.layout.path_graph import Graph
+
+PLACE_NODES = 8  # nodes on either side whose walls make one place: some 2 m of path
+CELL_M = 0.05  # points are thinned to one in a cell of the fields they are matched on
+_REMEMBERED = 256  # nodes whose points stay in memory: some 2 MB
+_GATHERED = 50  # nodes whose points are thinned together
+
+
+class Walls:
+    """Wall points around the nodes of a graph, read from the store as needed; some are kept."""
+
+    def __init__(self, store: KeyframeStore, graph: Graph, range_m: float) -> None:
+        self._store, self._graph, self._range_m = store, graph, range_m
+        self._points = lru_cache(_REMEMBERED)(self._read)
+
+    def around(self, node: int, reach: int, poses: FloatArray) -> FloatArray:
+        """Points (N, 2) seen from nodes within `reach` of row `node`, in the frame of `node`.
+
+        `poses` (M, 3) place the nodes; only nodes of the same part are used.
+        """
+        parts = self._graph.parts
+        low, high = max(0, node - reach), min(len(parts), node + reach + 1)
+        others = [k for k in range(low, high) if parts[k] == parts[node]]
+        relative = compose(invert(poses[node]), poses[others])
+        clouds = [
+            Pose2(*pose.tolist()).apply(self._points(k))
+            for k, pose in zip(others, relative, strict=True)
+        ]
+        return np.concatenate(clouds)
+
+    def of_all(self, nodes: Sequence[int], poses: FloatArray) -> FloatArray:
+        """Points (N, 2) seen from all rows `nodes`, in the map, thinned as they are gathered."""
+        gathered = np.zeros((0, 2))
+        for start in range(0, len(nodes), _GATHERED):
+            fresh = [
+                Pose2(*poses[k].tolist()).apply(self._points(k))
+                for k in nodes[start : start + _GATHERED]
+            ]
+            gathered = thinned(np.concatenate([gathered, *fresh]), CELL_M)
+        return gathered
+
+    def _read(self, node: int) -> FloatArray:
+        """Points of one node in its base frame."""
+        number = int(self._graph.nodes[node])
+        return thinned(self._store.points(number, self._range_m), CELL_M)

@@ -1,0 +1,132 @@
+"""Odometry at the stamps of scans, from an Odometry topic or from transforms."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.text import nanoseconds
+from specmap_cli.logs.messages import decode_odometry, decode_transforms
+from specmap_cli.logs.readers.recording import Message
+from specmap_cli.logs.selection import Selection
+
+MAX_POSES = 8192  # kept at once: 8 s of odometry at 1 kHz, more than any scan waits for
+
+
+class OdometryBuffer:
+    """Odometry of the last while, interpolated at the stamps of scans.
+
+    Poses may come in any order; only MAX_POSES are kept. A pose that lies `clock_reset_s` or more
+    back in time starts the buffer anew, as the clock was set back.
+    """
+
+    def __init__(self, config: LogConfig | None = None) -> None:
+        settings = config or LogConfig()
+        self._gap_ns = nanoseconds(settings.odometry_gap_s)
+        self._hold_ns = nanoseconds(settings.odometry_hold_s)
+        self._reset_ns = nanoseconds(settings.clock_reset_s)
+        self._stamps: list[int] = []
+        self._poses: list[Pose2] = []
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    @property
+    def latest_ns(self) -> int | None:
+        """The latest stamp, None while empty."""
+        return self._stamps[-1] if self._stamps else None
+
+    def add(self, stamp_ns: int, pose: Pose2) -> None:
+        """Take in odom_from_base at a stamp; a repeated stamp replaces the pose."""
+        if self._stamps and stamp_ns < self._stamps[-1] - self._reset_ns:
+            self._stamps.clear()
+            self._poses.clear()
+        place = bisect_left(self._stamps, stamp_ns)
+        if place < len(self._stamps) and self._stamps[place] == stamp_ns:
+            self._poses[place] = pose
+            return
+        self._stamps.insert(place, stamp_ns)
+        self._poses.insert(place, pose)
+        if len(self._stamps) > MAX_POSES:
+            del self._stamps[: MAX_POSES // 2]
+            del self._poses[: MAX_POSES // 2]
+
+    def at(self, stamp_ns: int) -> Pose2 | None:
+        """odom_from_base at a stamp, None where the odometry has a hole or does not reach."""
+        place = bisect_left(self._stamps, stamp_ns)
+        if place < len(self._stamps) and self._stamps[place] == stamp_ns:
+            return self._poses[place]
+        if place in (0, len(self._stamps)):
+            return self._held(place, stamp_ns)
+        before, after = self._stamps[place - 1], self._stamps[place]
+        if after - before > self._gap_ns:
+            return None
+        share = (stamp_ns - before) / (after - before)
+        return interpolated(self._poses[place - 1], self._poses[place], share)
+
+    def _held(self, place: int, stamp_ns: int) -> Pose2 | None:
+        """The first or last pose when it is near enough in time."""
+        if not self._stamps:
+            return None
+        nearest = min(place, len(self._stamps) - 1)
+        close = abs(self._stamps[nearest] - stamp_ns) <= self._hold_ns
+        return self._poses[nearest] if close else None
+
+
+class OdometryListener:
+    """The odometry of one pass over a log: messages in, the base at the stamps of scans out.
+
+    `poses` is what was heard so far, `heard` how many poses that were.
+    """
+
+    def __init__(self, selection: Selection, config: LogConfig) -> None:
+        self.selection = selection
+        self.poses = OdometryBuffer(config)
+        self.heard = 0
+        self._tree = selection.tree.copy()
+        self._chain = frozenset(self._tree.ancestors(selection.base_frame))
+
+    def take(self, message: Message) -> None:
+        """Remember the odometry in a message; raises BadMessageError when it cannot be read."""
+        if self.selection.odometry == "tf":
+            self._take_transforms(message)
+        else:
+            self._take_pose(message)
+
+    def _take_pose(self, message: Message) -> None:
+        record = decode_odometry(message)
+        odom_from_base: FloatArray | None = record.frame_from_child
+        if record.child and record.child != self.selection.base_frame:
+            child_from_base = self._tree.lookup(record.child, self.selection.base_frame)
+            if child_from_base is not None:
+                odom_from_base = record.frame_from_child @ child_from_base
+        self._remember(record.stamp_ns, message.time_ns, odom_from_base)
+
+    def _take_transforms(self, message: Message) -> None:
+        """Follow the chain from the odometry frame to the base; its first link sets the time."""
+        odom, base = self.selection.odometry_source.frame or "", self.selection.base_frame
+        for record in decode_transforms(message):
+            if record.child not in self._chain:
+                continue
+            self._tree.add(record, dynamic=True)
+            if record.parent == odom:
+                pose = self._tree.lookup(odom, base)
+                self._remember(record.stamp_ns, message.time_ns, pose)
+
+    def _remember(self, stamp_ns: int, time_ns: int, odom_from_base: FloatArray | None) -> None:
+        if odom_from_base is None:
+            return
+        self.heard += 1
+        unstamped = self.selection.scan.use_log_time or stamp_ns == 0
+        self.poses.add(time_ns if unstamped else stamp_ns, Pose2.from_matrix(odom_from_base))
+
+
+def interpolated(a: Pose2, b: Pose2, share: float) -> Pose2:
+    """The pose a share of the way from `a` (0) to `b` (1)."""
+    turn = wrap_angle(b.theta - a.theta)
+    return Pose2(
+        a.x + share * (b.x - a.x),
+        a.y + share * (b.y - a.y),
+        wrap_angle(a.theta + share * turn),
+    )

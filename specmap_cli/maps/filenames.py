@@ -1,0 +1,14 @@
+"""The files of a map directory, by name; docs/output_format.md says what is in each."""
+
+from __future__ import annotations
+
+TOPOLOGY = "topology.json"
+CLASSIFIERS = "classifiers.json"
+RUN = "run.json"
+LABELS = "labels.csv"
+TRAJECTORY = "trajectory.tum"
+POSE_GRAPH = "trajectory.g2o"
+OVERVIEW = "overview.png"
+LABELS_IMAGE = "labels.png"
+MAP_GRID = "map"  # with the suffixes .png and .yaml: the grid of the whole map
+SUBMAPS = "submaps"  # the directory of the submaps' grids

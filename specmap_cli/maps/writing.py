@@ -1,0 +1,97 @@
+"""Writing a map directory: everything that `build` and `segment` leave behind.
+
+Write into the directory that `OutputDirectory` hands out, so that the map appears complete or not
+at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.records import Labels, Trajectory
+from specmap_cli.core.text import to_json
+from specmap_cli.grids.map_server import write_grid, write_png
+from specmap_cli.maps import filenames
+from specmap_cli.maps.conversion import image_stem, to_record
+from specmap_cli.maps.tables import labels_text, trajectory_text
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
+
+PictureArray = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapResult:
+    """Everything a map directory is written from.
+
+    `labels` are all keyframes, row i being keyframe number i; `classifiers` is JSON text; `run` the
+    contents of run.json; `pose_graph` text in g2o's format; `overview` a BGR picture (H, W, 3).
+    """
+
+    topology: TopologicalMap
+    regions: Regions
+    trajectory: Trajectory
+    labels: Labels
+    classifiers: str
+    log: LogInfo
+    run: Mapping[str, Any]
+    pose_graph: str
+    overview: PictureArray
+    frame: str = "map"
+
+
+def write_map(directory: str | Path, result: MapResult) -> None:
+    """Write all files of a map into an existing, empty directory."""
+    directory = Path(directory)
+    write_topology(directory, result.topology, result.regions, result.log, result.frame)
+    write_grid(directory / filenames.MAP_GRID, result.regions.grid)
+    write_png(directory / filenames.OVERVIEW, result.overview)
+    for name, text in (
+        (filenames.CLASSIFIERS, result.classifiers),
+        (filenames.TRAJECTORY, trajectory_text(result.trajectory)),
+        (filenames.POSE_GRAPH, result.pose_graph),
+        (filenames.LABELS, labels_text(result.labels)),
+        (filenames.RUN, to_json(dict(result.run))),
+    ):
+        (directory / name).write_text(text, encoding="utf-8")
+
+
+def write_segmentation(
+    directory: str | Path,
+    topology: TopologicalMap,
+    regions: Regions,
+    log: LogInfo,
+    overview: PictureArray,
+) -> None:
+    """Write a finished map cut into submaps: topology.json, their grids, labels.png, overview.png.
+
+    labels.png has the size and the orientation of the input, 16 bit: 0 is unlabelled, otherwise
+    submap id + 1.
+    """
+    directory = Path(directory)
+    write_topology(directory, topology, regions, log)
+    labels = (regions.owner + 1).astype(np.uint16)
+    write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
+    write_png(directory / filenames.OVERVIEW, overview)
+
+
+def write_topology(
+    directory: str | Path,
+    topology: TopologicalMap,
+    regions: Regions,
+    log: LogInfo,
+    frame: str = "map",
+) -> None:
+    """Write topology.json and the grid of each submap."""
+    directory = Path(directory)
+    text = to_json(to_record(topology, regions, log, frame).model_dump(by_alias=True))
+    (directory / filenames.TOPOLOGY).write_text(text, encoding="utf-8")
+    (directory / filenames.SUBMAPS).mkdir()
+    for id_, submap in topology.submaps.items():
+        write_grid(directory / image_stem(id_), submap.grid)

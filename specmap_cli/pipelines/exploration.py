@@ -1,0 +1,170 @@
+"""What Algorithm 1 knows while the robot drives: the regions it left, and which it came back to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, compose, invert
+from specmap_cli.core.labels import Neighbours, neighbours
+from specmap_cli.core.records import Closure, IntArray, PosedScan, Trajectory
+from specmap_cli.core.sampling import evenly
+from specmap_cli.core.settings import Config
+from specmap_cli.core.tracks import path_length
+from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.recognition.closure.loop_closer import LoopCloser
+from specmap_cli.recognition.closure.stay import Stay
+from specmap_cli.recognition.features.sets import KeyframeFeatures
+from specmap_cli.segmentation.online import Observer, OnlineSegmenter, Region
+from specmap_cli.topology.graph import submap_of_regions
+
+Regions = Mapping[int, Sequence[int]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Explored:
+    """What Algorithm 1 found.
+
+    `regions` holds the keyframes of each region that was left, ascending. `closures` are all pairs
+    of regions that were considered, in order. `breaks` are the keyframes at which tracking started
+    afresh. `features` are those of the keyframes, each computed once.
+    """
+
+    trajectory: Trajectory
+    regions: Mapping[int, tuple[int, ...]]
+    closures: tuple[Closure, ...]
+    breaks: tuple[int, ...]
+    features: KeyframeFeatures
+
+
+class Exploration:
+    """The state of Algorithm 1 between two scans."""
+
+    def __init__(
+        self, config: Config, store: KeyframeStore, clock: Stopwatch, observer: Observer | None
+    ) -> None:
+        self.store, self.clock = store, clock
+        self.segmenter = OnlineSegmenter(config.segmentation, config.grid, store, observer)
+        self.recogniser = SubmapRecogniser(config, store, clock)
+        self.regions: dict[int, list[int]] = {}
+        self.closures: list[Closure] = []
+        self.breaks: list[int] = []
+
+    def add(self, scan: PosedScan) -> list[Region]:
+        """Add a scan to the current submap; the regions that the robot has left with it."""
+        with self.clock.stage("segmentation"):
+            return self.segmenter.add(self.store.append(scan))
+
+    def end_submap(self) -> list[Region]:
+        """Close the current submap, where tracking was lost or the log has ended."""
+        with self.clock.stage("segmentation"):
+            return self.segmenter.flush()
+
+    def break_off(self) -> list[Region]:
+        """Tracking was lost and starts afresh with the next keyframe: a new submap begins."""
+        self.breaks.append(len(self.store))
+        return self.end_submap()
+
+    def recognise(self, left: Iterable[Region]) -> None:
+        """Is a submap that was left an existing one? If so, merge the two and close the loop."""
+        for region in left:
+            if region.continues is not None:
+                self.regions[region.continues].extend(region.keyframes)
+                continue
+            self.regions[region.number] = list(region.keyframes)
+            self._accept(self.recogniser.consider(region, self._travelled_before(region)))
+
+    def recognise_leftovers(self) -> None:
+        """Look for duplicates among the submaps until no more are found."""
+        merging = True
+        while merging:
+            found = self.recogniser.leftovers(self._neighbours())
+            self._accept(found)
+            merging = any(closure.merged for closure in found)
+
+    def explored(self, trajectory: Trajectory) -> Explored:
+        """What was found, as a value."""
+        return Explored(
+            trajectory=trajectory,
+            regions={number: tuple(keyframes) for number, keyframes in self.regions.items()},
+            closures=tuple(self.closures),
+            breaks=tuple(self.breaks),
+            features=self.recogniser.features,
+        )
+
+    def _accept(self, closures: Iterable[Closure]) -> None:
+        """Remember what was considered; what was recognised becomes one submap."""
+        for closure in closures:
+            self.closures.append(closure)
+            if closure.merged:
+                self.recogniser.closer.merge(closure.old, closure.new)
+
+    def _travelled_before(self, region: Region) -> float:
+        """Metres driven before a region; infinite once tracking has been lost."""
+        first = region.keyframes[0]
+        if self.breaks and first >= self.breaks[0]:
+            return math.inf
+        return path_length(self.store.poses_of(range(first + 1)))
+
+    def _neighbours(self) -> Neighbours:
+        """Which submaps the robot drove between."""
+        labels = online_labels(self.regions, self.closures, len(self.store)).tolist()
+        return neighbours(labels, pairwise(labels))
+
+
+class SubmapRecogniser:
+    """Section III-C for the regions of a keyframe store: each compared with all before it."""
+
+    def __init__(self, config: Config, store: KeyframeStore, clock: Stopwatch) -> None:
+        self.config, self.store, self.clock = config, store, clock
+        self.features = KeyframeFeatures(store, config.recognition.feature_set)
+        self.closer = LoopCloser(config.recognition, np.random.default_rng(config.seed))
+
+    def consider(self, region: Region, travelled_m: float) -> list[Closure]:
+        """Use the learned classifiers to determine if a new submap is an existing one."""
+        with self.clock.stage("recognition"):
+            return self.closer.consider(self._view(region, travelled_m))
+
+    def leftovers(self, adjacency: Neighbours) -> list[Closure]:
+        """Pairs of submaps that are duplicates by the topology."""
+        with self.clock.stage("recognition"):
+            return self.closer.consider_leftovers(adjacency)
+
+    def _view(self, region: Region, travelled_m: float) -> Stay:
+        """What recognition sees of a region: features, grid and track in the region's own frame."""
+        keyframes = np.array(region.keyframes)
+        track = in_own_frame(self.store, region.keyframes)
+        with self.clock.stage("grids"):
+            grid = integrate_keyframes(self.store, region.keyframes, track, self.config.grid)
+        seen = evenly(keyframes, self.config.recognition.samples_per_submap)
+        return Stay(
+            number=region.number,
+            features=self.features.of(seen.tolist()),
+            grid=grid.snapshot(),
+            track=track,
+            map_from_stay=self.store.pose(region.keyframes[0]),
+            travelled_m=travelled_m,
+        )
+
+
+def in_own_frame(store: KeyframeStore, keyframes: Sequence[int]) -> FloatArray:
+    """Poses (n, 3) of some keyframes in the frame of the first of them, as registered."""
+    poses = store.poses_of(keyframes)
+    return compose(invert(poses[0]), poses)
+
+
+def online_labels(regions: Regions, closures: Iterable[Closure], count: int) -> IntArray:
+    """The submap (n,) of each of `count` keyframes, by the regions and their merges.
+
+    A submap has the smallest number of its regions; -1 marks a keyframe in no region yet.
+    """
+    merges = [(closure.old, closure.new) for closure in closures if closure.merged]
+    labels = np.full(count, -1, dtype=np.int64)
+    for region, submap in submap_of_regions(regions, merges).items():
+        labels[list(regions[region])] = submap
+    return labels

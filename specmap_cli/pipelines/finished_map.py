@@ -1,0 +1,62 @@
+"""A finished map as a value: what Algorithm 1 and the stages after it hand on to the files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from specmap_cli.core.records import Labels, Trajectory
+from specmap_cli.core.text import legible
+from specmap_cli.drawing.overview import render_overview
+from specmap_cli.layout.g2o import write_g2o
+from specmap_cli.layout.relaxation import Layout
+from specmap_cli.maps.writing import MapResult
+from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FinishedMap:
+    """A map ready to be written: row i of `labels` is keyframe number i of the store.
+
+    `regions` divide the grid of the whole map. `counts` are of messages and scans. `limits`
+    say how often a setting of that name cut the work short. `warnings` are what a user should know
+    about the input and the result, `seconds` those of each stage.
+    """
+
+    topology: TopologicalMap
+    labels: Labels
+    trajectory: Trajectory
+    regions: Regions
+    classifiers: ClassifierSet
+    layout: Layout
+    counts: Mapping[str, int]
+    limits: Mapping[str, int]
+    warnings: tuple[str, ...]
+    seconds: Mapping[str, float]
+
+    def result(self, log_name: str, run: Mapping[str, Any]) -> MapResult:
+        """What the map directory is written from: the map, its picture, and `run` for run.json."""
+        stamps = self.trajectory.stamps_ns
+        log = LogInfo(
+            name=legible(Path(log_name).name),
+            start_ns=int(stamps.min()),
+            end_ns=int(stamps.max()),
+            scans=len(stamps),
+        )
+        return MapResult(
+            topology=self.topology,
+            regions=self.regions,
+            trajectory=self.trajectory,
+            labels=self.labels,
+            classifiers=self.classifiers.to_json(),
+            log=log,
+            run=run,
+            pose_graph=write_g2o(self.layout),
+            overview=render_overview(
+                self.topology, self.regions, self.trajectory, self.labels, log
+            ),
+        )

@@ -1,0 +1,137 @@
+"""From a layout to what is known of each submap: whose keyframes, its grid, its classifiers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from specmap_cli.core.errors import NoResultError
+from specmap_cli.core.geometry import FloatArray, compose, invert
+from specmap_cli.core.labels import order_of_appearance
+from specmap_cli.core.progress import Progress
+from specmap_cli.core.records import Closure, IntArray, Labels
+from specmap_cli.core.settings import Config
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.layout.relaxation import Layout
+from specmap_cli.pipelines.exploration import Explored, online_labels
+from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.worker import in_background
+from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.learning.training import sensor_of, train_raw, train_virtual
+from specmap_cli.segmentation.refinement import regions_of
+from specmap_cli.topology.graph import build_topology, settle_labels
+from specmap_cli.topology.topological_map import TopologicalMap
+
+Submaps = Mapping[int, Sequence[int]]
+
+
+def whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[GridMap, int]:
+    """The grid of all keyframes at their poses in the layout, and how many were beyond its limits.
+
+    Raises NoResultError when no keyframe fits into the largest grid allowed.
+    """
+    counts = integrate_keyframes(store, range(len(store)), layout.poses, config.grid)
+    whole = counts.snapshot()
+    if not whole.cells.size:
+        raise NoResultError(
+            "no scan fits into the largest grid allowed: nothing to map; raise grid.max_extent_m "
+            "or grid.max_area_m2, or lower grid.max_range_m"
+        )
+    return whole, counts.refused
+
+
+def divide(
+    whole: GridMap,
+    layout: Layout,
+    explored: Explored,
+    closures: Sequence[Closure],
+    config: Config,
+) -> IntArray:
+    """The submap id (n,) of each keyframe, in order of first visit.
+
+    The regions of the finished map say where submaps end, if one place of the building is one place
+    of the layout. Otherwise the regions that were left on the way, and their merges, say it.
+    """
+    consistent = config.relaxation.enabled and not layout.loose
+    if consistent and config.segmentation.final_regions:
+        labels = regions_of(whole, layout.poses, config.segmentation)
+    else:
+        labels = online_labels(explored.regions, closures, len(layout.poses))
+    settled = settle_labels(labels, layout.poses, config.segmentation.region_min_m)
+    order = order_of_appearance(settled.tolist())
+    return np.array([order[int(label)] for label in settled], dtype=np.int64)
+
+
+def submaps_of(labels: IntArray) -> dict[int, list[int]]:
+    """The keyframes of each submap, ascending, from the submap (n,) of each keyframe."""
+    return {int(id_): np.flatnonzero(labels == id_).tolist() for id_ in np.unique(labels)}
+
+
+def linked(
+    labels: Labels, explored: Explored, closures: Sequence[Closure], grids: Mapping[int, GridMap]
+) -> TopologicalMap:
+    """The submaps linked where the robot drove across and where closures show that they meet.
+
+    A region that was left on the way belongs to the submap that most of its keyframes are in.
+    """
+    submap_of_region = {
+        region: int(np.bincount(labels.submaps[list(keyframes)]).argmax())
+        for region, keyframes in explored.regions.items()
+    }
+    return build_topology(
+        labels=labels.submaps,
+        poses=labels.poses,
+        stamps_ns=labels.stamps_ns.tolist(),
+        breaks=explored.breaks,
+        closures=closures,
+        submap_of_region=submap_of_region,
+        grids=grids,
+    )
+
+
+def learn(
+    store: KeyframeStore,
+    explored: Explored,
+    labels: IntArray,
+    poses: FloatArray,
+    config: Config,
+    progress: Progress,
+    clock: Stopwatch,
+) -> tuple[dict[int, GridMap], ClassifierSet]:
+    """The grid of each submap in the frame of its first keyframe, and the classifiers of all.
+
+    The classifiers of raw scans need no grids: they are trained beside the drawing of these.
+    """
+    submaps = submaps_of(labels)
+    raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
+    with in_background(
+        lambda: train_raw(store, submaps, config, raw_rng, explored.features)
+    ) as trained_raw:
+        progress.start("grids", len(store))
+        with clock.stage("grids"):
+            grids = _submap_grids(store, submaps, poses, config, progress)
+        progress.start("training", None)
+        with clock.stage("training"):
+            virtual = train_virtual(store, submaps, poses, grids, config, virtual_rng)
+            classifiers = ClassifierSet(
+                sensor=sensor_of(store, submaps), raw=trained_raw(), virtual=virtual
+            )
+    return grids, classifiers
+
+
+def _submap_grids(
+    store: KeyframeStore,
+    submaps: Submaps,
+    poses: FloatArray,
+    config: Config,
+    progress: Progress,
+) -> dict[int, GridMap]:
+    """The grid of each submap from all its keyframes, in the frame of its first."""
+    grids = {}
+    for id_, keyframes in submaps.items():
+        track = compose(invert(poses[keyframes[0]]), poses[keyframes])
+        grids[id_] = integrate_keyframes(store, keyframes, track, config.grid).snapshot()
+        progress.advance(len(keyframes))
+    return grids

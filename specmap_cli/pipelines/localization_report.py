@@ -1,0 +1,151 @@
+"""What localisation found: a label a scan, as a summary, as CSV and as a picture."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from specmap_cli.core.files import write_text
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import NO_SUBMAP
+from specmap_cli.core.text import counted, stamp_text
+from specmap_cli.core.tracks import step_lengths
+from specmap_cli.drawing.predictions import render_labels
+from specmap_cli.grids.map_server import write_png
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.recognition.localization.localizer import Label
+
+HEADER = "stamp,submap,margin,runner_up,filtered_submap,filtered_probability"
+METRIC_HEADER = ",x,y,theta,score"
+_LEAP_M, _STEADY_SCANS = 0.5, 10  # a place that leaps and leaves within so many scans is wrong
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalizedScan:
+    """The label of one scan, its place as registered, and within the map where it was matched."""
+
+    label: Label
+    track_from_base: Pose2
+    submap_from_base: Pose2 | None = None
+    score: float = math.nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalizationReport:
+    """What `localize` found."""
+
+    log: str
+    scans: tuple[LocalizedScan, ...]
+    warnings: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Counts of scans by label, raw and filtered; null is unknown."""
+        raw, filtered = self._counts()
+        return {
+            "log": self.log,
+            "scans": len(self.scans),
+            "raw": {_name(key): raw[key] for key in sorted(raw, key=_order)},
+            "filtered": {_name(key): filtered[key] for key in sorted(filtered, key=_order)},
+            "agreement": self._agreement(),
+            "warnings": list(self.warnings),
+        }
+
+    def lines(self) -> list[str]:
+        """A table of the submaps that were seen."""
+        raw, filtered = self._counts()
+        agreement = self._agreement()
+        lines = [
+            f"{self.log}: {counted(len(self.scans), 'scan')}, raw and filtered label agree on "
+            f"{agreement:.1%}",
+            f"{'submap':>8} {'raw':>8} {'filtered':>9}",
+        ]
+        for key in sorted({*raw, *filtered}, key=_order):
+            lines.append(f"{_name(key):>8} {raw[key]:8,} {filtered[key]:9,}")
+        return lines
+
+    def _counts(self) -> tuple[Counter[int | None], Counter[int | None]]:
+        raw = Counter(scan.label.submap for scan in self.scans)
+        return raw, Counter(scan.label.filtered_submap for scan in self.scans)
+
+    def _agreement(self) -> float:
+        same = sum(scan.label.submap == scan.label.filtered_submap for scan in self.scans)
+        return round(same / len(self.scans), 6)
+
+
+def write_csv(path: Path, report: LocalizationReport, metric: bool) -> None:
+    """One line a scan; an empty submap is unknown. UsageError when it cannot be written."""
+    lines = [HEADER + (METRIC_HEADER if metric else "")]
+    for scan in report.scans:
+        label = scan.label
+        line = (
+            f"{stamp_text(label.stamp_ns)},{_id(label.submap)},{label.margin:.6f},"
+            f"{_id(label.runner_up)},{_id(label.filtered_submap)},{label.filtered_probability:.6f}"
+        )
+        if metric:
+            pose = scan.submap_from_base
+            line += ",,,," if pose is None else f",{pose.x:.6f},{pose.y:.6f},{pose.theta:.6f}"
+            line += "" if pose is None else f",{scan.score:.6f}"
+        lines.append(line)
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def write_plot(path: Path, report: LocalizationReport, stored: StoredMap, metric: bool) -> None:
+    """The predicted submap along the trajectory, over the map where scans were matched in it."""
+    submaps = np.array(
+        [
+            NO_SUBMAP if scan.label.filtered_submap is None else scan.label.filtered_submap
+            for scan in report.scans
+        ]
+    )
+    title = f"{report.log}: predicted submaps"
+    if not metric:
+        track = np.array([scan.track_from_base[:2] for scan in report.scans])
+        write_png(path, render_labels(track, submaps, title))
+        return
+    places = _steady(np.array([_place(scan, stored) for scan in report.scans]), report.scans)
+    ground = (stored.topology, stored.regions)
+    picture = render_labels(places, submaps, title, map_with_regions=ground)
+    write_png(path, picture)
+
+
+def _steady(places: FloatArray, scans: Sequence[LocalizedScan]) -> FloatArray:
+    """Places (n, 2) without those that leap farther than the robot drove, both there and away.
+
+    The first scan of a submap may match the wrong end of it; NaN marks what is left out.
+    """
+    track = np.array([scan.track_from_base[:2] for scan in scans])
+    kept = np.flatnonzero(np.isfinite(places).all(axis=1))
+    leaps = step_lengths(places[kept]) > step_lengths(track[kept]) + _LEAP_M
+    runs = np.split(kept, np.flatnonzero(leaps) + 1)
+    steady = places.copy()
+    for run in runs:
+        if len(run) < _STEADY_SCANS:
+            steady[run] = math.nan
+    return steady
+
+
+def _place(scan: LocalizedScan, stored: StoredMap) -> FloatArray:
+    """(2,) place of a matched scan in the map, NaN when it fits badly."""
+    id_ = scan.label.filtered_submap
+    if id_ is None or scan.submap_from_base is None or scan.score < 0.5:
+        return np.array([math.nan, math.nan])
+    pose = stored.topology.submaps[id_].map_from_submap @ scan.submap_from_base
+    return np.array([pose.x, pose.y])
+
+
+def _id(submap: int | None) -> str:
+    return "" if submap is None else str(submap)
+
+
+def _name(submap: int | None) -> str:
+    return "unknown" if submap is None else str(submap)
+
+
+def _order(submap: int | None) -> tuple[bool, int]:
+    return submap is None, -1 if submap is None else submap

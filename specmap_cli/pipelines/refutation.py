@@ -1,0 +1,80 @@
+"""What loop closures say about the layout, and which of them the layout refutes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.records import Closure
+from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.relaxation import Constraint, Layout
+from specmap_cli.pipelines.exploration import Regions, in_own_frame
+
+Pair = tuple[int, int]
+
+REFUTED = "contradicts the layout"
+
+
+def constraints_of(
+    closures: Sequence[Closure], regions: Regions, store: KeyframeStore, config: RelaxationConfig
+) -> dict[Pair, Constraint]:
+    """For each pair of merged regions, (old, new): where a keyframe lies, seen from another.
+
+    Grids that match while the robot's tracks do not overlap are no evidence for the layout: that is
+    what look-alike rooms do, too.
+    """
+    sigma = np.array([config.closure_sigma_m, config.closure_sigma_m, config.closure_sigma_rad])
+    information = np.diag(1.0 / sigma**2)
+    return {
+        (closure.old, closure.new): _constraint(
+            regions[closure.old], regions[closure.new], closure.old_from_new, store, information
+        )
+        for closure in closures
+        if closure.merged and closure.old_from_new is not None
+    }
+
+
+def refute(
+    closures: Sequence[Closure], constraints: Mapping[Pair, Constraint], layout: Layout
+) -> tuple[Closure, ...]:
+    """The closures, without the merges whose constraint the layout dropped."""
+    dropped = {(link.source, link.target) for link in layout.dropped if link.kind == "closure"}
+    refuted = {
+        pair
+        for pair, constraint in constraints.items()
+        if (constraint.source, constraint.target) in dropped
+    }
+    return tuple(
+        _taken_back(closure) if (closure.old, closure.new) in refuted else closure
+        for closure in closures
+    )
+
+
+def _constraint(
+    old: Sequence[int],
+    new: Sequence[int],
+    old_from_new: Pose2,
+    store: KeyframeStore,
+    information: FloatArray,
+) -> Constraint:
+    """The keyframes of two regions that are nearest to each other under a transform."""
+    old_track = in_own_frame(store, old)
+    new_track = compose(np.array(old_from_new), in_own_frame(store, new))
+    gaps = old_track[:, None, :2] - new_track[None, :, :2]
+    i, j = np.unravel_index(int((gaps**2).sum(axis=2).argmin()), gaps.shape[:2])
+    relative = compose(invert(old_track[i]), new_track[j])
+    return Constraint(
+        source=old[int(i)],
+        target=new[int(j)],
+        source_from_target=Pose2(*relative.tolist()),
+        information=information,
+    )
+
+
+def _taken_back(closure: Closure) -> Closure:
+    """A merge that is none any more."""
+    return replace(closure, merged=False, verified=False, reason=REFUTED, old_from_new=None)

@@ -1,0 +1,90 @@
+"""What a build tells about itself: `run.json`, and the summary that the command prints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.settings import Config
+from specmap_cli.core.text import counted
+from specmap_cli.core.versions import versions
+from specmap_cli.logs.selection import Selection
+from specmap_cli.pipelines.finished_map import FinishedMap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuildReport:
+    """What `build` did, for a person and for a machine: the map directory and its run.json."""
+
+    out: Path
+    run: Mapping[str, Any]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The counts and the directory."""
+        return {"out": str(self.out), **self.run["counts"], "warnings": self.run["warnings"]}
+
+    def lines(self) -> list[str]:
+        """A summary in two lines."""
+        counts = self.run["counts"]
+        return [
+            f"{self.out}: {counted(counts['submaps'], 'submap')}, "
+            f"{counted(counts['edges'], 'edge')}, "
+            f"{counted(counts['merges'], 'revisit')} recognised; "
+            f"{counted(counts['scans'], 'scan')} over "
+            f"{counts['path_m']:.0f} m, {counts['lost']} lost",
+            f"look at {self.out / 'overview.png'}",
+        ]
+
+
+def run_record(
+    logs: Sequence[Path], selection: Selection, config: Config, finished: FinishedMap
+) -> dict[str, Any]:
+    """The contents of run.json."""
+    topology = finished.topology
+    counts = {
+        "scans": len(finished.trajectory.stamps_ns),
+        "keyframes": len(finished.labels.stamps_ns),
+        "submaps": len(topology.submaps),
+        "edges": len(topology.edges),
+        "merges": sum(closure.merged for closure in topology.closures),
+        "path_m": round(finished.labels.path_m, 3),
+        **finished.counts,
+    }
+    return {
+        "inputs": [path.name for path in logs],
+        "selection": _selected(selection),
+        "config": config.model_dump(),
+        "versions": versions(),
+        "counts": counts,
+        "limits": {name: count for name, count in finished.limits.items() if count},
+        "seconds": {name: round(value, 3) for name, value in finished.seconds.items()},
+        "warnings": list(finished.warnings),
+    }
+
+
+def warnings_of(beyond: int) -> list[str]:
+    """What to say when keyframes lay beyond the largest grid allowed."""
+    if not beyond:
+        return []
+    return [
+        f"{counted(beyond, 'keyframe')} beyond the largest grid allowed, left out of the map: "
+        "raise grid.max_extent_m or grid.max_area_m2"
+    ]
+
+
+def _selected(selection: Selection) -> dict[str, Any]:
+    """Which topics and frames were read."""
+    mounting = Pose2.from_matrix(selection.base_from_laser)
+    return {
+        "scan_topic": selection.scan_topic,
+        "scan_type": selection.scan_type,
+        "odometry": selection.odometry,
+        "odom_topics": list(selection.odom_topics),
+        "base_frame": selection.base_frame,
+        "laser_frame": selection.laser_frame,
+        "base_from_laser": [round(value, 6) for value in mounting],
+        "height_band_m": selection.band_m,
+    }

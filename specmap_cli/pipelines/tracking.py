@@ -1,0 +1,38 @@
+"""Scan matching a whole log: every sweep registered in turn, and how it went."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass
+
+from specmap_cli.core.records import PosedScan
+from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.registration.frontend import FrontEnd
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tracking:
+    """What reading and registration have to tell at the end of a log.
+
+    `counts` are of messages and of scans, `seconds` those of registration alone.
+    """
+
+    counts: Mapping[str, int]
+    warnings: tuple[str, ...]
+    seconds: float
+
+
+def track(stream: SweepStream, config: RegistrationConfig) -> Generator[PosedScan, None, Tracking]:
+    """Yield every scan of a log with its pose; return how it went."""
+    front_end, clock = FrontEnd(config), Stopwatch()
+    for sweep in stream:
+        with clock.stage("registration"):
+            scan = front_end.register(sweep)
+        yield scan
+    return Tracking(
+        counts={**stream.counts, **front_end.counts},
+        warnings=(*stream.warnings, *front_end.warnings),
+        seconds=clock.seconds.get("registration", 0.0),
+    )

@@ -1,0 +1,51 @@
+"""What a match of two grids is worth: nothing, a constraint between two frames, or one submap."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.recognition.closure.stay import Stay
+from specmap_cli.recognition.closure.verification import Check, tracks_overlap
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether the grids match, whether they are of one submap, and why or why not."""
+
+    verified: bool
+    merged: bool
+    reason: str
+
+
+NO_WALLS = Verdict(False, False, "a grid shows too few walls to match")
+
+
+def verdict(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig) -> Verdict:
+    """What the best match of two stays' grids is worth; `check` None is no match at all."""
+    if check is None or check.score < config.min_score:
+        return Verdict(False, False, "the grids do not match")
+    if check.inliers < config.min_inliers:
+        return Verdict(False, False, "too few wall points match")
+    if check.overlap < config.min_overlap or check.least_overlap < config.least_overlap:
+        return Verdict(False, False, "the grids overlap too little")
+    if check.lead < config.min_lead:
+        return Verdict(False, False, "ambiguous: the grids match in more than one way")
+    if not _plausible(old, new, check.old_from_new, config):
+        return Verdict(False, False, "ambiguous: looks the same but is too far away, a twin")
+    shared = tracks_overlap(old.track, new.track, check.old_from_new, config.merge_reach_m)
+    if shared < config.merge_overlap:
+        return Verdict(True, False, "the grids match, the robot's tracks do not overlap")
+    return Verdict(True, True, "the grids match and the tracks overlap")
+
+
+def _plausible(old: Stay, new: Stay, old_from_new: Pose2, config: RecognitionConfig) -> bool:
+    """Whether registration can have drifted as far as a merge would say it has."""
+    if old.map_from_stay is None or new.map_from_stay is None:
+        return True
+    expected = old.map_from_stay.inverse() @ new.map_from_stay
+    shift = math.hypot(expected.x - old_from_new.x, expected.y - old_from_new.y)
+    path = abs(new.travelled_m - old.travelled_m)
+    return not shift > config.twin_margin_m + config.max_drift * path  # true of a path of NaN, too

@@ -1,0 +1,116 @@
+"""One classifier a submap, one against all others (Section III-A)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.sampling import evenly
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.recognition.features.sets import feature_names, feature_sets
+from specmap_cli.recognition.learning.boosting import Booster, StumpBoost, booster_from_dict
+from specmap_cli.recognition.learning.json_fields import mapping, refuse, text
+from specmap_cli.recognition.learning.trees import Forest, Quantiser, TreeBoost
+
+_ID_DIGITS = 18  # of a submap's id in a file: those of 64 bits
+
+
+class OneVsAll:
+    """A booster for each class, each against all others; the label is that of the largest margin.
+
+    `fit` learns `classes_`, ascending, and `boosters_` by class; `forest_` holds the trees of all
+    of them where they are as many each, to ask them together.
+    """
+
+    def __init__(self, feature_set: str, config: RecognitionConfig) -> None:
+        self.feature_set = feature_set
+        self.config = config
+        self.classes_: tuple[int, ...] = ()
+        self.boosters_: dict[int, Booster] = {}
+        self.forest_: Forest | None = None
+
+    def fit(self, samples: Mapping[int, FloatArray], rng: np.random.Generator) -> OneVsAll:
+        """Learn from features (n, F) of every class; returns self."""
+        ids = sorted(samples)
+        X = np.vstack([samples[i] for i in ids])
+        owner = np.repeat(ids, [len(samples[i]) for i in ids])
+        quantiser = Quantiser.of(X)
+        codes = quantiser.codes(X)
+        boosters: dict[int, Booster] = {}
+        for i in ids:
+            booster = self._booster(seed=int(rng.integers(2**31)))
+            negatives = evenly(np.flatnonzero(owner != i), self.config.negatives)
+            chosen = np.concatenate([np.flatnonzero(owner == i), negatives])
+            y = np.where(owner[chosen] == i, 1, -1)
+            if isinstance(booster, TreeBoost):
+                booster.fit_codes(codes[:, chosen], quantiser, y)
+            else:
+                booster.fit(X[chosen], y)
+            boosters[i] = booster
+        return self._of(boosters)
+
+    def margins(self, X: NDArray[Any]) -> FloatArray:
+        """(n, m) margin of every class, columns in the order of `classes_`."""
+        X = np.asarray(X, dtype=np.float64)
+        if self.forest_ is None:
+            return np.column_stack([b.margins(X) for b in self.boosters_.values()])
+        votes = self.forest_.tree_votes(X)
+        rounds = votes.shape[1] // len(self.classes_)
+        return np.asarray(votes.reshape(len(X), len(self.classes_), rounds).sum(axis=2))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Feature set and classifiers by class, ready for JSON."""
+        return {
+            "feature_set": self.feature_set,
+            "classifiers": {str(i): b.to_dict() for i, b in self.boosters_.items()},
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> OneVsAll:
+        """The fitted classifiers that `to_dict` described.
+
+        MapError names the entry that makes no sense, and a feature set that is not installed.
+        """
+        feature_set = text(data, "feature_set", "file")
+        if feature_set not in feature_sets():
+            raise MapError(
+                f"classifiers: file: its feature set {feature_set!r} is not installed: install "
+                "the package that offers it, or build the map again"
+            )
+        names = feature_names(feature_set)
+        entries = mapping(data, "classifiers")
+        boosters: dict[int, Booster] = {}
+        for key in sorted(entries, key=_submap_id):
+            try:
+                boosters[_submap_id(key)] = booster_from_dict(entries[key], names)
+            except MapError as error:
+                raise MapError(str(error).replace("classifiers:", f"submap {key}:", 1)) from None
+        if not boosters:
+            raise refuse("file", "it holds no classifier")
+        return cls(feature_set, RecognitionConfig())._of(boosters)
+
+    def _of(self, boosters: Mapping[int, Booster]) -> OneVsAll:
+        """These classifiers, fitted, become this one's own."""
+        self.boosters_ = dict(boosters)
+        self.classes_ = tuple(boosters)
+        trees = [b.forest_ for b in boosters.values() if isinstance(b, TreeBoost)]
+        alike = len(trees) == len(boosters) and len({len(f.votes) for f in trees}) == 1
+        self.forest_ = Forest.joined(trees) if alike else None
+        return self
+
+    def _booster(self, seed: int) -> Booster:
+        names, config = feature_names(self.feature_set), self.config
+        if config.booster == "stumps":
+            return StumpBoost(names, config.rounds)
+        return TreeBoost(names, config.rounds, config.shrinkage, config.feature_share, seed)
+
+
+def _submap_id(key: str) -> int:
+    if not key.isdecimal() or len(key) > _ID_DIGITS:
+        raise refuse("file", f"{key!r:.60} is no submap id")
+    return int(key)

@@ -1,0 +1,60 @@
+"""The local map: what the last keyframes saw, to register the next sweep against.
+
+The registration method holds their points in its own form. Beside it stands the score field of the
+same walls in the plane, which scores results and serves the correlative search.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.grids.score_field import ScoreField
+from specmap_cli.registration.aligner import Aligner, SensorKind
+from specmap_cli.registration.sweep_view import SweepView
+
+# Of the score field, in spacings of the walls' points: cells that leave no gap between them, and a
+# sigma of one voxel. Finer fields cost time and tell right from wrong results no better.
+_CELL_SPACINGS, _SIGMA_SPACINGS = 1.5, 2.0
+
+
+class LocalMap:
+    """The last `window_keyframes` keyframes, in the map frame."""
+
+    def __init__(self, aligner: Aligner, sensor: SensorKind, config: RegistrationConfig) -> None:
+        self.aligner, self.sensor = aligner, sensor
+        self._spacing_m = config.voxel_m / 2
+        self._side_m = config.field_ranges * sensor.range_m
+        self._walls: deque[FloatArray] = deque(maxlen=config.window_keyframes)
+        self._field: ScoreField | None = None
+
+    def __len__(self) -> int:
+        return len(self._walls)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.aligner.clear()
+        self._walls.clear()
+        self._field = None
+
+    def insert(self, view: SweepView, map_from_base: FloatArray) -> None:
+        """Add a keyframe seen from a pose (4, 4)."""
+        self.aligner.insert(view.cloud, map_from_base)
+        self._walls.appendleft(Pose2.from_matrix(map_from_base).apply(view.walls))
+        self._field = None
+
+    @property
+    def field(self) -> ScoreField:
+        """The score field of the walls, built when first asked for.
+
+        Walls too far from the others for a field of `field_ranges` are left out.
+        """
+        if self._field is None:
+            walls = np.concatenate(self._walls)
+            cell_m = _CELL_SPACINGS * self._spacing_m
+            sigma_m = _SIGMA_SPACINGS * self._spacing_m
+            self._field = ScoreField.from_points(walls, cell_m, sigma_m, self._side_m)
+        return self._field

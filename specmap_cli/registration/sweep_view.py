@@ -1,0 +1,74 @@
+"""What one sweep offers to registration: its points, de-skewed, cut to range and thinned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import PlanarScan, Sweep
+from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.grids.score_field import thinned
+from specmap_cli.registration.deskew import deskewed, moved_returns
+from specmap_cli.registration.expected_motion import ExpectedMotion
+
+_BELOW_RANGE_MAX = 0.999  # some drivers report no return as the largest range, rounded
+_GROWTH = 1.4  # of the cell from one try to the next at thinning: about half the points
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepView:
+    """The points of a sweep, in the base frame.
+
+    `cloud` (N, 3) is registered; `sparse` (K, 3) is enough for coarse alignments. `walls` (M, 2) go
+    into the score field and `probe` (L, 2) is scored on it. `planar` is the scan to hand on.
+    """
+
+    planar: PlanarScan
+    cloud: FloatArray
+    sparse: FloatArray
+    walls: FloatArray
+    probe: FloatArray
+
+
+def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) -> SweepView:
+    """The points of a sweep, de-skewed with the motion expected during it."""
+    scan = deskewed(sweep.planar, sweep.base_from_laser, expected.during, expected.interval_s)
+    reach_m = min(config.max_range_m, _BELOW_RANGE_MAX * sweep.planar.range_max)
+    near = np.where(scan.ranges > config.min_range_m, scan.ranges, np.nan)
+    hit = np.isfinite(near) & (near <= reach_m)
+    r, b = near[hit], scan.bearings[hit]
+    hits = sweep.base_from_laser.apply(np.column_stack([r * np.cos(b), r * np.sin(b)]))
+    walls = _thinned_to(hits, config.voxel_m / 2, config.max_points)
+    probe = thinned(walls, config.voxel_m)
+    if sweep.cloud is None:
+        cloud, sparse = _in_space(walls), _in_space(probe)
+    else:
+        cloud = moved_returns(
+            sweep.cloud, sweep.cloud_times_s, expected.during, expected.interval_s
+        )
+        cloud = thinned(_within_range(cloud, config), config.cloud_voxel_m)
+        sparse = thinned(cloud, 2 * config.cloud_voxel_m)
+    return SweepView(planar=scan, cloud=cloud, sparse=sparse, walls=walls, probe=probe)
+
+
+def _within_range(cloud: FloatArray, config: RegistrationConfig) -> FloatArray:
+    """The points (N, 3) that are neither the robot itself nor too far to be registered."""
+    distance = np.sqrt((cloud[:, :2] ** 2).sum(axis=1))
+    kept = (distance > config.min_range_m) & (distance <= config.cloud_range_m)
+    return np.asarray(cloud[kept])
+
+
+def _in_space(points: FloatArray) -> FloatArray:
+    """Points (N, 2) of the plane as (N, 3) with z = 0."""
+    return np.column_stack([points, np.zeros(len(points))])
+
+
+def _thinned_to(points: FloatArray, cell_m: float, most: int) -> FloatArray:
+    """Points thinned at `cell_m`, or at the first larger cell that leaves at most `most`."""
+    kept = thinned(points, cell_m)
+    while len(kept) > most:
+        cell_m *= _GROWTH
+        kept = thinned(points, cell_m)
+    return kept

@@ -1,0 +1,131 @@
+"""A finished grid map divided into regions: section II-B of the paper, and what stands around it.
+
+With the settings of `--preset paper` this is the visibility graph, Algorithm 2 and the nearest
+node's label. docs/segmentation.md says what each step of the default settings adds, and why.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import SegmentationConfig
+from specmap_cli.grids.gridmap import BoolArray, GridMap
+from specmap_cli.segmentation.clutter import WorkingGrid, small_obstacles, working_grid
+from specmap_cli.segmentation.flood import RINGS, flood_labels, nearest_labels, spread_labels
+from specmap_cli.segmentation.halving import split_again
+from specmap_cli.segmentation.kmeans import LabelArray
+from specmap_cli.segmentation.merging import border_widths, join_wide, local_widths
+from specmap_cli.segmentation.orientation import canonical
+from specmap_cli.segmentation.spectral import Spectrum, spectral_clusters
+from specmap_cli.segmentation.visibility import (
+    IndexArray,
+    VisibilityGraph,
+    sample_nodes,
+    visibility_graph,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Segmentation:
+    """A labelled map and what led to it.
+
+    `labels` (H, W) int32: -1 unlabelled, otherwise 0, 1, ... by falling area; `nodes` (n, 2) x and
+    y in metres with their `node_labels` (n,); `pairs` (m, 2) mutually visible nodes; `spectrum` the
+    eigenpairs and the clusters they gave.
+    """
+
+    labels: LabelArray
+    nodes: FloatArray
+    node_labels: LabelArray
+    pairs: IndexArray
+    spectrum: Spectrum
+
+    @property
+    def count(self) -> int:
+        """Number of regions."""
+        return int(self.labels.max(initial=-1)) + 1
+
+
+def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
+    """Divide the free space of `grid` into regions.
+
+    The result does not depend on where the map lies on its grid nor on which of the four ways it is
+    turned: the work is done on the map cropped and turned to one canonical orientation.
+    """
+    upright = canonical(grid.free)
+    free = upright.apply(grid.free)
+    opened = free | _furniture(free, grid.resolution, config)
+    work = working_grid(opened, grid.resolution, config.cell_m)
+    graph = build_graph(work, config)
+    spectrum = spectral_clusters(graph, config)
+    clusters = spectrum.labels
+    if config.halve:
+        clusters = split_again(graph, clusters, config.neighbours, config.halve_eigenvalue)
+    cells = _label_cells(work, graph, clusters, config)
+    if config.merge and len(clusters):
+        cells, clusters = _merged(work, graph, cells, clusters, config)
+    rings = max(RINGS, work.step + 1)  # across a coarse cell that is not wholly free
+    fine = spread_labels(work.refine(cells, opened.shape), opened, rings)
+    named, names = _by_area(fine if config.fill else np.where(free, fine, np.int32(-1)))
+    return Segmentation(
+        labels=upright.undo(named, np.full(grid.cells.shape, -1, dtype=np.int32)),
+        nodes=grid.centres_of(upright.cells_in_grid(work.fine_cells(graph.nodes), free.shape)),
+        node_labels=names[clusters],
+        pairs=graph.pairs,
+        spectrum=spectrum,
+    )
+
+
+def build_graph(work: WorkingGrid, config: SegmentationConfig) -> VisibilityGraph:
+    """The visibility graph of section II-B; lengths in coarse cells."""
+    least = config.clearance_m / work.cell_m
+    block = max(1, round(config.node_step_m / work.cell_m))
+    nodes = sample_nodes(work.clearance, block, least, config.nodes)
+    return visibility_graph(work.clearance, nodes, config.sight_m / work.cell_m, least)
+
+
+def _furniture(free: BoolArray, resolution: float, config: SegmentationConfig) -> BoolArray:
+    """(h, w) the isolated obstacles that count as free."""
+    sizes = np.array([config.obstacle_m, config.furniture_m, config.furniture_thick_m])
+    return small_obstacles(free, *(sizes / resolution).tolist())
+
+
+def _label_cells(
+    work: WorkingGrid, graph: VisibilityGraph, clusters: LabelArray, config: SegmentationConfig
+) -> LabelArray:
+    """Labels (h, w) of the coarse cells from those of the nodes (n,), -1 unlabelled."""
+    if config.labels == "nearest":
+        return nearest_labels(work.free, graph.nodes, clusters)
+    return flood_labels(work.clearance, graph.nodes, clusters)
+
+
+def _merged(
+    work: WorkingGrid,
+    graph: VisibilityGraph,
+    cells: LabelArray,
+    clusters: LabelArray,
+    config: SegmentationConfig,
+) -> tuple[LabelArray, LabelArray]:
+    """Labels of cells (h, w) and nodes (n,) after joining clusters that no narrowing separates."""
+    own = work.clearance[graph.nodes[:, 0], graph.nodes[:, 1]]
+    widest = 0.5 * config.sight_m / work.cell_m  # the disc that the longest sight line spans
+    widths = local_widths(own, graph.lengths, graph.pairs, widest)
+    groups = [widths[clusters == label] for label in range(int(clusters.max()) + 1)]
+    borders = border_widths(cells, work.clearance)
+    joined = np.array(
+        join_wide(borders, groups, config.merge_ratio, config.width_percentile), dtype=np.int32
+    )
+    return np.where(cells < 0, np.int32(-1), joined[np.maximum(cells, 0)]), joined[clusters]
+
+
+def _by_area(labels: LabelArray) -> tuple[LabelArray, LabelArray]:
+    """Labels renamed 0, 1, ... by falling number of cells, and the new name of each old label."""
+    sizes = np.bincount(labels[labels >= 0])
+    names = np.zeros(len(sizes), dtype=np.int32)
+    names[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
+    if not len(names):
+        return labels, names
+    return np.where(labels < 0, np.int32(-1), names[np.maximum(labels, 0)]), names

@@ -1,0 +1,179 @@
+"""Errors: one line on stderr; with `--json` an object on stdout, too. A bug keeps its traceback."""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import os
+import signal
+import unicodedata
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.cli import main
+from specmap_cli.cli.console import ConsoleProgress
+from specmap_cli.cli.streams import one_line
+from specmap_cli.logs import inspection
+from specmap_cli.pipelines import build
+from tests.cli.conftest import ERROR, Outcome, Run, standing_log
+
+
+def as_json(said: Outcome) -> dict[str, object]:
+    """The error on stdout, which must be all there is."""
+    found = json.loads(said.out)
+    assert found.keys() == {"error"}
+    error: dict[str, object] = found["error"]
+    assert error.keys() == {"code", "message"}
+    return error
+
+
+def line_of(said: Outcome) -> str:
+    """The last line on stderr, without its beginning."""
+    line = said.err.splitlines()[-1]
+    assert line.startswith(ERROR)
+    return line.removeprefix(ERROR)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        (("biuld",), 2, "No such command 'biuld'. Did you mean 'build'?"),
+        (("localize", "x.mcap"), 2, "Missing option '--map' / '-m'"),
+        (("info", "x.mcap", "--frob"), 2, "No such option: --frob"),
+        (("config", "--set", "seed=-1"), 2, "seed: Input should be greater than or equal to 0"),
+        (("evaluate",), 2, "say what to evaluate, and one thing only"),
+        (("info", "none.mcap"), 3, "none.mcap: no such file or directory"),
+        (("segment", "none.yaml"), 3, "none.yaml: cannot read the map"),
+        (("localize", "x.mcap", "--map", "none"), 3, "none: no such map directory"),
+    ],
+)
+@pytest.mark.parametrize("quiet", [(), ("-q",)], ids=["loud", "quiet"])
+def test_an_error_is_json_too(
+    arguments: tuple[str, ...], code: int, told: str, quiet: tuple[str, ...], run: Run
+) -> None:
+    said = run(*arguments, "--json", *quiet)
+    assert said.code == code
+    assert as_json(said) == {"code": code, "message": line_of(said)}
+    assert line_of(said).startswith(told)
+    assert said.err.count("\n") == 1
+
+
+def test_no_result_is_json_too(tmp_path: Path, run: Run) -> None:
+    log = standing_log(tmp_path / "blind.mcap", math.nan)
+    said = run("build", log, "-o", tmp_path / "map", "--json", "-q")
+    assert said.code == 4
+    assert as_json(said) == {"code": 4, "message": line_of(said)}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_is_json_too(
+    number: int, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ConsoleProgress, "note", lambda *_: os.kill(os.getpid(), number))
+    log = standing_log(tmp_path / "log.mcap", 3.0)
+    said = run("build", log, "-o", tmp_path / "map", "--json")
+    assert said.code == 128 + number
+    assert as_json(said) == {"code": 128 + number, "message": line_of(said)}
+    assert line_of(said).startswith(f"interrupted by {signal.Signals(number).name}")
+
+
+def test_a_bug_is_json_and_a_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("no\nidea")
+
+    monkeypatch.setattr(inspection, "summarize", fail)
+    log = standing_log(tmp_path / "log.mcap", 3.0)
+    for line, said in (
+        (["info", str(log)], None),
+        (["info", str(log), "--json"], {"code": 1, "message": "a bug: RuntimeError: no idea"}),
+    ):
+        with pytest.raises(RuntimeError, match="no\nidea"):
+            main(line)
+        out = capsys.readouterr().out
+        assert out == "" if said is None else json.loads(out) == {"error": said}
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (MemoryError("too large"), 3, "not enough memory: too large; a coarser grid"),
+        (OSError(errno.ENOSPC, "No space left", "a/b"), 2, "a/b: cannot be written: No space left"),
+        (OSError(errno.EROFS, "Read-only"), 2, "the output: cannot be written: Read-only;"),
+    ],
+    ids=["memory", "disk", "unnamed"],
+)
+def test_what_the_machine_lacks_is_no_bug(
+    error: Exception,
+    code: int,
+    told: str,
+    tmp_path: Path,
+    run: Run,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(build, "build_map", fail)
+    # the pipe or file under stdout is not this test's to discard
+    monkeypatch.setattr("specmap_cli.cli.entry.discard_stdout", lambda: None)
+    said = run("build", "log.mcap", "-o", tmp_path / "map")
+    assert said.code == code
+    assert said.error.startswith(told)
+
+
+def test_another_error_of_the_system_is_a_bug(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(errno.EBADF, "Bad file descriptor")
+
+    monkeypatch.setattr(build, "build_map", fail)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        main(["build", "log.mcap", "-o", str(tmp_path / "map")])
+
+
+def test_a_file_called_json_asks_for_none(run: Run) -> None:
+    said = run("info", "--", "--json")
+    assert said.code == 3
+    assert said.error.startswith("--json: no such file or directory")
+
+
+def test_a_name_cannot_break_the_line(run: Run) -> None:
+    said = run("info", "a\nb\r\x1b[2J\x07\u2028c.mcap", "--json")
+    assert said.code == 3
+    assert said.err.count("\n") == 1
+    assert line_of(said).startswith(r"a b \x1b[2J\x07 c.mcap: no such file")
+    assert as_json(said)["message"] == line_of(said)
+
+
+def test_a_name_that_is_no_unicode_is_escaped(run: Run) -> None:
+    said = run("info", os.fsdecode(b"\xff.mcap"), "--json")
+    assert said.code == 3
+    assert as_json(said)["message"] == line_of(said)
+    assert line_of(said).startswith(r"\udcff.mcap: no such file")
+
+
+def test_notes_and_warnings_stay_on_their_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    with ConsoleProgress() as progress:
+        progress.note("one\ntwo\x1b[2J")
+        progress.warn("three\r\nfour")
+    assert capsys.readouterr().err == ("specmap: one two\\x1b[2J\nspecmap: warning: three four\n")
+
+
+@given(st.text())
+def test_one_line_is_one_line_and_obeys_nobody(text: str) -> None:
+    line = one_line(text)
+    assert len(line.splitlines()) <= 1
+    assert not {unicodedata.category(character) for character in line} & {"Cc", "Cs"}
+    assert one_line(line) == line
+
+
+@given(st.lists(st.text(st.characters(exclude_categories=["C", "Z"]), min_size=1)))
+def test_one_line_leaves_words_alone(words: list[str]) -> None:
+    assert one_line("\n\t".join(words)) == " ".join(words)

@@ -1,0 +1,71 @@
+"""`specmap export` as a person runs it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import networkx as nx
+import pytest
+
+from specmap_cli.cli import main
+from specmap_cli.maps.writing import MapResult, write_map
+
+
+@pytest.fixture
+def house(tmp_path: Path, result: MapResult) -> Path:
+    """The map directory of the small house."""
+    out = tmp_path / "house"
+    out.mkdir()
+    write_map(out, result)
+    return out
+
+
+def test_a_map_becomes_a_graph(house: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = house.parent / "house.graphml"
+    assert main(["export", str(house), "--format", "graphml", "-o", str(target)]) == 0
+    assert capsys.readouterr().out == f"{target}: GraphML: the graph, for yEd, Gephi and networkx\n"
+    assert len(nx.read_graphml(target)) == 3
+
+
+def test_the_result_for_a_machine(house: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = house.parent / "house.geojson"
+    assert main(["export", str(house), "-f", "geojson", "-o", str(target), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "map": str(house),
+        "out": str(target),
+        "format": "geojson",
+        "submaps": 3,
+        "edges": 2,
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--format", "svg", "-o", "x.svg"], 2, "unknown format 'svg': choose from geojson, gr"),
+        (["--format", "graphml"], 2, "Missing option '--out'"),
+        (["--format", "graphml", "-o", "house/topology.json"], 2, "exists already"),
+        (["--format", "graphml", "-o", "gone/x.graphml"], 2, "there is no directory"),
+    ],
+)
+def test_what_cannot_be_exported_is_one_line(
+    arguments: list[str],
+    code: int,
+    words: str,
+    house: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(house.parent)
+    before = sorted(house.parent.rglob("*"))
+    assert main(["export", "house", *arguments]) == code
+    told = capsys.readouterr().err
+    assert words in told
+    assert told.count("\n") == 1
+    assert sorted(house.parent.rglob("*")) == before
+
+
+def test_a_place_without_a_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", str(tmp_path), "-f", "graphml", "-o", str(tmp_path / "x")]) == 3
+    assert "no topology.json in it" in capsys.readouterr().err

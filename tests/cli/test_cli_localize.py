@@ -1,0 +1,150 @@
+"""`specmap localize`: whose settings hold, and labels that know the whole log."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from specmap_cli.core.config import load_config
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.settings import Config, LogConfig
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.localize import settings_for
+from tests.cli.conftest import Run
+
+
+@pytest.fixture
+def stored(tiny_map: Path) -> StoredMap:
+    """The tiny map, which was built with settings of its own."""
+    found = read_map(tiny_map)
+    assert found.config != Config()
+    return found
+
+
+@pytest.fixture
+def settings_file(tmp_path: Path) -> Callable[[str], Path]:
+    """Makes a file of settings."""
+
+    def write(text: str) -> Path:
+        path = tmp_path / "specmap.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+SettingsFile = Callable[[str], Path]
+
+
+class TestWhoseSettings:
+    """Those of the map, unless something else is said."""
+
+    def test_the_map_s_but_for_topics_and_frames(self, stored: StoredMap) -> None:
+        found = settings_for(stored, {})
+        assert found.log == LogConfig()
+        assert found == stored.config.model_copy(update={"log": LogConfig()})
+
+    def test_a_file_changes_some_of_them(
+        self, stored: StoredMap, settings_file: SettingsFile
+    ) -> None:
+        path = settings_file("[localization]\nstay = 0.9\n[log]\nbase_frame = 'base'\n")
+        found = settings_for(stored, {}, path)
+        assert (found.localization.stay, found.log.base_frame) == (0.9, "base")
+        assert found.recognition == stored.config.recognition
+        assert found.localization.augmentation == stored.config.localization.augmentation
+
+    def test_assignments_go_over_the_file(
+        self, stored: StoredMap, settings_file: SettingsFile
+    ) -> None:
+        path = settings_file("[localization]\nstay = 0.9\nunknown = false\n")
+        found = settings_for(stored, {"localization": {"stay": 0.8}}, path)
+        assert (found.localization.stay, found.localization.unknown) == (0.8, False)
+
+    @pytest.mark.parametrize("preset", ["default", "paper"])
+    def test_a_preset_takes_the_place_of_all(self, preset: str, stored: StoredMap) -> None:
+        assert settings_for(stored, {}, preset=preset) == load_config(preset=preset)
+
+    def test_so_does_a_file_that_names_one(
+        self, stored: StoredMap, settings_file: SettingsFile
+    ) -> None:
+        path = settings_file("preset = 'paper'\n[localization]\nstay = 0.9\n")
+        found = settings_for(stored, {"seed": 3}, path)
+        assert found == load_config(path, None, {"seed": 3})
+        assert found.recognition.rounds != stored.config.recognition.rounds
+
+    @pytest.mark.parametrize(
+        ("text", "told"),
+        [
+            ("[localization]\nstya = 1", "localization.stya: no such setting, did you mean"),
+            ("[localization]\nstay = 2", "localization.stay: Input should be less than 1"),
+            ("localization = 2", "localization: is a section"),
+            ("preset = 'mine'", "unknown preset 'mine'"),
+            ("= =", "not valid TOML"),
+        ],
+    )
+    def test_a_wrong_file_is_named(
+        self, text: str, told: str, stored: StoredMap, settings_file: SettingsFile
+    ) -> None:
+        path = settings_file(text)
+        with pytest.raises(UsageError) as caught:
+            settings_for(stored, {}, path)
+        assert str(caught.value).startswith(f"{path}: {told}")
+
+    def test_a_wrong_assignment_is_not_blamed_on_the_file(
+        self, stored: StoredMap, settings_file: SettingsFile
+    ) -> None:
+        with pytest.raises(UsageError, match=r"^seed: Input should be"):
+            settings_for(stored, {"seed": -1}, settings_file("seed = 1"))
+
+    def test_the_command_line_hands_them_on(
+        self, tiny_map: Path, settings_file: SettingsFile, run: Run
+    ) -> None:
+        line = ("localize", "x.mcap", "--map", tiny_map)
+        for options, told in (
+            (("--preset", "papre"), "unknown preset 'papre': choose from default, paper"),
+            (("--set", "seed=-1"), "seed: Input should be greater than or equal to 0"),
+            (("--config", settings_file("seed = -1")), "specmap.toml: seed: Input should be"),
+        ):
+            said = run(*line, *options)
+            assert (said.code, told in said.error) == (2, True)
+
+    def test_a_setting_changes_the_labels_however_it_is_given(
+        self, tiny_log: Path, tiny_map: Path, settings_file: SettingsFile, tmp_path: Path, run: Run
+    ) -> None:
+        known = settings_file("[localization]\nunknown = false\n")
+        written: list[bytes] = []
+        for options in ((), ("--set", "localization.unknown=false"), ("--config", known)):
+            out = tmp_path / f"{len(written)}.csv"
+            assert run("localize", tiny_log, "--map", tiny_map, "-q", "-o", out, *options).code == 0
+            written.append(out.read_bytes())
+        assert written[0] != written[1] == written[2]
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """The lines of a CSV."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_offline_labels_know_the_whole_log(
+    tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
+) -> None:
+    line = ("localize", tiny_log, "--map", tiny_map, "-q", "--metric")
+    assert run(*line, "-o", tmp_path / "online.csv").code == 0
+    assert run(*line, "-o", tmp_path / "offline.csv", "--offline").code == 0
+    online, offline = rows(tmp_path / "online.csv"), rows(tmp_path / "offline.csv")
+    filtered = {"filtered_submap", "filtered_probability"}
+    for before, after in zip(online, offline, strict=True):  # what a single scan tells stays
+        assert all(before[key] == after[key] for key in before.keys() - filtered)
+    # the last scan has no future: its smoothed belief is its filtered one
+    assert {key: online[-1][key] for key in filtered} == {key: offline[-1][key] for key in filtered}
+    assert [row["filtered_probability"] for row in online] != [
+        row["filtered_probability"] for row in offline
+    ]
+    # in a map of one submap the robot never was elsewhere: hindsight makes the first scans surer
+    doubted = [row for row in online[:10] if row["filtered_submap"] != "0"]
+    hindsight = [row for row in offline[:10] if row["filtered_submap"] != "0"]
+    assert len(hindsight) <= len(doubted)

@@ -1,0 +1,260 @@
+"""The options that all commands share: who has them, and that they mean the same everywhere."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import pytest
+import typer
+
+from specmap_cli.cli.app import app
+from specmap_cli.cli.groups import unfolded
+from specmap_cli.cli.options import LogSettings, Settings
+from specmap_cli.core.errors import UsageError
+from tests.cli.conftest import QUICK, Run, standing_log
+
+ALL = {"info", "build", "localize", "segment", "evaluate", "simulate", "convert", "config"}
+READERS = {"info", "build", "localize", "evaluate"}
+WRITERS = {"build", "localize", "segment", "evaluate", "simulate", "convert"}
+HAVE = {
+    "--quiet": ALL,
+    "-q": ALL,
+    "--json": ALL,
+    "--config": READERS | {"segment", "config"},
+    "--set": READERS | {"segment", "config"},
+    "--preset": READERS | {"segment", "config"},
+    "--scan-topic": READERS,
+    "--odom-topic": READERS,
+    "--base-frame": READERS,
+    "--no-odometry": READERS,
+    "--overwrite": WRITERS,
+    "--out": WRITERS,
+    "-o": WRITERS,
+}
+COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("option", HAVE)
+def test_who_has_a_common_option(option: str) -> None:
+    found = {
+        name
+        for name, command in COMMANDS.items()
+        if any(option in parameter.opts for parameter in command.params)
+    }
+    assert found == HAVE[option]
+
+
+@pytest.mark.parametrize("option", [name for name in HAVE if name not in {"--out", "-o"}])
+def test_a_common_option_says_the_same_everywhere(option: str) -> None:
+    helps = {
+        parameter.help
+        for command in COMMANDS.values()
+        for parameter in command.params
+        if option in parameter.opts
+    }
+    assert len(helps) == 1
+
+
+def test_one_name_is_one_option_of_a_command() -> None:
+    for command in COMMANDS.values():
+        names = [name for parameter in command.params for name in parameter.opts]
+        assert len(names) == len(set(names))
+
+
+class TestOut:
+    """`-o` is the output, whatever it is; the older names work, too."""
+
+    @pytest.mark.parametrize("option", ["-o", "--out", "--output"])
+    def test_of_localize(self, option: str, tiny_map: Path, tmp_path: Path, run: Run) -> None:
+        (tmp_path / "labels.csv").write_text("mine", encoding="utf-8")
+        said = run("localize", "x.mcap", "--map", tiny_map, option, tmp_path / "labels.csv")
+        assert said.code == 2
+        assert said.error.endswith(
+            "labels.csv: exists already: choose another name or say --overwrite"
+        )
+
+    @pytest.mark.parametrize("option", ["-o", "--out", "--confusion"])
+    def test_of_evaluate(self, option: str, tmp_path: Path, run: Run) -> None:
+        said = run("evaluate", "x.mcap", "--protocol", "holdout", option, tmp_path)
+        assert said.code == 2
+        assert said.error == f"{tmp_path}: is a directory: name the file to write"
+
+    def test_of_convert_is_an_option_or_the_last_argument(self, tmp_path: Path, run: Run) -> None:
+        log = standing_log(tmp_path / "log.mcap", 3.0)
+        named, last = tmp_path / "named.mcap", tmp_path / "last.mcap"
+        assert run("convert", log, "-o", named).code == 0
+        assert json.loads(run("convert", log, last, "--json").out)["path"] == str(last)
+        assert named.read_bytes() == last.read_bytes()
+
+    def test_with_the_option_all_arguments_of_convert_are_logs(
+        self, tmp_path: Path, run: Run
+    ) -> None:
+        parts = [standing_log(tmp_path / f"{k}.mcap", 3.0 + k) for k in range(2)]
+        said = run("convert", *parts, "-o", tmp_path / "both.mcap", "--json")
+        written = {topic["name"]: topic["count"] for topic in json.loads(said.out)["written"]}
+        assert written["/scan"] == 2 * 5
+
+    def test_convert_asks_for_it(self, run: Run) -> None:
+        said = run("convert", "log.bag")
+        assert said.code == 2
+        assert said.error == "name the MCAP to write: specmap convert log.bag -o OUT.mcap"
+
+
+def damaged(path: Path) -> Path:
+    """A log that is cut off: every command that reads it warns."""
+    log = standing_log(path, 3.0, scans=8)
+    log.write_bytes(log.read_bytes()[:-600])
+    return log
+
+
+def test_quiet_leaves_warnings_to_the_result(tiny_map: Path, tmp_path: Path, run: Run) -> None:
+    log = damaged(tmp_path / "cut.mcap")
+    for name, *options in (
+        ("build", "-o", tmp_path / "map", "--overwrite", *QUICK),
+        ("localize", "--map", tiny_map),
+    ):
+        loud = run(name, log, *options, "--json")
+        quiet = run(name, log, *options, "--json", "-q")
+        assert "specmap: warning: " in loud.err
+        assert (quiet.code, quiet.err) == (0, "")
+        assert quiet.out == loud.out
+        assert any("cut.mcap: cut off" in warning for warning in json.loads(quiet.out)["warnings"])
+    run_record = json.loads((tmp_path / "map" / "run.json").read_text(encoding="utf-8"))
+    assert any("cut.mcap: cut off" in warning for warning in run_record["warnings"])
+
+
+def test_quiet_keeps_errors(tmp_path: Path, run: Run) -> None:
+    for line in (("info", "none.mcap"), ("build", "none.mcap", "-o", tmp_path / "map")):
+        said = run(*line, "--quiet")
+        assert said.code == 3
+        assert said.err.startswith("specmap: error: none.mcap: no such file")
+
+
+class TestInfo:
+    """`info` looks at a log as `build` would with the same options."""
+
+    def test_a_chosen_topic(self, tmp_path: Path, run: Run) -> None:
+        log = standing_log(tmp_path / "two.mcap", 3.0, topics=("/front", "/the rear"))
+        assert json.loads(run("info", log, "--json").out)["chosen"] is None
+        said = run("info", log, "--scan-topic", "/the rear")
+        assert "build would read: scans from /the rear" in said.out
+        assert said.out.endswith(f"next: specmap build {log} --scan-topic '/the rear'\n")
+
+    def test_the_next_command_has_the_topics_and_frames_given(
+        self, tmp_path: Path, run: Run
+    ) -> None:
+        log = standing_log(tmp_path / "one.mcap", 3.0)
+        options = ["--odom-topic", "/odom", "--base-frame", "base_link"]
+        for flags in (options, ["--no-odometry"], []):
+            found = json.loads(run("info", log, *flags, "--json").out)
+            assert found["next_command"] == " ".join(["specmap", "build", str(log), *flags])
+
+    def test_settings_of_a_file(self, tmp_path: Path, run: Run) -> None:
+        log = standing_log(tmp_path / "one.mcap", 3.0)
+        settings = tmp_path / "specmap.toml"
+        settings.write_text("[log]\nuse_odometry = false\n", encoding="utf-8")
+        chosen = json.loads(run("info", log, "--config", settings, "--json").out)["chosen"]
+        assert "no odometry" in chosen
+        assert "/odom" in json.loads(run("info", log, "--json").out)["chosen"]
+
+
+class TestWhatTheFlagsStandFor:
+    """Options as nested settings."""
+
+    def test_nothing_given_is_nothing_set(self) -> None:
+        assert LogSettings().overrides() == Settings().overrides({"seed": None}) == {}
+
+    def test_topics_and_frames(self) -> None:
+        given = LogSettings(scan_topic="/a", odom_topic="/b", base_frame="c", no_odometry=True)
+        assert given.overrides({"seed": 0}) == {
+            "log": {
+                "scan_topic": "/a",
+                "odom_topic": "/b",
+                "base_frame": "c",
+                "use_odometry": False,
+            },
+            "seed": 0,
+        }
+
+    def test_a_flag_goes_over_an_assignment(self) -> None:
+        given = LogSettings(scan_topic="/flag", assignments=["log.scan_topic=/set", "seed=1"])
+        assert given.overrides({"seed": 2}) == {"log": {"scan_topic": "/flag"}, "seed": 2}
+
+    @pytest.mark.parametrize(
+        ("text", "value"),
+        [
+            ("3", 3),
+            ("0.5", 0.5),
+            ("true", True),
+            ("'3'", "3"),
+            ("/scan", "/scan"),
+            ("[1, 2]", [1, 2]),
+            ("a = b", "a = b"),
+            ("", ""),
+            ("1\nother = 2", "1\nother = 2"),
+        ],
+    )
+    def test_a_value_is_toml_or_else_a_string(self, text: str, value: object) -> None:
+        assert Settings(assignments=[f"x.y={text}"]).overrides() == {"x": {"y": value}}
+
+    def test_the_last_of_two_assignments_holds(self) -> None:
+        given = Settings(assignments=["grid.resolution_m=1", "grid.resolution_m=0.2"])
+        assert given.load().grid.resolution_m == 0.2
+
+    def test_what_is_no_assignment_is_refused_before_the_work(self) -> None:
+        with pytest.raises(UsageError, match=r"^--set seed: expected KEY=VALUE"):
+            Settings(assignments=["seed"]).load()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drink:
+    """A group of options, as a command would take it."""
+
+    name: Annotated[str, typer.Option("--drink", "-d")]
+    cold: Annotated[bool, typer.Option("--cold")] = False
+
+
+class TestGroups:
+    """A parameter that is a group of options becomes those options."""
+
+    @staticmethod
+    def served(*arguments: str) -> list[tuple[str, Drink, int]]:
+        """What a command with a group was called with."""
+        orders = []
+
+        def order(guest: str, drink: Drink, glasses: int = 1) -> None:
+            """Serve a guest."""
+            orders.append((guest, drink, glasses))
+
+        bar = typer.Typer()
+        bar.command()(unfolded(order))
+        bar(args=arguments, standalone_mode=False)
+        return orders
+
+    def test_the_command_gets_the_group(self) -> None:
+        assert self.served("Ada", "-d", "tea", "--cold", "--glasses", "2") == [
+            ("Ada", Drink(name="tea", cold=True), 2)
+        ]
+
+    def test_what_is_not_given_is_the_default(self) -> None:
+        assert self.served("Ada", "--drink", "tea") == [("Ada", Drink(name="tea"), 1)]
+
+    def test_a_field_without_a_default_is_required(self) -> None:
+        with pytest.raises(typer.BadParameter, match="name"):
+            self.served("Ada")
+
+    def test_two_options_of_one_name_are_refused(self) -> None:
+        def order(name: str, drink: Drink) -> None:
+            """Cannot be: both have a `name`."""
+
+        with pytest.raises(ValueError, match="duplicate parameter name: 'name'"):
+            unfolded(order)
+
+    def test_name_and_help_are_the_command_s(self) -> None:
+        def order(drink: Drink) -> None:
+            """Serve a guest."""
+
+        assert (unfolded(order).__name__, unfolded(order).__doc__) == ("order", "Serve a guest.")

@@ -1,0 +1,135 @@
+"""Numbers and JSON as text: the same bytes for the same values, and back without loss."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.text import (
+    counted,
+    decimal,
+    legible,
+    nanoseconds,
+    plain,
+    rounded,
+    seconds,
+    stamp_ns,
+    stamp_text,
+    to_exact_json,
+    to_json,
+)
+
+STAMPS = st.integers(-(2**62), 2**62)
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**9), 10**9) | st.floats(-1e6, 1e6) | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@given(STAMPS)
+def test_a_stamp_survives_as_text(stamp: int) -> None:
+    assert stamp_ns(stamp_text(stamp)) == stamp
+
+
+@given(st.integers(-(2**50), 2**50))
+def test_a_stamp_survives_as_seconds_to_the_microsecond(micros: int) -> None:
+    assert nanoseconds(seconds(micros * 1000)) == micros * 1000
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("0", 0),
+        ("1", 10**9),
+        (".5", 5 * 10**8),
+        ("-0.25", -25 * 10**7),
+        (" 12.000000001 ", 12 * 10**9 + 1),
+        ("3.9999999999", 3_999_999_999),  # digits past the ninth are cut
+    ],
+)
+def test_stamps_are_read_exactly(text: str, expected: int) -> None:
+    assert stamp_ns(text) == expected
+
+
+@pytest.mark.parametrize("text", ["x", "1.2.3", "1e9", "nan", "--1"])
+def test_what_is_no_stamp_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"invalid literal|could not convert"):
+        stamp_ns(text)
+
+
+@given(VALUES)
+def test_json_is_valid_and_stable(value: Any) -> None:
+    text = to_json(value)
+    assert text.endswith("\n")
+    again = json.loads(text)
+    assert to_json(again) == text
+    assert plain(again) == again
+
+
+def test_points_stay_on_one_line() -> None:
+    assert to_json({"b": [[1.0, 2.0], [3.5, -4.0]], "a": []}) == (
+        '{\n "a": [],\n "b": [\n  [1.0, 2.0],\n  [3.5, -4.0]\n ]\n}\n'
+    )
+
+
+def test_arrays_and_numpy_numbers_are_plain() -> None:
+    found = plain({"a": np.array([[1.5, np.nan]]), 2: np.float32(0.5), "t": np.bool_(True)})
+    assert found == {"a": [[1.5, None]], "2": 0.5, "t": True}
+    assert type(plain(np.int64(7))) is int
+    assert type(plain(np.bool_(False))) is bool
+
+
+@given(st.floats())
+def test_rounding_leaves_neither_negative_zero_nor_what_json_cannot_hold(value: float) -> None:
+    found = rounded(value)
+    if math.isfinite(value):
+        assert found == pytest.approx(value, abs=5.1e-7)
+        assert str(found) != "-0.0"
+    else:
+        assert found is None
+
+
+@given(st.floats(-1e9, 1e9), st.integers(0, 9))
+def test_decimals_are_fixed_and_zero_has_no_sign(value: float, places: int) -> None:
+    text = decimal(value, places)
+    assert float(text) == pytest.approx(value, abs=0.51 * 10.0**-places)
+    assert len(text.partition(".")[2]) == places
+    assert not (text.startswith("-") and float(text) == 0.0)
+
+
+def test_a_name_of_any_bytes_is_legible() -> None:
+    assert legible("log\udcff.mcap") == "log\\udcff.mcap"
+    assert legible("küche") == "küche"
+
+
+@pytest.mark.parametrize(
+    ("count", "words"), [(0, "0 scans"), (1, "1 scan"), (2, "2 scans"), (12345, "12,345 scans")]
+)
+def test_things_are_counted_in_english(count: int, words: str) -> None:
+    assert counted(count, "scan") == words
+
+
+@given(VALUES, st.integers(0, 6))
+def test_exact_json_is_read_back_to_the_last_bit_however_it_is_laid_out(
+    value: Any, levels: int
+) -> None:
+    assert json.loads(to_exact_json(value, levels)) == value
+
+
+@pytest.mark.parametrize(
+    ("levels", "text"),
+    [
+        (0, '{"a": [1, {"c": 0.1, "d": null}], "b": {}}\n'),
+        (1, '{\n "a": [1, {"c": 0.1, "d": null}],\n "b": {}\n}\n'),
+        (2, '{\n "a": [\n  1,\n  {"c": 0.1, "d": null}\n ],\n "b": {}\n}\n'),
+    ],
+)
+def test_exact_json_has_a_line_an_entry_in_the_outer_levels(levels: int, text: str) -> None:
+    assert to_exact_json({"b": {}, "a": [1, {"d": None, "c": 0.1}]}, levels) == text

@@ -1,0 +1,169 @@
+"""Pens on paper: where lines, discs, boxes and words are, and what is cut off."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.drawing.canvas import Anchor, Canvas, text_weight, text_width
+from specmap_cli.drawing.palette import CLOSURE, INK, PAPER, TRAVERSED
+from tests.drawing.looking import bounds, inked, middle, near, of_colour
+
+positions = st.floats(15.0, 45.0)
+
+
+def pieces(dark: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> int:
+    """How many runs of dark pixels a row of pixels has."""
+    return int(np.count_nonzero(np.diff(np.concatenate([[False], dark]).astype(int)) == 1))
+
+
+def test_a_new_canvas_is_paper() -> None:
+    assert Canvas(7, 5).image.shape == (5, 7, 3)
+    assert not inked(Canvas(7, 5).image).any()
+    assert (Canvas(7, 5, INK).image == np.array(INK)).all()
+
+
+@pytest.mark.parametrize("width", [1, 3, 6])
+def test_a_line_is_as_wide_as_asked_and_turns_corners(width: int) -> None:
+    canvas = Canvas(60, 60)
+    canvas.line(np.array([[10.0, 10.0], [50.0, 10.0], [50.0, 50.0]]), INK, width)
+    dark = canvas.image[:, :, 0] < 150
+    for across in (dark[:, 30], dark[30, :]):
+        assert width - 1 <= np.count_nonzero(across) <= width + 2  # OpenCV's smooth lines are bold
+    assert dark[10, 50]
+    assert not dark[30:, 10:30].any()
+
+
+@pytest.mark.parametrize("places", [[], [[5.0, 5.0]]])
+def test_a_line_needs_two_points(places: list[list[float]]) -> None:
+    canvas = Canvas(20, 20)
+    canvas.line(np.array(places).reshape(-1, 2), INK, 4)
+    assert not inked(canvas.image).any()
+
+
+def test_dashes_have_gaps_and_reach_the_end() -> None:
+    canvas = Canvas(220, 20)
+    canvas.dashes(np.array([[10.0, 10.0], [200.0, 10.0]]), INK, 3, 20.0, 20.0)
+    dark = canvas.image[10, :, 0] < 128
+    assert pieces(dark) == 5
+    assert 85 <= np.count_nonzero(dark) <= 125
+
+
+@pytest.mark.parametrize(("length", "dots"), [(10.0, 1), (95.0, 10), (100.5, 11)])
+def test_dashes_of_no_length_are_dots(length: float, dots: int) -> None:
+    canvas = Canvas(140, 20)
+    canvas.dashes(np.array([[10.0, 10.0], [10.0 + length, 10.0]]), INK, 4, 0.0, 10.0)
+    assert pieces(canvas.image[10, :, 0] < 150) == dots
+
+
+def test_dashes_begin_anew_at_a_corner_and_skip_points_that_repeat() -> None:
+    way = np.array([[10.0, 10.0], [10.0, 10.0], [40.0, 10.0], [40.0, 60.0], [40.0, 60.0]])
+    canvas = Canvas(60, 80)
+    canvas.dashes(way, INK, 1, 10.0, 40.0)
+    along, down = canvas.image[10, :36, 0] < 200, canvas.image[:, 40, 0] < 200
+    for dashes in (along, down):
+        assert bounds(dashes[None])[:2] == pytest.approx((10, 20), abs=1)
+
+
+@given(positions, positions, st.floats(3.0, 12.0))
+def test_a_disc_lies_at_its_centre_to_a_fraction_of_a_pixel(x: float, y: float, r: float) -> None:
+    canvas = Canvas(60, 60)
+    canvas.disc(np.array([x, y]), r, (0, 0, 0))
+    weight = 255.0 - canvas.image[:, :, 0]
+    rows, columns = np.mgrid[:60, :60]
+    assert (weight * columns).sum() / weight.sum() == pytest.approx(x, abs=0.15)
+    assert (weight * rows).sum() / weight.sum() == pytest.approx(y, abs=0.15)
+    area = weight.sum() / 255.0
+    assert np.pi * (r - 0.5) ** 2 < area < np.pi * (r + 1.0) ** 2
+
+
+def test_a_rim_of_two_pixels_surrounds_a_disc() -> None:
+    canvas = Canvas(60, 60)
+    canvas.disc(np.array([30.0, 30.0]), 10.0, CLOSURE, TRAVERSED)
+    for away, colour in ((0, CLOSURE), (8, CLOSURE), (12, TRAVERSED), (14, PAPER)):
+        assert canvas.image[30, 30 + away].tolist() == pytest.approx(list(colour), abs=12)
+
+
+@pytest.mark.parametrize("corners", [((5, 8), (20, 30)), ((20, 30), (5, 8)), ((20, 8), (5, 30))])
+def test_a_box_fills_what_lies_between_two_corners(
+    corners: tuple[tuple[int, int], tuple[int, int]],
+) -> None:
+    canvas = Canvas(40, 40)
+    canvas.box(np.array(corners[0]), np.array(corners[1]), INK)
+    assert bounds(inked(canvas.image)) == (5, 20, 8, 30)
+    assert near(canvas.image, INK) == 16 * 23
+
+
+@pytest.mark.parametrize("height", [8.0, 12.0, 20.0, 40.0])
+@pytest.mark.parametrize("bold", [False, True])
+def test_capitals_are_as_high_as_asked_and_centred(height: float, bold: bool) -> None:
+    canvas = Canvas(100, 100)
+    canvas.text(50, 50, "HE", height, anchor="centre", bold=bold)
+    left, right, top, bottom = bounds(canvas.image[:, :, 0] < 160)
+    assert bottom - top == pytest.approx(height, abs=1.5 + text_weight(height, bold))
+    assert (top + bottom) / 2 == pytest.approx(50, abs=1.5)
+    assert (left + right) / 2 == pytest.approx(50, abs=0.15 * height)
+
+
+@pytest.mark.parametrize(("anchor", "share"), [("left", 0.0), ("centre", 0.5), ("right", 1.0)])
+def test_words_are_anchored_where_asked(anchor: Anchor, share: float) -> None:
+    canvas = Canvas(600, 60)
+    canvas.text(300, 30, "42 rooms", 20, anchor=anchor)
+    left, right, _, _ = bounds(canvas.image[:, :, 0] < 128)
+    width = text_width("42 rooms", 20)
+    assert right - left == pytest.approx(width, abs=6)
+    assert left == pytest.approx(300 - share * width, abs=5)
+
+
+def test_bold_words_take_more_ink_and_longer_ones_more_room() -> None:
+    plain, bold = Canvas(300, 40), Canvas(300, 40)
+    plain.text(10, 20, "corridor", 12)
+    bold.text(10, 20, "corridor", 12, bold=True)
+    assert near(bold.image, INK) > 1.5 * near(plain.image, INK)
+    widths = [text_width("corridor"[:n], 20) for n in range(9)]
+    assert widths == sorted(set(widths))
+
+
+def test_upright_words_read_upwards_from_their_first_letter() -> None:
+    canvas = Canvas(60, 120)
+    canvas.upright_text(30, 110, "TL", 14)
+    left, right, top, bottom = bounds(canvas.image[:, :, 0] < 128)
+    assert bottom <= 110
+    assert bottom == pytest.approx(110, abs=6)
+    assert (left + right) / 2 == pytest.approx(30, abs=2)
+    lying = Canvas(120, 60)
+    lying.text(10, 30, "TL", 14)
+    across = bounds(lying.image[:, :, 0] < 128)
+    assert (bottom - top, right - left) == (across[1] - across[0], across[3] - across[2])
+    x, y = middle(canvas.image[:, :, 0] < 128)
+    turned_x, turned_y = middle(np.rot90(lying.image)[:, :, 0] < 128)
+    assert x - left == pytest.approx(turned_x - 23, abs=12)
+    assert y - top == pytest.approx(turned_y - bounds(np.rot90(lying.image)[:, :, 0] < 128)[2])
+
+
+@given(st.floats(-60.0, 120.0), st.floats(-60.0, 160.0), st.sampled_from(["upright", "text"]))
+def test_words_outside_are_cut_off_and_the_rest_stays_in_place(
+    x: float, y: float, kind: str
+) -> None:
+    """A small picture is a window into a large one; OpenCV 4 draws strokes that its border cuts
+    otherwise within three pixels of it."""
+    small, large = Canvas(60, 80), Canvas(460, 480)
+    for canvas, shift in ((small, 0), (large, 200)):
+        if kind == "upright":
+            canvas.upright_text(x + shift, y + shift, "room 7", 12)
+        else:
+            canvas.text(x + shift, y + shift, "room 7", 12)
+    np.testing.assert_array_equal(small.image[3:-3, 3:-3], large.image[203:277, 203:257])
+
+
+def test_lines_far_outside_are_cut_off() -> None:
+    canvas = Canvas(30, 30)
+    canvas.line(np.array([[-1e9, 5.0], [1e9, 5.0]]), INK, 2)
+    canvas.disc(np.array([1e9, -1e9]), 5.0, CLOSURE)
+    canvas.box(np.array([-50, 20]), np.array([80, 22]), TRAVERSED)
+    assert canvas.image.shape == (30, 30, 3)
+    assert of_colour(canvas.image, INK)[5].all()
+    assert of_colour(canvas.image, TRAVERSED)[20:23].all()
+    assert near(canvas.image, CLOSURE) == 0

@@ -1,0 +1,211 @@
+"""The picture of a map: regions, the graph over them, and the way of the robot."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray
+from specmap_cli.core.records import Labels, Trajectory
+from specmap_cli.drawing import palette, symbols
+from specmap_cli.drawing.canvas import Image
+from specmap_cli.drawing.overview import render_overview, render_segmentation, spread
+from specmap_cli.drawing.sheet import TITLE, Sheet, extent_of
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.maps.writing import MapResult
+from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.topological_map import Edge, EdgeKind, LogInfo, Submap, TopologicalMap
+from tests.drawing.looking import inked, is_framed, near, of_colour, one_room, pixel
+from tests.strategies import seeds
+
+NOWHERE = Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+UNLABELLED = Labels(stamps_ns=NOWHERE.stamps_ns, poses=NOWHERE.poses, submaps=NOWHERE.stamps_ns)
+
+
+def drawn(result: MapResult) -> Image:
+    return render_overview(
+        result.topology, result.regions, result.trajectory, result.labels, result.log
+    )
+
+
+def along(places: FloatArray, labels: int = 0) -> tuple[Trajectory, Labels]:
+    """A trajectory through places (n, 2), all its scans keyframes of one submap."""
+    stamps = np.arange(len(places))
+    poses = np.column_stack([places, np.zeros(len(places))])
+    return Trajectory(stamps, poses), Labels(
+        stamps_ns=stamps, poses=poses, submaps=np.full(len(places), labels)
+    )
+
+
+def places_on(regions: Regions, points: list[tuple[float, float]]) -> FloatArray:
+    """Where the points of a map are in its picture; what the legend says changes nothing there."""
+    return Sheet(*extent_of(regions), ()).pixels(np.array(points))
+
+
+def test_shows_what_it_should(result: MapResult) -> None:
+    image, regions = drawn(result), result.regions
+    fills = palette.colours_of(result.topology, regions)
+    assert len(set(fills.values())) == 3
+    for id_, fill in fills.items():
+        share = near(image, fill) / near(image, fills[0])
+        area = regions.outline(id_).area_m2 / regions.outline(0).area_m2
+        assert share == pytest.approx(area, rel=0.15)
+    assert near(image, palette.TRAVERSED) > 100
+    assert near(image, palette.CLOSURE) > 100
+    assert near(image, palette.LOOSE) == 0
+    assert is_framed(image)
+
+
+def test_the_same_picture_every_time(result: MapResult) -> None:
+    np.testing.assert_array_equal(drawn(result), drawn(result))
+
+
+@pytest.mark.parametrize("shape", [(4, 4), (1, 1)])
+def test_nothing_known(shape: tuple[int, int]) -> None:
+    grid = GridMap(np.full(shape, UNKNOWN, dtype=np.uint8), 0.05)
+    empty = Regions.of(grid, np.full(shape, NOBODY))
+    no_map = TopologicalMap(submaps={}, edges={})
+    overview = render_overview(no_map, empty, NOWHERE, UNLABELLED, LogInfo("empty"))
+    plan = render_segmentation(no_map, empty, LogInfo("empty"))
+    for image in (overview, plan):
+        assert is_framed(image)
+        assert not inked(image[TITLE : TITLE + 1700]).any()
+
+
+def test_start_and_end_are_where_the_robot_was() -> None:
+    topology, regions = one_room((80, 120))
+    trajectory, labels = along(np.linspace((1.0, 1.0), (5.0, 3.0), 60))
+    image = render_overview(topology, regions, trajectory, labels, LogInfo("log"))
+    start, end = places_on(regions, [(1.0, 1.0), (5.0, 3.0)])
+    assert pixel(image, start) == pixel(image, end) == palette.INK
+    corner = np.array([5.0, 5.0])
+    assert pixel(image, start + corner) == palette.INK  # a square
+    assert pixel(image, end + corner * 1.3) != palette.INK  # a disc
+
+
+def test_the_way_is_drawn_over_its_whole_length() -> None:
+    topology, regions = one_room((80, 120))
+    way = np.linspace((1.0, 0.5), (5.0, 0.5), 60)
+    image = render_overview(topology, regions, *along(way), LogInfo("log"))
+    for place in places_on(regions, [(x, 0.5) for x in np.arange(1.3, 4.8, 0.25).tolist()]):
+        x, y = place.astype(int)
+        assert of_colour(image[y - 2 : y + 3, x - 2 : x + 3], symbols.PATH, 90).any()
+
+
+def test_a_jump_is_not_drawn_as_a_way(result: MapResult) -> None:
+    """The robot was lost and turned up elsewhere: no line leads there."""
+    poses = np.zeros((40, 3))
+    poses[:20, 0], poses[20:, 0] = np.linspace(-5, -4, 20), np.linspace(4, 5, 20)
+    stamps = np.arange(40)
+    lost = Trajectory(stamps, poses)
+    driven = Trajectory(stamps, np.linspace((-5.0, 0, 0), (5, 0, 0), 40))
+    only = dataclasses.replace(result.topology, submaps={0: result.topology.submaps[0]}, edges={})
+    none, broken, whole = (
+        render_overview(only, result.regions, path, result.labels, result.log)[TITLE:]
+        for path in (NOWHERE, lost, driven)
+    )
+    assert 100 < (broken != none).sum() < (whole != none).sum() / 2
+
+
+@pytest.mark.parametrize(("corner", "on_the_way"), [((2.5, 1.5), False), ((0.5, 0.5), True)])
+def test_a_badge_stays_near_the_way_of_the_robot(
+    corner: tuple[float, float], on_the_way: bool
+) -> None:
+    """The middle of a room stands for it, unless the robot never came near: glass lies between."""
+    topology, regions = one_room((80, 120))
+    way = np.linspace(corner, np.array(corner) + 0.2, 20)
+    image = render_overview(topology, regions, *along(way), LogInfo("log"))
+    centroid = regions.outline(0).centroid
+    assert centroid is not None
+    (middle,) = places_on(regions, [(float(centroid[0]), float(centroid[1]))])
+    rim = middle + (symbols.BADGE_RADIUS - 3.0, 0.0)
+    assert (pixel(image, rim) == palette.FILLS[0]) is on_the_way
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.0, False), (0.002, False), (0.02, True)])
+def test_unreached_cells_are_explained_when_there_are_many(share: float, said: bool) -> None:
+    topology, regions = one_room((102, 102))
+    owner = regions.owner.copy()
+    owner.reshape(-1)[np.flatnonzero(regions.grid.free)[: int(share * 10_000)]] = NOBODY
+    image = render_overview(
+        topology, Regions.of(regions.grid, owner), NOWHERE, UNLABELLED, LogInfo("log")
+    )
+    legend = image[TITLE + 1800 + 30 :]
+    assert (near(legend, palette.SHADE) > 500) is said
+
+
+def two_rooms() -> tuple[Regions, dict[int, Submap]]:
+    """Two rooms side by side, joined by a door."""
+    cells = np.full((40, 80), OCCUPIED, dtype=np.uint8)
+    cells[2:38, 2:38], cells[2:38, 42:78], cells[15:25, 38:42] = FREE, FREE, FREE
+    owner = np.where(cells == FREE, (np.arange(80) >= 40)[None, :] * 1, NOBODY)
+    grid = GridMap(cells, 0.1)
+    submaps = {
+        id_: Submap(id=id_, map_from_submap=IDENTITY, grid=grid, keyframes=(), visits=())
+        for id_ in (0, 1)
+    }
+    return Regions.of(grid, owner), submaps
+
+
+@pytest.mark.parametrize(
+    ("kind", "colour"),
+    [
+        ("doorway", palette.TRAVERSED),
+        ("traversed", palette.TRAVERSED),
+        ("closure", palette.CLOSURE),
+        ("loose", palette.LOOSE),
+    ],
+)
+def test_a_link_leads_through_its_crossing(kind: EdgeKind, colour: palette.Colour) -> None:
+    regions, submaps = two_rooms()
+    edge = Edge(source=0, target=1, kind=kind, doorway=(4.0, 3.5))
+    topology = TopologicalMap(submaps=submaps, edges={(0, 1): edge})
+    image = render_segmentation(topology, regions, LogInfo("plan"))
+    (crossing,) = places_on(regions, [(4.0, 3.5)]).astype(int)
+    x, y = crossing.tolist()
+    assert near(image[y - 14 : y + 15, x - 14 : x + 15], colour) > 4
+    bare = render_segmentation(dataclasses.replace(topology, edges={}), regions, LogInfo("plan"))
+    assert near(bare[TITLE:-120], colour) == 0
+
+
+def test_the_headline_counts_and_the_figures_measure(result: MapResult) -> None:
+    """Another name, another count or another length is another headline, and nothing else."""
+    usual = drawn(result)
+    closures = tuple(dataclasses.replace(c, merged=False) for c in result.topology.closures)
+    for changed in (
+        dataclasses.replace(result, log=dataclasses.replace(result.log, name="other.mcap")),
+        dataclasses.replace(result, log=dataclasses.replace(result.log, scans=31)),
+        dataclasses.replace(
+            result, topology=dataclasses.replace(result.topology, closures=closures)
+        ),
+    ):
+        image = drawn(changed)
+        assert (image[:TITLE] != usual[:TITLE]).any()
+        np.testing.assert_array_equal(image[TITLE:], usual[TITLE:])
+
+
+@given(st.integers(1, 12), seeds)
+def test_badges_do_not_overlap(count: int, seed: int) -> None:
+    centres = np.random.default_rng(seed).uniform(0, 120, (count, 2))
+    moved = spread(centres, symbols.BADGE_GAP)
+    gaps = [float(np.linalg.norm(a - b)) for a, b in itertools.combinations(moved, 2)]
+    assert all(gap >= symbols.BADGE_GAP * 0.9 for gap in gaps)
+    np.testing.assert_allclose(moved.mean(axis=0), centres.mean(axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize("centres", [[], [(5.0, 5.0)], [(0.0, 0.0), (90.0, 0.0)]])
+def test_badges_with_room_stay(centres: list[tuple[float, float]]) -> None:
+    places = np.array(centres).reshape(-1, 2)
+    np.testing.assert_array_equal(spread(places, symbols.BADGE_GAP), places)
+
+
+def test_badges_on_one_spot_part_without_changing_what_was_given() -> None:
+    places = np.array([(50.0, 50.0), (50.0, 50.0)])
+    moved = spread(places, 40.0)
+    assert np.linalg.norm(moved[0] - moved[1]) == pytest.approx(40.0)
+    np.testing.assert_array_equal(places, [(50.0, 50.0)] * 2)

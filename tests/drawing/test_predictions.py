@@ -1,0 +1,154 @@
+"""Predicted submaps along a trajectory: their colours, what was wrong, and what is left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import NO_SUBMAP, IntArray
+from specmap_cli.drawing import palette, symbols
+from specmap_cli.drawing.predictions import render_labels
+from specmap_cli.drawing.sheet import TITLE
+from specmap_cli.maps.writing import MapResult
+from tests.drawing.looking import inked, is_framed, near, of_colour
+
+
+def straight(count: int = 120, length_m: float = 10.0) -> FloatArray:
+    """Places (n, 2) along a line."""
+    return np.column_stack([np.linspace(0.0, length_m, count), np.zeros(count)])
+
+
+def thirds(*ids: int, count: int = 120) -> IntArray:
+    """(n,) labels that change along the way, each for as long."""
+    return np.repeat(np.array(ids, dtype=np.int64), count // len(ids))
+
+
+def test_each_scan_has_the_colour_of_its_submap(result: MapResult) -> None:
+    labels, ground = result.labels, (result.topology, result.regions)
+    image = render_labels(labels.poses, labels.submaps, "t", map_with_regions=ground)
+    for fill in palette.colours_of(*ground).values():
+        assert near(image, palette.vivid(fill)) > 50
+        assert near(image, palette.paler(fill)) > 5000  # the region itself
+    assert near(image, palette.WRONG) == 0
+    assert is_framed(image)
+
+
+def test_stretches_are_as_long_as_their_share_of_the_way() -> None:
+    image = render_labels(straight(), thirds(0, 1, 2, 0), "t")
+    first = of_colour(image, palette.vivid(palette.FILLS[0]), 25)[TITLE:-160]
+    middle = int(np.flatnonzero(first.any(axis=1)).mean()) + TITLE
+    lengths = [
+        of_colour(image, palette.vivid(palette.FILLS[k]), 25)[middle - 3 : middle + 4]
+        .any(axis=0)
+        .sum()
+        for k in (0, 1)
+    ]
+    assert lengths[0] > 1.5 * lengths[1] > 300
+
+
+def test_neighbours_along_the_way_differ_without_a_map() -> None:
+    image = render_labels(straight(), thirds(7, 3, 7, 3), "t")
+    used = [fill for fill in palette.FILLS if near(image, palette.vivid(fill)) > 200]
+    assert len(used) == 2
+
+
+def test_wrong_ones_are_marked_and_unknown_ones_are_not_wrong(result: MapResult) -> None:
+    said = result.labels.submaps.copy()
+    said[3:7], said[13:17] = 2, NO_SUBMAP
+    image = render_labels(result.labels.poses, said, "t", truth=result.labels.submaps)
+    once = near(image, palette.WRONG)
+    said[13:17] = 1
+    again = render_labels(result.labels.poses, said, "t", truth=result.labels.submaps)
+    assert once == near(again, palette.WRONG) > 50
+
+
+def test_the_mark_of_wrong_ones_is_as_long_as_they_are() -> None:
+    places, truth = straight(), thirds(0, 1)
+    marks = []
+    for wrong in (0, 10, 40):
+        said = truth.copy()
+        said[5 : 5 + wrong] = 1
+        picture = render_labels(places, said, "t", truth=truth)
+        marks.append(of_colour(picture, palette.WRONG, 25)[TITLE:-160].any(axis=0).sum())
+    assert marks[0] == 0
+    assert marks[2] - marks[1] == pytest.approx(30 / 119 * 1500, rel=0.05)
+
+
+def test_unknown_scans_are_rings() -> None:
+    known, some, none = (
+        render_labels(straight(60), labels, "t")
+        for labels in (thirds(4, 4, count=60), thirds(4, -1, count=60), thirds(-1, -1, count=60))
+    )
+    ink = [near(image[TITLE:-160], palette.INK) for image in (known, some, none)]
+    assert ink[0] < ink[1] < ink[2]
+    lines = [
+        near(image[TITLE:-160], palette.vivid(palette.FILLS[0])) for image in (known, some, none)
+    ]
+    assert lines[0] > 1.5 * lines[1] > lines[2] == 0
+
+
+@pytest.mark.parametrize("shift", [(64.0, -128.0), (4096.0, 0.0)])
+def test_without_a_map_the_frame_does_not_matter(shift: tuple[float, float]) -> None:
+    """Shifts by powers of two, after which the same floats are left."""
+    places, labels = np.round(straight() * 64) / 64, thirds(0, 1, 2)
+    here = render_labels(places, labels, "t")
+    there = render_labels(places + shift, labels, "t")
+    np.testing.assert_array_equal(here, there)
+
+
+def test_scans_without_a_place_are_left_out() -> None:
+    places, labels = straight(), thirds(0, 1, 2)
+    kept = np.ones(120, dtype=bool)
+    kept[30:100] = False
+    holes = places.copy()
+    holes[~kept, 0] = np.nan
+    np.testing.assert_array_equal(
+        render_labels(holes, labels, "t"), render_labels(places[kept], labels[kept], "t")
+    )
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_few_places(count: int) -> None:
+    labels = np.zeros(count, dtype=np.int64)
+    image = render_labels(np.zeros((count, 2)), labels, "t", "figures", truth=labels)
+    assert is_framed(image)
+    middle = inked(image[TITLE : TITLE + 1700])
+    assert middle.any() == bool(count)
+
+
+def test_a_robot_lost_and_found_is_not_led_across() -> None:
+    places = straight()
+    places[60:, 0] += 40.0
+    image = render_labels(places, thirds(0, 1), "t")
+    columns = inked(image[TITLE:-160]).any(axis=0)
+    first, last = np.flatnonzero(columns)[[0, -1]]
+    gap = np.diff(np.flatnonzero(columns)).max()
+    assert gap > 0.6 * (last - first)
+
+
+@pytest.mark.parametrize(("ids", "badges"), [((5,), 1), ((5, 6), 2), ((5, -1), 1), ((-1,), 0)])
+def test_each_long_stretch_has_a_badge_with_its_id(ids: tuple[int, ...], badges: int) -> None:
+    """Badges have a rim in the dark shade of the submap's colour."""
+    image = render_labels(straight(), thirds(*ids), "t")[TITLE:-160]
+    rims = [near(image, palette.darker(fill)) > 60 for fill in palette.FILLS]
+    assert sum(rims) == badges
+
+
+def test_badges_of_one_submap_keep_apart() -> None:
+    """A flickering prediction does not paper the way over with badges."""
+    flickering = np.tile(np.repeat([0, 1], 2), 30)
+    calm = near(render_labels(straight(), thirds(0, 1), "t"), palette.PAPER)
+    nervous = render_labels(straight(), flickering, "t")
+    rim = near(nervous, palette.darker(palette.FILLS[0]))
+    one = near(render_labels(straight(), thirds(0, 1), "t"), palette.darker(palette.FILLS[0]))
+    places = 1500 / (5.0 * symbols.BADGE_GAP)
+    assert one < rim < (places + 2) * one
+    assert calm > 0
+
+
+def test_title_and_figures_stand_above() -> None:
+    plain = render_labels(straight(), thirds(0, 1), "one log")
+    other = render_labels(straight(), thirds(0, 1), "one log", "97 % right")
+    assert (plain[:TITLE] != other[:TITLE]).any()
+    np.testing.assert_array_equal(plain[TITLE:], other[TITLE:])

@@ -1,0 +1,161 @@
+"""Sheets: a map to scale, what its ground looks like, scale bar and legend in their places."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.drawing import palette, symbols
+from specmap_cli.drawing.overview import render_segmentation
+from specmap_cli.drawing.sheet import LONG_SIDE, MARGIN, TITLE, Sheet, extent_of
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.topological_map import EdgeKind, LogInfo
+from tests.drawing.looking import bounds, inked, is_framed, near, of_colour, one_room, pixel
+from tests.strategies import grid_maps, lengths
+
+KINDS: tuple[EdgeKind, ...] = ("traversed", "closure", "loose", "doorway")
+EVERYTHING = symbols.overview_legend(KINDS, with_unreached=True)
+
+
+def sheet_of(width_m: float, height_m: float, legend: symbols.Legend = ()) -> Sheet:
+    return Sheet(np.zeros(2), np.array([width_m, height_m]), legend)
+
+
+@pytest.mark.parametrize("shape", [(20, 4000), (4000, 20), (5, 5), (2400, 2400)])
+def test_any_extent_fits_the_sheet(shape: tuple[int, int]) -> None:
+    topology, regions = one_room(shape)
+    image = render_segmentation(topology, regions, LogInfo("a plan with a long name" * 9))
+    assert max(image.shape) <= LONG_SIDE + 400
+    assert near(image, palette.FILLS[0]) > 1000
+    assert not inked(image[:, : MARGIN - 3]).any()
+    assert not inked(image[:, 3 - MARGIN :]).any()
+    assert is_framed(image)
+
+
+def test_thin_walls_of_a_large_map_are_seen() -> None:
+    _, regions = one_room((4000, 300))
+    regions.grid.cells[:, 123] = OCCUPIED  # 5 cm in a map of 200 m
+    sheet = Sheet(*extent_of(regions), ())
+    sheet.ground(regions, {0: palette.FILLS[0]})
+    wall = sheet.pixels(np.array([[123.5 * 0.05, y] for y in (20.0, 99.0, 180.0)])).astype(int)
+    for x, y in wall.tolist():
+        assert sheet.canvas.image[y, x - 1 : x + 2].max(axis=-1).min() < 160
+        assert sheet.canvas.image[y, x - 8 : x - 3].max(axis=-1).min() > 160
+
+
+@given(st.floats(0.5, 900.0), st.floats(0.5, 900.0), lengths, lengths)
+def test_places_are_drawn_to_scale_inside_the_frame(
+    width_m: float, height_m: float, x: float, y: float
+) -> None:
+    low, high = np.array([x, y]), np.array([x + width_m, y + height_m])
+    sheet = Sheet(low, high, ())
+    (left, bottom), (right, top) = sheet.pixels(np.array([low, high]))
+    scale = sheet.pixels_per_m
+    assert (right - left, bottom - top) == pytest.approx((width_m * scale, height_m * scale))
+    assert max(right - left, bottom - top) == pytest.approx(LONG_SIDE)
+    height, width, _ = sheet.canvas.image.shape
+    assert MARGIN <= left <= right <= width - MARGIN
+    assert top + 1 >= TITLE
+    assert bottom < height - MARGIN
+    assert abs(left - (width - right)) <= 2  # in the middle
+
+
+def test_places_lie_where_the_ground_was_painted() -> None:
+    _, regions = one_room((40, 60))
+    sheet = Sheet(*extent_of(regions), ())
+    sheet.ground(regions, {0: palette.FILLS[3]})
+    inner, wall = np.array([[0.1, 0.1], [2.9, 1.9]]), np.array([[0.025, 1.0], [2.975, 1.0]])
+    for points, colour in ((inner, palette.FILLS[3]), (wall, palette.INK)):
+        for place in sheet.pixels(points):
+            assert pixel(sheet.canvas.image, np.floor(place)) == pytest.approx(colour, abs=8)
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (-3.2, 7.7), (1e5, -1e5)])
+def test_each_kind_of_cell_has_its_colour(origin: tuple[float, float]) -> None:
+    cells = (
+        np.array([[FREE, FREE], [OCCUPIED, UNKNOWN]], dtype=np.uint8).repeat(10, 0).repeat(10, 1)
+    )
+    owner = np.where(np.arange(20)[None, :] < 10, 0, NOBODY) * np.ones((20, 1), dtype=np.int64)
+    regions = Regions(GridMap(cells, 0.1, origin), owner, {})
+    sheet = Sheet(*extent_of(regions), ())
+    sheet.ground(regions, {0: palette.FILLS[5]})
+    corners = np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5], [1.5, 1.5]]) + origin
+    seen = [pixel(sheet.canvas.image, place) for place in sheet.pixels(corners)]
+    assert seen == [palette.FILLS[5], palette.SHADE, palette.INK, palette.PAPER]
+
+
+@given(grid_maps())
+def test_the_extent_is_that_of_the_known_cells(grid: GridMap) -> None:
+    regions = Regions(grid, np.full(grid.cells.shape, NOBODY), {})
+    low, high = extent_of(regions)
+    corners = [
+        grid.origin + grid.resolution * np.array([column + i, row + i])
+        for row, column in np.argwhere(grid.cells != UNKNOWN).tolist()
+        for i in (0, 1)
+    ]
+    if corners:
+        np.testing.assert_allclose([low, high], [np.min(corners, 0), np.max(corners, 0)])
+
+
+@pytest.mark.parametrize("shape", [(4, 4), (1, 1), (1, 900)])
+def test_of_an_unknown_map_half_a_metre_is_shown(shape: tuple[int, int]) -> None:
+    grid = GridMap(np.full(shape, UNKNOWN, dtype=np.uint8), 0.05, (3.0, -2.0))
+    low, high = extent_of(Regions(grid, np.full(shape, NOBODY), {}))
+    assert (low.tolist(), high.tolist()) == ([3.0, -2.0], [3.5, -1.5])
+
+
+@pytest.mark.parametrize("extent_m", [0.1, 0.5, 3.0, 17.0, 60.0, 300.0, 2750.0])
+def test_the_scale_bar_has_a_round_length(extent_m: float) -> None:
+    sheet = sheet_of(extent_m, extent_m)
+    below = sheet.canvas.image[TITLE + sheet.map_height :]
+    dark = of_colour(below, palette.INK, 0)
+    top = int(np.argmax(dark[:, MARGIN]))
+    length = int(np.argmin(dark[top, MARGIN:])) - 1
+    length_m = length / sheet.pixels_per_m
+    round_lengths = [n * 10.0**power for n in (1, 2, 5) for power in range(-4, 4)]
+    assert min(abs(length_m / other - 1.0) for other in round_lengths) < 0.01
+    assert 360 / 2.6 < length < 362
+    assert not dark[:, :MARGIN].any()
+
+
+def test_headlines_shrink_to_fit_and_keep_their_size_otherwise() -> None:
+    heights = []
+    for words in ("short", "a name of a log that never ends " * 20):
+        sheet = sheet_of(9.0, 4.0)
+        sheet.title(words, words)
+        left, right, top, bottom = bounds(inked(sheet.canvas.image[:TITLE]))
+        assert left >= MARGIN - 2
+        assert right <= sheet.canvas.image.shape[1] - MARGIN + 2
+        heights.append(bottom - top)
+    assert heights[1] < heights[0]
+
+
+@pytest.mark.parametrize(("width_m", "height_m"), [(1.0, 9.0), (5.0, 5.0), (9.0, 1.0)])
+def test_the_whole_legend_lies_below_the_map(width_m: float, height_m: float) -> None:
+    bare, full = sheet_of(width_m, height_m), sheet_of(width_m, height_m, EVERYTHING)
+    assert full.map_height == bare.map_height
+    below = inked(full.canvas.image)
+    left, right, top, bottom = bounds(below)
+    assert top > TITLE + full.map_height
+    assert left >= MARGIN - 4
+    assert right <= full.canvas.image.shape[1] - MARGIN
+    assert bottom < full.canvas.image.shape[0] - 10
+    for colour in (palette.TRAVERSED, palette.CLOSURE, palette.LOOSE, palette.SHADE):
+        assert near(full.canvas.image, colour) > 40
+        assert near(bare.canvas.image, colour) < 10
+
+
+def test_entries_of_the_legend_do_not_touch() -> None:
+    """Between two entries of a row lie at least ten empty columns."""
+    sheet = sheet_of(9.0, 9.0, EVERYTHING)
+    rows = inked(sheet.canvas.image).any(axis=1)
+    starts = np.flatnonzero(np.diff(rows.astype(int)) == 1) + 1
+    entries = 0
+    for start in starts[1:]:  # the first is the scale bar
+        line = inked(sheet.canvas.image[start : start + 16]).any(axis=0)
+        gaps = np.diff(np.flatnonzero(line))
+        entries += 1 + int((gaps > 30).sum())
+    assert entries >= len(EVERYTHING)

@@ -1,0 +1,191 @@
+"""Pictures of what the segmentation looked at: nodes, ways, sight lines and eigenvalues."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.drawing.canvas import Image
+from specmap_cli.drawing.split_tests import draw_segmentation, draw_test
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.segmentation.division import Segmentation
+from specmap_cli.segmentation.spectral import Spectrum
+from specmap_cli.segmentation.splitting import SplitTest
+from tests.drawing.looking import bounds, near, of_colour, pixel
+
+ORANGE, BLUE = (60, 110, 235), (200, 120, 30)  # the robot's side, the side it left
+DARK, RED = (40, 40, 40), (60, 60, 200)
+HEIGHT = 240  # of the map in the picture of a test: 8 m x 4 m, 480 pixels wide
+SPECTRUM = 150  # pixels below it
+
+
+def corridor() -> GridMap:
+    """A corridor of 8 m x 4 m with cells of 10 cm, its lower left corner at (10, -2)."""
+    cells = np.full((40, 80), FREE, dtype=np.uint8)
+    cells[[0, -1]], cells[:, [0, -1]] = OCCUPIED, OCCUPIED
+    cells[1:5, 1:5] = UNKNOWN
+    return GridMap(cells, 0.1, (10.0, -2.0))
+
+
+def split_test(eigenvector: list[float], eigenvalues: list[float], chosen: int = 1) -> SplitTest:
+    """A robot that drove from left to right, with nodes along the middle of the corridor."""
+    n = len(eigenvector)
+    nodes = np.column_stack([np.linspace(11.0, 17.0, n), np.zeros(n)])
+    poses = np.column_stack([np.linspace(11.0, 17.0, 30), np.full(30, -1.0), np.zeros(30)])
+    return SplitTest(
+        grid=corridor(),
+        poses=poses,
+        nodes=nodes,
+        eigenvalues=np.array(eigenvalues),
+        chosen=chosen,
+        eigenvector=np.array(eigenvector),
+        near=np.array(eigenvector) > 0,
+        stays=np.ones(30, dtype=bool),
+        reached=np.ones(30, dtype=bool),
+    )
+
+
+def spot(x: float, y: float) -> FloatArray:
+    """Where a place of the corridor is in the picture of a test."""
+    return np.array([(x - 10.0) * 60.0, HEIGHT - (y + 2.0) * 60.0])
+
+
+def bars(image: Image) -> list[int]:
+    """The heights of the bars of the spectrum, in pixels."""
+    spectrum = image[-SPECTRUM:]
+    filled = of_colour(spectrum, (170, 170, 170), 0) | of_colour(spectrum, ORANGE, 0)
+    floor = filled[137]
+    starts = np.flatnonzero(np.diff(np.concatenate([[0], floor.astype(int)])) == 1)
+    return [int(filled[:, start + 2].sum()) for start in starts]
+
+
+def test_nodes_have_the_colour_of_their_side_and_fade_towards_the_border() -> None:
+    image = draw_test(split_test([-1.0, -0.5, 0.0, 0.5, 1.0], [1.0, 0.8]), 0.6, True)
+    assert image.shape == (HEIGHT + SPECTRUM, 480, 3)
+    seen = [pixel(image, spot(x, 0.0)) for x in (11.0, 12.5, 14.0, 15.5, 17.0)]
+    assert seen[0] == pytest.approx(BLUE, abs=2)
+    assert seen[4] == pytest.approx(ORANGE, abs=2)
+    paleness = [sum(colour) for colour in seen]
+    assert paleness[0] < paleness[1] < paleness[2] > paleness[3] > paleness[4]
+    assert paleness[2] < 3 * 255
+
+
+def test_the_way_ends_in_a_dot_where_the_robot_is() -> None:
+    image = draw_test(split_test([-1.0, 1.0], [1.0, 0.8]), 0.6, True)
+    for x in np.arange(11.1, 16.9, 0.2).tolist():
+        column, row = spot(x, -1.0).astype(int).tolist()
+        assert of_colour(image[row - 1 : row + 2, column : column + 1], DARK, 60).any()
+    column, row = spot(17.0, -1.0).astype(int).tolist()
+    dot = of_colour(image[row - 10 : row + 11, column + 1 : column + 10], DARK, 60)
+    assert dot.sum() > 30
+
+
+def test_the_map_is_white_grey_and_black() -> None:
+    image = draw_test(split_test([-1.0, 1.0], [1.0, 0.8]), 0.6, False)
+    free, unknown, wall = spot(14.0, 1.5), spot(10.3, -1.7), spot(10.05, 0.0)
+    assert pixel(image, free) == (255, 255, 255)
+    assert pixel(image, unknown) == (215, 215, 215)
+    assert pixel(image, wall) == DARK
+
+
+def test_bars_are_as_high_as_the_eigenvalues() -> None:
+    values = [1.0, 0.75, 0.5, 0.25]
+    heights = bars(draw_test(split_test([-1.0, 1.0], values), 0.6, True))
+    assert len(heights) == 4
+    np.testing.assert_allclose(np.array(heights) / heights[0], values, atol=0.03)
+
+
+@pytest.mark.parametrize("chosen", [0, 1, 3])
+def test_the_bar_of_the_chosen_eigenvalue_stands_out(chosen: int) -> None:
+    image = draw_test(split_test([-1.0, 1.0], [1.0, 0.9, 0.8, 0.7], chosen), 0.6, True)
+    orange = of_colour(image[-SPECTRUM:], ORANGE, 0)
+    assert orange.any() == bool(chosen)
+    if chosen:
+        left = bounds(orange)[0]
+        assert left == pytest.approx(8 + chosen * 464 / 12, abs=1)
+
+
+@pytest.mark.parametrize("threshold", [0.2, 0.6, 0.95])
+def test_the_threshold_is_a_line_across(threshold: float) -> None:
+    image = draw_test(split_test([-1.0, 1.0], [1.0, 0.9]), threshold, True)
+    left, right, top, bottom = bounds(of_colour(image[-SPECTRUM:], RED, 0))
+    assert (left, right) == (8, 472)
+    assert top == bottom == pytest.approx(138 - threshold * 106, abs=1)
+
+
+def test_the_caption_tells_the_decision() -> None:
+    test = split_test([-1.0, 1.0], [1.0, 0.9])
+    split, whole = draw_test(test, 0.6, True), draw_test(test, 0.6, False)
+    np.testing.assert_array_equal(split[: HEIGHT + 1], whole[: HEIGHT + 1])
+    assert (split[HEIGHT : HEIGHT + 28] != whole[HEIGHT : HEIGHT + 28]).any()
+    np.testing.assert_array_equal(split[HEIGHT + 28 :], whole[HEIGHT + 28 :])
+
+
+@pytest.mark.parametrize("eigenvector", [[], [0.0], [0.0, 0.0]])
+def test_a_test_without_a_division_is_drawn(eigenvector: list[float]) -> None:
+    image = draw_test(split_test(eigenvector, [1.0][: len(eigenvector)], 0), 0.6, False)
+    assert near(image, ORANGE) == 0
+    assert len(bars(image)) == min(len(eigenvector), 1)
+
+
+def segmentation(labels: list[int], pairs: list[tuple[int, int]]) -> Segmentation:
+    """Nodes two metres apart along the corridor."""
+    n = len(labels)
+    nodes = np.column_stack([11.0 + 2.0 * np.arange(n), np.zeros(n)])
+    return Segmentation(
+        labels=np.zeros((40, 80), dtype=np.int32),
+        nodes=nodes,
+        node_labels=np.array(labels, dtype=np.int32),
+        pairs=np.array(pairs, dtype=np.intp).reshape(-1, 2),
+        spectrum=Spectrum(
+            labels=np.array(labels, dtype=np.int32),
+            eigenvalues=np.array([1.0, 0.9, 0.1]),
+            eigenvectors=np.zeros((n, 3)),
+            used=2,
+        ),
+    )
+
+
+def test_nodes_of_a_division_have_a_colour_a_region() -> None:
+    image = draw_segmentation(corridor(), segmentation([0, 0, 1, 2], []), 0.75)
+    assert image.shape[1] == 900
+    scale = 900 / 80 / 0.1
+    seen = [
+        pixel(image, np.array([(x - 10.0) * scale, image.shape[0] - SPECTRUM - 2.0 * scale]))
+        for x in (11.0, 13.0, 15.0, 17.0)
+    ]
+    assert seen[0] == seen[1]
+    assert len({seen[1], seen[2], seen[3]}) == 3
+    saturation = cv2.cvtColor(np.array([seen], dtype=np.uint8), cv2.COLOR_BGR2HSV)[0, :, 1]
+    assert saturation.min() > 150
+
+
+def test_sight_lines_between_regions_are_red_and_the_longer_half_is_left_out() -> None:
+    near_pairs = [(0, 1), (1, 2), (2, 3)]
+    image = draw_segmentation(corridor(), segmentation([0, 0, 1, 1], near_pairs), 0.75)
+    alike, apart = (225, 225, 225), (140, 140, 230)
+    assert of_colour(image, alike, 12).sum() > 2 * 100
+    assert of_colour(image, apart, 60).sum() > 100
+    farther = [*near_pairs, (0, 2), (1, 3), (0, 3)]
+    again = draw_segmentation(corridor(), segmentation([0, 0, 1, 1], farther), 0.75)
+    np.testing.assert_array_equal(image[:-SPECTRUM], again[:-SPECTRUM])
+
+
+def test_the_picture_shows_the_free_part_of_a_large_map() -> None:
+    grid = corridor()
+    wide = GridMap(
+        np.pad(grid.cells, 300, constant_values=UNKNOWN), 0.1, (10.0 - 30.0, -2.0 - 30.0)
+    )
+    image = draw_segmentation(wide, segmentation([0, 1], [(0, 1)]), 0.75)
+    white = bounds(of_colour(image[:-SPECTRUM], (255, 255, 255), 0))
+    assert white[1] - white[0] > 700
+    assert image.shape[1] == 900
+
+
+def test_a_map_without_free_cells_is_drawn_whole() -> None:
+    grid = GridMap(np.full((30, 60), UNKNOWN, dtype=np.uint8), 0.1)
+    image = draw_segmentation(grid, segmentation([], []), 0.75)
+    assert image.shape == (450 + SPECTRUM, 900, 3)
+    assert (image[:450] == 215).all()

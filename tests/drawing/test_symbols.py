@@ -1,0 +1,157 @@
+"""Symbols on the ground of a map, and the legends that explain them."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from specmap_cli.drawing import symbols
+from specmap_cli.drawing.canvas import Canvas
+from specmap_cli.drawing.palette import (
+    CLOSURE,
+    FILLS,
+    INK,
+    LOOSE,
+    PAPER,
+    SHADE,
+    TRAVERSED,
+    WRONG,
+    Colour,
+    darker,
+)
+from specmap_cli.topology.topological_map import EdgeKind
+from tests.drawing.looking import bounds, inked, near, of_colour, pixel
+
+KINDS: tuple[EdgeKind, ...] = get_args(EdgeKind)
+
+
+def words_of(legend: symbols.Legend) -> list[str]:
+    return [words for words, _ in legend]
+
+
+@pytest.mark.parametrize(
+    ("kind", "colour", "strokes"),
+    [
+        ("traversed", TRAVERSED, 1),
+        ("doorway", TRAVERSED, 1),
+        ("closure", CLOSURE, 8),
+        ("loose", LOOSE, 17),
+    ],
+)
+def test_links_are_solid_dashed_or_dotted(kind: EdgeKind, colour: Colour, strokes: int) -> None:
+    canvas = Canvas(240, 40, SHADE)
+    symbols.edge(canvas, np.array([[20.0, 20.0], [220.0, 20.0]]), kind)
+    along = of_colour(canvas.image, colour, 60)[20]
+    assert np.count_nonzero(np.diff(along.astype(int)) == 1) == strokes
+    assert near(canvas.image, colour) > 100
+    others = {TRAVERSED, CLOSURE, LOOSE} - {colour}
+    assert not any(near(canvas.image, other) for other in others)
+
+
+@pytest.mark.parametrize("kind", ["traversed", "closure"])
+def test_links_are_set_off_from_the_ground_by_paper(kind: EdgeKind) -> None:
+    canvas = Canvas(240, 40, FILLS[0])
+    symbols.edge(canvas, np.array([[20.0, 20.0], [220.0, 20.0]]), kind)
+    across = canvas.image[:, 24]
+    rows = np.flatnonzero((np.abs(across.astype(int) - PAPER) < 30).all(axis=-1))
+    assert rows.min() < 19
+    assert rows.max() > 21
+
+
+@pytest.mark.parametrize("name", ["0", "12", "347"])
+def test_a_badge_holds_its_id(name: str) -> None:
+    canvas = Canvas(80, 80, SHADE)
+    symbols.badge(canvas, np.array([40.0, 40.0]), name, FILLS[2])
+    radius = symbols.BADGE_RADIUS
+    left, right, top, bottom = bounds(inked(canvas.image, SHADE))
+    assert (left + right, top + bottom) == (80, 80)
+    assert (right - left) / 2 == pytest.approx(radius + 2, abs=1.5)
+    assert pixel(canvas.image, np.array([40 + radius + 1, 40])) == pytest.approx(
+        darker(FILLS[2]), abs=40
+    )
+    letters = bounds(of_colour(canvas.image, INK, 40))
+    assert np.hypot(max(40 - letters[0], letters[1] - 40), letters[3] - 40) < radius
+
+
+def test_badges_a_gap_apart_do_not_touch() -> None:
+    alone, both = Canvas(120, 60), Canvas(120, 60)
+    symbols.badge(alone, np.array([30.0, 30.0]), "7", FILLS[0])
+    for x in (30.0, 30.0 + symbols.BADGE_GAP):
+        symbols.badge(both, np.array([x, 30.0]), "7", FILLS[0])
+    reach = round(30 + symbols.BADGE_RADIUS + 2)
+    np.testing.assert_array_equal(both.image[:, :reach], alone.image[:, :reach])
+
+
+def test_start_is_square_and_end_is_round() -> None:
+    """The share of its box that a disc fills is pi / 4."""
+    shares = []
+    for draw in (symbols.start, symbols.end):
+        canvas = Canvas(60, 60, SHADE)
+        draw(canvas, np.array([30.0, 30.0]))
+        dark = of_colour(canvas.image, INK, 60)
+        left, right, top, bottom = bounds(dark)
+        assert (left + right) / 2 == (top + bottom) / 2 == 30
+        shares.append(dark.sum() / ((right - left + 1) * (bottom - top + 1)))
+    assert shares[0] == 1.0
+    assert shares[1] == pytest.approx(np.pi / 4, abs=0.08)
+
+
+def test_unknown_is_a_ring() -> None:
+    canvas = Canvas(40, 40, FILLS[1])
+    symbols.unknown(canvas, np.array([20.0, 20.0]))
+    assert pixel(canvas.image, np.array([20, 20])) == PAPER
+    assert near(canvas.image, INK) > 5
+
+
+@pytest.mark.parametrize("kinds", [(), *[(kind,) for kind in KINDS], KINDS])
+def test_only_links_that_occur_are_explained(kinds: tuple[EdgeKind, ...]) -> None:
+    every = dict(zip(KINDS, words_of(symbols.links_legend(KINDS)), strict=True))
+    assert len(set(every.values())) == len(KINDS)
+    assert set(words_of(symbols.links_legend(kinds))) == {every[kind] for kind in kinds}
+    regions = words_of(symbols.regions_legend(kinds))
+    assert regions == ["submap", "wall", *words_of(symbols.links_legend(kinds))]
+
+
+@pytest.mark.parametrize("unreached", [False, True])
+def test_the_overview_explains_what_it_shows(unreached: bool) -> None:
+    words = words_of(symbols.overview_legend({"loose"}, unreached))
+    assert ("seen, not reached" in words) is unreached
+    assert set(words) >= {"submap", "wall", "trajectory", "start", "end", "joined by a guess"}
+
+
+@pytest.mark.parametrize("with_map", [False, True])
+@pytest.mark.parametrize("with_unknown", [False, True])
+@pytest.mark.parametrize("with_truth", [False, True])
+def test_predictions_explain_what_they_show(
+    with_map: bool, with_unknown: bool, with_truth: bool
+) -> None:
+    words = words_of(symbols.labels_legend(with_map, with_unknown, with_truth))
+    asked = {"wall": with_map, "unknown": with_unknown, "wrong": with_truth}
+    assert {word: word in words for word in asked} == asked
+    assert {"predicted submap, with its id", "start"} <= set(words)
+
+
+LEGENDS = dict([*symbols.overview_legend(KINDS, True), *symbols.labels_legend(True, True, True)])
+
+
+@pytest.mark.parametrize("words", sorted(LEGENDS))
+def test_every_symbol_fits_its_place_in_the_legend(words: str) -> None:
+    canvas = Canvas(120, 80, (200, 180, 160))
+    LEGENDS[words](canvas, 60.0, 40.0)
+    left, right, top, bottom = bounds(inked(canvas.image, (200, 180, 160)))
+    assert min(left - 32, top - 19) >= 0  # words begin 30 pixels to the right of the middle
+    assert max(right - 88, bottom - 61) <= 0
+    assert right - left >= 8
+    assert abs(left + right - 120) <= 6
+    assert abs(top + bottom - 80) <= 2
+
+
+def test_the_mark_of_a_wrong_prediction_shows_on_both_sides_of_it() -> None:
+    canvas = Canvas(120, 80)
+    LEGENDS["wrong"](canvas, 60.0, 40.0)
+    across = of_colour(canvas.image, WRONG, 20)[:, 60]
+    assert across[:38].any()
+    assert across[43:].any()
+    assert not across[40]

@@ -1,0 +1,256 @@
+"""The occupancy grid claims what beams have proved and no more."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.settings import GridConfig
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.occupancy import OccupancyGrid
+from tests.strategies import planar_scans, poses, seeds
+
+CELL = 0.0625  # a power of two, so that shifts by whole cells are exact
+CONFIG = GridConfig(resolution_m=CELL)
+
+
+def gridded(scans: list[PlanarScan], at: list[Pose2], config: GridConfig = CONFIG) -> GridMap:
+    grid = OccupancyGrid(config)
+    for scan, pose in zip(scans, at, strict=True):
+        grid.integrate(scan, pose)
+    return grid.snapshot()
+
+
+def known(grid: GridMap) -> dict[tuple[int, int], int]:
+    """State of every known cell by its place in the world, in whole cells."""
+    column, row = (round(side / grid.resolution) for side in grid.origin)
+    cells = np.argwhere(grid.cells != UNKNOWN)
+    return {(int(c) + column, int(r) + row): int(grid.cells[r, c]) for r, c in cells}
+
+
+def one_beam(bearing: float, reach: float) -> PlanarScan:
+    return PlanarScan(0, np.array([bearing]), np.array([reach]), 20.0, False)
+
+
+def proved_points(scan: PlanarScan, pose: Pose2, config: GridConfig) -> FloatArray:
+    """Points dense along every beam that returned, and between two that met one surface."""
+    returned = np.isfinite(scan.ranges)
+    ranges = np.where(returned, np.minimum(scan.ranges, config.max_range_m), 0.0)
+    beams = np.column_stack([np.cos(scan.bearings), np.sin(scan.bearings)]) * ranges[:, None]
+    ends = [beams[returned]]
+    gaps = np.linalg.norm(np.diff(beams, axis=0), axis=1)
+    for i in np.flatnonzero(returned[1:] & returned[:-1] & (gaps <= config.surface_gap_m)):
+        ends.append(beams[i] + np.linspace(0, 1, 12)[:, None] * (beams[i + 1] - beams[i]))
+    along = np.linspace(0.0, 1.0, 400)[:, None, None] * np.concatenate(ends)[None]
+    return pose.apply(along.reshape(-1, 2))
+
+
+@given(planar_scans(beams=48, reach=4.0), poses)
+def test_a_cell_is_free_only_where_a_beam_passed(scan: PlanarScan, pose: Pose2) -> None:
+    grid = gridded([scan], [pose])
+    free = grid.centres_of(np.argwhere(grid.free))
+    away, _ = cKDTree(proved_points(scan, pose, CONFIG)).query(free)
+    assert away.max() <= 1.25 * CELL  # a line drawn in whole cells strays by one of them
+
+
+@given(planar_scans(reach=6.0), poses)
+def test_every_return_is_an_occupied_cell_whatever_the_other_beams_say(
+    scan: PlanarScan, pose: Pose2
+) -> None:
+    grid = gridded([scan] * 3, [pose] * 3)
+    hits = pose.apply(scan.hits())
+    # a return on the border of two cells belongs to either
+    around = [hits + np.array([dx, dy]) for dx in (-1e-9, 1e-9) for dy in (-1e-9, 1e-9)]
+    assert (np.array([grid.values_at(p) == OCCUPIED for p in around]).any(axis=0)).all()
+    assert grid.occupied.sum() <= len(hits)
+
+
+def test_beams_without_a_return_prove_nothing() -> None:
+    bearings = np.linspace(-np.pi, np.pi, 90, endpoint=False)
+    for empty in (np.inf, np.nan):
+        nothing = PlanarScan(0, bearings, np.full(90, empty), 20.0, True)
+        assert gridded([nothing], [Pose2(1.0, 2.0, 0.3)]).cells.size == 0
+    ranges = np.full(90, np.inf)
+    ranges[45] = 2.0  # bearing 0
+    grid = gridded([PlanarScan(0, bearings, ranges, 20.0, True)], [Pose2(0.0, 0.0, 0.0)])
+    places = np.array([[1.0, 0.0], [2.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [2.2, 0.0]])
+    assert grid.values_at(places).tolist() == [FREE, OCCUPIED, UNKNOWN, UNKNOWN, UNKNOWN]
+
+
+def test_a_beam_longer_than_the_cut_proves_free_space_and_no_wall() -> None:
+    config = GridConfig(resolution_m=CELL, max_range_m=3.0)
+    grid = gridded([one_beam(0.0, 5.0)], [Pose2(0.0, 0.0, 0.0)], config)
+    places = np.array([[2.5, 0.0], [3.5, 0.0], [5.0, 0.0]])
+    assert grid.values_at(places).tolist() == [FREE, UNKNOWN, UNKNOWN]
+    assert not grid.occupied.any()
+
+
+@pytest.mark.parametrize(("passes", "state"), [(0, OCCUPIED), (3, OCCUPIED), (4, FREE)])
+def test_a_wall_is_given_up_when_most_scans_pass_through_it(passes: int, state: int) -> None:
+    beams = [one_beam(0.0, 2.0)] + [one_beam(0.0, 4.0)] * passes
+    grid = gridded(beams, [Pose2(0.0, 0.0, 0.0)] * len(beams))
+    assert grid.values_at(np.array([[2.0, 0.0]]))[0] == state
+
+
+@given(st.lists(st.tuples(planar_scans(beams=24), poses), min_size=2, max_size=4))
+def test_neither_order_nor_growth_changes_what_was_counted(
+    taken: list[tuple[PlanarScan, Pose2]],
+) -> None:
+    scans, at = [scan for scan, _ in taken], [pose for _, pose in taken]
+    assert known(gridded(scans, at)) == known(gridded(scans[::-1], at[::-1]))
+
+
+@given(planar_scans(), poses, st.integers(-40, 40), st.integers(-40, 40))
+def test_a_shift_by_whole_cells_shifts_the_grid(
+    scan: PlanarScan, pose: Pose2, columns: int, rows: int
+) -> None:
+    start = Pose2(round(pose.x * 256) / 256, round(pose.y * 256) / 256, pose.theta)
+    moved = Pose2(start.x + columns * CELL, start.y + rows * CELL, start.theta)
+    shifted = {(c + columns, r + rows): v for (c, r), v in known(gridded([scan], [start])).items()}
+    found = known(gridded([scan], [moved]))
+    # a beam may end on a border to within rounding
+    different = {
+        cell for cell in shifted.keys() | found.keys() if shifted.get(cell) != found.get(cell)
+    }
+    assert len(different) <= 2
+
+
+@pytest.mark.parametrize("limit", [{"max_extent_m": 40.0}, {"max_area_m2": 1600.0}])
+def test_a_grid_never_grows_past_its_limit(limit: dict[str, float]) -> None:
+    grid = OccupancyGrid(GridConfig(resolution_m=CELL, **limit))
+    grid.integrate(one_beam(0.0, 2.0), Pose2(0.0, 0.0, 0.0))
+    before = grid.snapshot()
+    grid.integrate(one_beam(0.0, 2.0), Pose2(500.0, 0.0, 0.0))
+    grid.mark_free_disc(0.0, -500.0, 0.3)
+    np.testing.assert_array_equal(grid.snapshot().cells, before.cells)
+    grid.integrate(one_beam(0.0, 2.0), Pose2(5.0, 5.0, 0.0))
+    assert grid.snapshot().cells.size * CELL**2 <= 1600.0
+    assert grid.snapshot().values_at(np.array([[7.0, 5.0]]))[0] == OCCUPIED
+
+
+def test_the_robot_stood_on_free_floor() -> None:
+    grid = OccupancyGrid(CONFIG)
+    grid.mark_free_disc(1.0, -2.0, 0.3)
+    snapshot = grid.snapshot()
+    assert snapshot.free_area_m2 == pytest.approx(math.pi * 0.09, rel=0.1)
+    away = np.linalg.norm(snapshot.centres_of(np.argwhere(snapshot.free)) - (1.0, -2.0), axis=1)
+    assert away.max() <= 0.3
+
+
+def at_beams(scan: PlanarScan, pose: Pose2, config: GridConfig) -> FloatArray:
+    """Points every tenth of a cell along each beam that returned, walked one by one."""
+    points = []
+    for bearing, reach in zip(scan.bearings, scan.ranges, strict=True):
+        if np.isfinite(reach):
+            along = np.arange(0.0, min(reach, config.max_range_m), 0.1 * config.resolution_m)
+            angle = bearing + pose.theta
+            points.append((pose.x, pose.y) + along[:, None] * (math.cos(angle), math.sin(angle)))
+    return np.concatenate([np.zeros((0, 2)), *points])
+
+
+@given(planar_scans(beams=36, reach=5.0), poses)
+def test_all_along_a_beam_the_cells_are_known(scan: PlanarScan, pose: Pose2) -> None:
+    grid = gridded([scan], [pose])
+    cells = grid.centres_of(np.argwhere(grid.cells != UNKNOWN))
+    away, _ = cKDTree(cells).query(at_beams(scan, pose, CONFIG))
+    assert away.max() <= 1.25 * CELL  # a line drawn in whole cells strays by one of them
+
+
+@given(
+    hits=st.integers(0, 6),
+    passes=st.integers(0, 12),
+    share=st.sampled_from([0.1, 0.25, 0.5, 1.0]),
+)
+def test_a_cell_is_occupied_from_its_share_of_hits_on(hits: int, passes: int, share: float) -> None:
+    config = GridConfig(resolution_m=CELL, occupied_share=share)
+    beams = [one_beam(0.0, 2.0)] * hits + [one_beam(0.0, 4.0)] * passes
+    grid = gridded(beams, [IDENTITY] * len(beams), config)
+    expected = UNKNOWN
+    if hits + passes:
+        expected = OCCUPIED if hits and hits >= share * (hits + passes) else FREE
+    assert grid.values_at(np.array([[2.0, 0.0]]))[0] == expected
+
+
+@given(seeds, st.floats(0.0, 1.5))
+def test_the_footprint_is_every_cell_whose_centre_it_covers(seed: int, radius: float) -> None:
+    x, y = np.random.default_rng(seed).uniform(-3.0, 3.0, 2).tolist()
+    grid = OccupancyGrid(CONFIG)
+    grid.mark_free_disc(x, y, radius)
+    snapshot = grid.snapshot()
+    cells = np.argwhere(np.ones_like(snapshot.cells))
+    away = np.hypot(*(snapshot.centres_of(cells) - (x, y)).T)
+    clear_cut = np.abs(away - radius) > 1e-9
+    free = snapshot.free.reshape(-1)
+    np.testing.assert_array_equal(free[clear_cut], (away <= radius)[clear_cut])
+    assert not snapshot.occupied.any()
+
+
+@pytest.mark.parametrize("reading", [0.0, -1.0, np.nan, np.inf, -np.inf])
+def test_a_reading_that_is_no_range_changes_nothing(reading: float) -> None:
+    bearings = np.array([-0.4, 0.0, 0.4])
+    whole = PlanarScan(0, bearings, np.array([2.0, 3.0, 2.0]), 20.0, False)
+    broken = PlanarScan(0, bearings, np.array([2.0, reading, 2.0]), 20.0, False)
+    without = PlanarScan(0, bearings[[0, 2]], np.array([2.0, 2.0]), 20.0, False)
+    config = GridConfig(resolution_m=CELL, surface_gap_m=0.01)
+    assert known(gridded([broken], [IDENTITY], config)) == known(
+        gridded([without], [IDENTITY], config)
+    )
+    assert known(gridded([whole], [IDENTITY], config)) != known(
+        gridded([broken], [IDENTITY], config)
+    )
+
+
+@pytest.mark.parametrize(("gap", "state"), [(0.5, FREE), (0.3, UNKNOWN)])
+def test_between_two_returns_of_one_surface_all_is_free(gap: float, state: int) -> None:
+    scan = PlanarScan(0, np.array([-0.1, 0.1]), np.array([2.0, 2.0]), 20.0, False)  # 0.4 m apart
+    config = GridConfig(resolution_m=0.02, surface_gap_m=gap)
+    grid = gridded([scan], [IDENTITY], config)
+    assert grid.values_at(np.array([[1.5, 0.0]]))[0] == state
+    assert grid.values_at(1.5 * np.array([[math.cos(0.1), math.sin(0.1)]]))[0] == FREE
+
+
+@pytest.mark.parametrize("limit", [{"max_extent_m": 40.0}, {"max_area_m2": 1600.0}])
+def test_scans_that_reach_beyond_the_largest_grid_are_counted(limit: dict[str, float]) -> None:
+    grid = OccupancyGrid(GridConfig(resolution_m=CELL, **limit))
+    for x in (0.0, 1.0, 500.0, 2.0, -500.0):
+        grid.integrate(one_beam(0.0, 2.0), Pose2(x, 0.0, 0.0))
+    assert grid.refused == 2
+    grid.mark_free_disc(500.0, 0.0, 0.2)  # the robot's footprint is no scan
+    grid.integrate(one_beam(0.0, np.inf), Pose2(500.0, 0.0, 0.0))  # nor has this one anything
+    assert grid.refused == 2
+
+
+@pytest.mark.parametrize(
+    ("limit", "reach"), [({"max_extent_m": 5.0}, 4.5), ({"max_area_m2": 2.0}, 4.5)]
+)
+def test_a_scan_that_fits_is_taken_though_the_grid_has_no_cells_to_spare(
+    limit: dict[str, float], reach: float
+) -> None:
+    grid = OccupancyGrid(GridConfig(resolution_m=CELL, **limit))
+    grid.integrate(one_beam(0.0, 2.0), IDENTITY)
+    grid.integrate(one_beam(0.0, reach), IDENTITY)
+    assert grid.refused == 0
+    snapshot = grid.snapshot()
+    assert snapshot.values_at(np.array([[2.0, 0.0], [reach, 0.0]])).tolist() == [OCCUPIED, OCCUPIED]
+    height, width = (side * CELL for side in snapshot.cells.shape)
+    assert max(height, width) <= limit.get("max_extent_m", np.inf)
+    assert height * width <= limit.get("max_area_m2", np.inf)
+    grid.integrate(one_beam(0.0, 9.0), Pose2(0.0, 3.0, 0.0))
+    assert grid.refused == 1
+
+
+def test_a_snapshot_does_not_change_with_what_comes_after_it() -> None:
+    grid = OccupancyGrid(CONFIG)
+    grid.integrate(one_beam(0.0, 2.0), IDENTITY)
+    before = grid.snapshot()
+    cells = before.cells.copy()
+    grid.integrate(one_beam(0.0, 1.0), IDENTITY)
+    grid.integrate(one_beam(1.5, 3.0), IDENTITY)
+    np.testing.assert_array_equal(before.cells, cells)

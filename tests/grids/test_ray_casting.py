@@ -1,0 +1,140 @@
+"""Virtual scans are exact."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.ray_casting import cast_ranges, cast_rays
+from tests.strategies import grid_maps, seeds
+
+
+def empty_room() -> GridMap:
+    """A room of 5 m x 4 m, its walls at x = 1 and 6, y = 0.5 and 4.5."""
+    cells = np.full((100, 140), OCCUPIED, dtype=np.uint8)
+    cells[10:90, 20:120] = FREE
+    return GridMap(cells, 0.05)
+
+
+@given(seeds)
+def test_virtual_scans_of_a_room_are_its_walls_in_closed_form(seed: int) -> None:
+    room = empty_room()
+    rng = np.random.default_rng(seed)
+    origins = rng.uniform((1.0, 0.5), (6.0, 4.5), (20, 2))
+    bearings = rng.uniform(-np.pi, np.pi, 30)
+    c, s = np.cos(bearings), np.sin(bearings)
+    to_x = (np.where(c > 0, 6.0, 1.0) - origins[:, :1]) / c
+    to_y = (np.where(s > 0, 4.5, 0.5) - origins[:, 1:]) / s
+    found = cast_ranges(room.obstacle_distance(), room, origins, bearings, 20.0)
+    np.testing.assert_allclose(found, np.minimum(to_x, to_y), atol=1e-6)
+
+
+@given(grid_maps(), seeds)
+def test_a_ray_ends_where_it_first_touches_an_obstacle(grid: GridMap, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    height, width = grid.cells.shape
+    origins = grid.origin + rng.uniform(0, 1, (30, 2)) * (width, height) * np.array(grid.resolution)
+    angles = rng.uniform(-np.pi, np.pi, 30)
+    longest = 0.6 * width * grid.resolution
+    ranges = cast_rays(grid.obstacle_distance(), grid, origins, angles, longest)
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    returned = np.isfinite(ranges)
+    inside = ranges[returned] + 1e-5 * grid.resolution
+    ends = origins[returned] + directions[returned] * inside[:, None]
+    assert (grid.values_at(ends) == OCCUPIED).all()
+    reach = np.where(returned, ranges - 1e-5 * grid.resolution, longest)
+    for share in np.linspace(0.0, 1.0, 200):
+        points = origins + directions * (share * np.maximum(reach, 0.0))[:, None]
+        assert (grid.values_at(points[reach > 0]) != OCCUPIED).all()
+
+
+def test_rays_end_at_their_range_and_at_the_edge_of_the_grid() -> None:
+    room = empty_room()
+    distance, middle = room.obstacle_distance(), np.array([[3.5, 2.5]])
+    assert cast_ranges(distance, room, middle, np.array([0.0]), 2.4)[0, 0] == np.inf
+    assert cast_ranges(distance, room, middle, np.array([0.0]), 2.6)[0, 0] == pytest.approx(2.5)
+    open_ = GridMap(np.zeros((10, 10), dtype=np.uint8), 0.1)
+    far = cast_ranges(
+        open_.obstacle_distance(), open_, np.array([[0.5, 0.5], [9.0, 9.0]]), np.zeros(1), 50.0
+    )
+    assert (far == np.inf).all()
+    in_wall = cast_ranges(distance, room, np.array([[0.5, 2.0]]), np.array([0.0]), 5.0)
+    assert in_wall[0, 0] == 0.0
+
+
+def walked(grid: GridMap, origin: np.ndarray, angle: float) -> float:
+    """The range of one ray, from border to border through every cell it crosses."""
+    start = (origin - grid.origin) / grid.resolution
+    step = np.array([math.cos(angle), math.sin(angle)])
+    height, width = grid.cells.shape
+    borders = [
+        (line - start[axis]) / step[axis]
+        for axis, count in ((0, width), (1, height))
+        for line in range(count + 1)
+        if step[axis]
+    ]
+    crossings = np.array([0.0, *sorted(t for t in borders if t > 0.0)])
+    for near, far in itertools.pairwise(crossings):
+        column, row = np.floor(start + step * (near + far) / 2.0).astype(int)
+        if not (0 <= row < height and 0 <= column < width):
+            return math.inf
+        if grid.cells[row, column] == OCCUPIED:
+            return float(near) * grid.resolution
+    return math.inf
+
+
+@given(grid_maps(), seeds)
+def test_ranges_are_those_of_a_walk_through_every_cell(grid: GridMap, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    height, width = grid.cells.shape
+    origins = grid.origin + rng.uniform(0, 1, (12, 2)) * (width, height) * np.array(grid.resolution)
+    angles = rng.uniform(-np.pi, np.pi, 12)
+    found = cast_rays(grid.obstacle_distance(), grid, origins, angles, 100.0)
+    expected = [walked(grid, origin, angle) for origin, angle in zip(origins, angles, strict=True)]
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+@given(grid_maps())
+def test_rays_along_rows_and_columns_see_the_next_obstacle(grid: GridMap) -> None:
+    row, column = (side // 2 for side in grid.cells.shape)
+    middle = grid.centres_of(np.array([[row, column]]))
+    turns = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi
+    ranges = cast_ranges(grid.obstacle_distance(), grid, middle, turns, 100.0)[0]
+    lines = (
+        grid.cells[row, column:],
+        grid.cells[row:, column],
+        grid.cells[row, column::-1],
+        grid.cells[row::-1, column],
+    )
+    for reach, line in zip(ranges, lines, strict=True):
+        ahead = np.flatnonzero(line == OCCUPIED)
+        expected = max(ahead[0] - 0.5, 0.0) * grid.resolution if len(ahead) else math.inf
+        assert reach == pytest.approx(expected, abs=1e-6)
+
+
+def test_many_rays_are_the_same_rays_few_at_a_time() -> None:
+    room = empty_room()
+    rng = np.random.default_rng(3)
+    origins, angles = rng.uniform((1.1, 0.6), (5.9, 4.4), (70_000, 2)), rng.uniform(-3, 3, 70_000)
+    distance = room.obstacle_distance()
+    whole = cast_rays(distance, room, origins, angles, 20.0)
+    for part in (slice(0, 5), slice(65_530, 65_545), slice(69_995, 70_000)):
+        few = cast_rays(distance, room, origins[part], angles[part], 20.0)
+        np.testing.assert_array_equal(few, whole[part])
+
+
+def test_no_rays_have_no_ranges() -> None:
+    room = empty_room()
+    assert cast_rays(room.obstacle_distance(), room, np.zeros((0, 2)), np.zeros(0), 5.0).shape == (
+        0,
+    )
+    bearings = np.zeros(7)
+    assert cast_ranges(room.obstacle_distance(), room, np.zeros((0, 2)), bearings, 5.0).shape == (
+        0,
+        7,
+    )

@@ -1,0 +1,155 @@
+"""Score fields: the distance to the nearest obstacle as a score, and points thinned to cells."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.score_field import ScoreField, thinned
+from tests.strategies import grid_maps, poses, seeds
+
+
+def test_values_are_those_of_the_distance_to_the_nearest_point(room: FloatArray) -> None:
+    field = ScoreField.from_points(room, 0.05, 0.1)
+    places = np.random.default_rng(1).uniform(-3.2, 4.2, (500, 2))
+    distance, _ = cKDTree(room).query(places)
+    expected = np.exp(-(distance**2) / (2 * 0.1**2))
+    # both ends are rounded to cells of 5 cm
+    nearest = np.exp(-(np.maximum(distance - 0.085, 0) ** 2) / (2 * 0.1**2))
+    farthest = np.exp(-((distance + 0.085) ** 2) / (2 * 0.1**2))
+    values = field.at(places)
+    assert (values <= nearest + 1e-6).all()
+    assert (values >= farthest - 3e-3).all()  # nought beyond 3.5 sigma of the walls
+    assert np.abs(values - expected).mean() < 0.05
+
+
+def test_field_of_a_grid_is_one_on_its_walls_and_starts_at_its_origin() -> None:
+    cells = np.full((40, 60), FREE, dtype=np.uint8)
+    cells[10, 5:50] = OCCUPIED
+    grid = GridMap(cells, 0.05, (2.0, -1.0))
+    field = ScoreField.from_grid(grid)
+    on_wall = grid.centres_of(np.argwhere(grid.occupied))
+    assert np.allclose(field.at(on_wall), 1.0)
+    assert field.score(on_wall + (0.0, 0.5), IDENTITY) < 1e-3
+
+
+def test_a_stray_point_far_away_costs_no_memory(room: FloatArray) -> None:
+    stray = np.vstack([room, [[1e6, -1e6]]])
+    field = ScoreField.from_points(stray, max_side=40.0)
+    assert field.values.shape[0] < 900
+    assert field.values.shape[1] < 900
+    assert field.score(room, IDENTITY) > 0.95
+
+
+def test_the_coarser_field_is_nowhere_below_the_fine_one(field: ScoreField) -> None:
+    coarse = field.coarser(4)
+    places = np.random.default_rng(3).uniform(-4, 5, (2000, 2))
+    assert (coarse.at(places) >= field.at(places)).all()
+
+
+def test_the_sharper_field_has_half_the_sigma(room: FloatArray) -> None:
+    wide, sharp = ScoreField.from_points(room, sigma=0.2), ScoreField.from_points(room, sigma=0.1)
+    places = np.random.default_rng(4).uniform(-3, 3, (500, 2))
+    assert np.allclose(wide.sharper().at(places), sharp.at(places), atol=1e-3)
+
+
+@settings(max_examples=25, derandomize=True, deadline=None)
+@given(st.integers(0, 200), st.floats(0.02, 1.0), st.sampled_from([2, 3]))
+def test_thinning_keeps_one_point_a_cell(count: int, cell: float, dimensions: int) -> None:
+    points = np.random.default_rng(count).uniform(-3, 3, (count, dimensions))
+    kept = thinned(points, cell)
+    cells = {tuple(row) for row in np.floor(points / cell).astype(int).tolist()}
+    assert len(kept) == len(cells)
+    assert {tuple(row) for row in np.floor(kept / cell).astype(int).tolist()} == cells
+
+
+@given(grid_maps(), st.sampled_from([0.05, 0.1, 0.3]))
+def test_the_field_of_a_grid_is_the_score_of_the_exact_distance(
+    grid: GridMap, sigma: float
+) -> None:
+    field = ScoreField.from_grid(grid, sigma)
+    margin = math.ceil(3.5 * sigma / grid.resolution)
+    if not grid.occupied.any():
+        assert not field.values.any()
+        return
+    distance = distance_transform_edt(np.pad(~grid.occupied, margin, constant_values=True))
+    metres = distance * grid.resolution
+    near = np.exp(-((0.97 * metres) ** 2) / (2.0 * sigma**2))  # OpenCV's distance is off by 2 %
+    far = np.exp(-((1.03 * metres) ** 2) / (2.0 * sigma**2))
+    assert (field.values <= near + 1e-6).all()
+    assert (field.values >= far - 1e-6).all()
+    assert field.origin == pytest.approx(np.array(grid.origin) - margin * grid.resolution)
+
+
+@given(poses, seeds)
+def test_a_score_is_the_mean_of_the_values_under_the_points(pose: Pose2, seed: int) -> None:
+    points = np.random.default_rng(seed).uniform(-2, 2, (40, 2))
+    field = ScoreField.from_points(pose.apply(points), 0.05, 0.2)
+    cells = np.floor((pose.apply(points) - field.origin) / field.resolution).astype(int)
+    total = 0.0
+    for column, row in cells.tolist():
+        total += float(field.values[row, column])
+    assert field.score(points, pose) == pytest.approx(total / len(points))
+    assert field.score(points, pose) == pytest.approx(1.0)  # they are its obstacles
+    assert field.score(points[:0], pose) == 0.0
+
+
+def test_outside_a_field_all_is_nought(field: ScoreField) -> None:
+    height, width = field.values.shape
+    right, top = field.resolution * width, field.resolution * height
+    places = field.origin + np.array([[-0.01, 1.0], [1.0, -0.01], [right, 1.0], [1.0, top]])
+    assert not field.at(places).any()
+    edge = np.concatenate([field.values[0], field.values[-1], field.values[:, 0]])
+    assert edge.max() < 0.003  # so that nothing jumps where the field ends
+
+
+@given(seeds, st.integers(1, 7))
+def test_a_coarser_cell_is_the_best_of_the_cells_in_it(seed: int, factor: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.random((rng.integers(1, 20), rng.integers(1, 20)), dtype=np.float32)
+    coarse = ScoreField(values, 0.1, (1.0, 2.0), 3).coarser(factor)
+    height, width = values.shape
+    assert coarse.values.shape == (-(-height // factor), -(-width // factor))
+    assert (coarse.resolution, coarse.origin, coarse.left_out) == (0.1 * factor, (1.0, 2.0), 3)
+    for row, column in np.ndindex(*coarse.values.shape):
+        block = values[row * factor : (row + 1) * factor, column * factor : (column + 1) * factor]
+        assert coarse.values[row, column] == block.max()
+
+
+@pytest.mark.parametrize("stray", [0, 1, 7])
+def test_points_too_far_from_the_others_are_counted(room: FloatArray, stray: int) -> None:
+    far = np.column_stack([np.full(stray, 500.0), 900.0 + np.arange(stray)])
+    field = ScoreField.from_points(np.vstack([room, far.reshape(-1, 2)]), max_side=40.0)
+    assert field.left_out == stray
+    assert field.sharper().left_out == stray
+    assert not field.at(far).any()
+    assert ScoreField.from_points(room, max_side=1.0).left_out > 0
+    assert ScoreField.from_points(room[:0]).left_out == 0
+
+
+@given(seeds, st.floats(1.0, 30.0))
+def test_a_field_is_no_larger_than_allowed_and_shows_what_is_near(
+    seed: int, max_side: float
+) -> None:
+    points = np.random.default_rng(seed).standard_cauchy((200, 2)) * 3.0
+    field = ScoreField.from_points(points, 0.1, 0.1, max_side)
+    margin = math.ceil(3.5)
+    assert max(field.values.shape) <= max_side / 0.1 + 2 * margin + 2
+    near = (np.abs(points - np.median(points, axis=0)) < max_side / 2).all(axis=1)
+    assert (field.at(points[near]) == 1.0).all()
+    assert field.left_out <= (~near).sum()
+
+
+def test_thinning_keeps_the_first_point_of_a_cell_and_the_order() -> None:
+    points = np.array([[0.9, 0.1], [0.1, 0.1], [-0.1, 0.1], [0.2, 0.3], [0.95, 0.9]])
+    assert thinned(points, 1.0).tolist() == [[0.9, 0.1], [-0.1, 0.1]]
+    assert thinned(points, 0.5).tolist() == [[0.9, 0.1], [0.1, 0.1], [-0.1, 0.1], [0.95, 0.9]]
+    assert thinned(points[:1], 1.0).tolist() == points[:1].tolist()

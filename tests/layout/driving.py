@@ -1,0 +1,184 @@
+"""A ring of corridor to drive in, and graphs made by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import networkx as nx
+import numpy as np
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.ray_casting import cast_ranges
+from specmap_cli.layout.path_graph import Draft, Graph
+from specmap_cli.layout.pose_graph import Link, LinkKind
+from specmap_cli.layout.relaxation import Constraint
+
+STIFF = np.diag([1 / 0.04**2, 1 / 0.04**2, 1 / 0.01**2])
+SOFT = np.diag([1 / 0.05**2, 1 / 0.05**2, 1 / 0.03**2])
+
+
+def building() -> GridMap:
+    """A ring of corridor, 17 m x 13 m and 2 m wide, with rooms of all sizes off it."""
+    cells = np.full((300, 380), OCCUPIED, dtype=np.uint8)
+    cells[30:270, 30:350] = FREE
+    cells[70:230, 70:310] = OCCUPIED
+    for bottom, top, left, right in (
+        (66, 110, 90, 130),  # off the lower corridor
+        (66, 140, 170, 190),
+        (66, 90, 220, 300),
+        (190, 234, 80, 180),  # off the upper one
+        (210, 234, 240, 260),
+        (120, 160, 60, 110),  # off the left one
+        (4, 34, 60, 100),  # outwards
+        (4, 34, 200, 215),
+        (10, 34, 250, 330),
+        (266, 290, 100, 160),
+        (266, 296, 280, 300),
+        (120, 150, 346, 376),
+        (200, 260, 346, 366),
+        (90, 130, 8, 34),
+    ):
+        cells[bottom:top, left:right] = FREE
+    return GridMap(cells, 0.05)
+
+
+def round_trip(laps: float) -> FloatArray:
+    """True poses every 10 cm along the middle of the ring."""
+    corners = np.array([[2.5, 2.5], [16.5, 2.5], [16.5, 12.5], [2.5, 12.5]])
+    poses, lap = [], 0.0
+    while lap < laps:
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            heading = float(np.arctan2(*(b - a)[::-1]))
+            steps = int(np.hypot(*(b - a)) / 0.1)
+            poses += [(*(a + (b - a) * k / steps), heading) for k in range(steps)]
+            lap += 0.25
+            if lap >= laps:
+                break
+    return np.array(poses)
+
+
+def scans_of(grid: GridMap, poses: FloatArray, beams: int = 120) -> list[PlanarScan]:
+    """What a noisy full-circle laser sees at true poses."""
+    bearings = np.linspace(-np.pi, np.pi, beams, endpoint=False)
+    distance = grid.obstacle_distance()
+    rng, scans = np.random.default_rng(0), []
+    for k, (x, y, heading) in enumerate(poses):
+        ranges = cast_ranges(distance, grid, np.array([[x, y]]), bearings + heading, 10.0)[0]
+        scans.append(
+            PlanarScan(
+                stamp_ns=k * 10**8,
+                bearings=bearings,
+                ranges=ranges + rng.normal(0, 0.01, beams),
+                range_max=12.0,
+                full_circle=True,
+            )
+        )
+    return scans
+
+
+def drifted(truth: FloatArray, bias: float = 0.0003) -> FloatArray:
+    """Tracked poses: each step turns a little too far."""
+    steps = compose(invert(truth[:-1]), truth[1:])
+    steps[:, 2] += bias
+    poses = [truth[0]]
+    for step in steps:
+        poses.append(compose(poses[-1], step))
+    return np.array(poses)
+
+
+def stored(tracked: FloatArray, scans: Sequence[PlanarScan]) -> KeyframeStore:
+    """A store of scans at their tracked poses."""
+    store = KeyframeStore()
+    for k, (pose, scan) in enumerate(zip(tracked, scans, strict=True)):
+        store.append(
+            PosedScan(
+                index=k,
+                stamp_ns=scan.stamp_ns,
+                map_from_base=Pose2(*pose.tolist()),
+                planar=scan,
+                base_from_laser=IDENTITY,
+            )
+        )
+    return store
+
+
+def worst(poses: FloatArray, truth: FloatArray) -> float:
+    """Largest error of the place, seen from the first pose."""
+    seen = compose(invert(poses[0]), poses)
+    true = compose(invert(truth[0]), truth)
+    return float(np.hypot(*(seen - true)[:, :2].T).max())
+
+
+def between(poses: FloatArray, source: int, target: int) -> Pose2:
+    """The target's pose in the frame of the source."""
+    return Pose2(*compose(invert(poses[source]), poses[target]).tolist())
+
+
+def true_constraint(truth: FloatArray, source: int, target: int) -> Constraint:
+    """What a right closure between two keyframes says."""
+    return Constraint(source, target, between(truth, source, target), STIFF)
+
+
+def link(
+    source: int,
+    target: int,
+    motion: Sequence[float],
+    kind: LinkKind = "nearby",
+    information: FloatArray = STIFF,
+) -> Link:
+    """A link of the pose graph, stiff."""
+    return Link(
+        source=source,
+        target=target,
+        source_from_target=Pose2(*motion),
+        information=information,
+        kind=kind,
+    )
+
+
+def true_link(
+    truth: FloatArray,
+    source: int,
+    target: int,
+    kind: LinkKind = "nearby",
+    information: FloatArray = STIFF,
+) -> Link:
+    """A link that says the truth."""
+    return link(source, target, between(truth, source, target), kind, information)
+
+
+def graph_by_hand(tracked: FloatArray, breaks: Iterable[int] = (), every: int = 1) -> Graph:
+    """The graph of tracked poses (n, 3), each `every`-th a node; motions are as tracked."""
+    nodes = np.arange(0, len(tracked), every)
+    fresh = np.isin(nodes, list(breaks))
+    steps = np.hypot(*np.diff(tracked[nodes, :2], axis=0).T)
+    odometry = tuple(
+        true_link(tracked, int(a), int(b), "loose" if lost else "odometry", SOFT)
+        for a, b, lost in zip(nodes[:-1], nodes[1:], fresh[1:], strict=True)
+    )
+    return Graph(
+        nodes=nodes,
+        row={number: row for row, number in enumerate(nodes.tolist())},
+        tracked=tracked,
+        parts=np.cumsum(fresh),
+        path=np.concatenate([[0.0], np.cumsum(np.where(fresh[1:], 12.0, steps))]),
+        odometry=odometry,
+    )
+
+
+def as_tracked(graph: Graph, *loops: Link) -> Draft:
+    """The draft in which nothing has moved yet."""
+    return Draft(poses=graph.poses, loops=loops, tied=frozenset(graph.part_numbers))
+
+
+def network_of(links: Iterable[Link]) -> nx.Graph:
+    """The graph of networkx with the lengths of links, the shortest of parallel ones."""
+    network = nx.Graph()
+    for edge in links:
+        a, b, length = edge.source, edge.target, max(edge.source_from_target.distance, 1e-3)
+        if not network.has_edge(a, b) or network[a][b]["weight"] > length:
+            network.add_edge(a, b, weight=length)
+    return network

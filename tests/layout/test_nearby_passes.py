@@ -1,0 +1,156 @@
+"""Nearby passes: which pairs of nodes are matched along the path, and what comes of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.nearby_passes import candidates, find_passes, passes_at, stops
+from specmap_cli.layout.path_graph import Draft, Graph
+from specmap_cli.layout.walls import Walls
+from tests.layout.driving import as_tracked, between
+from tests.strategies import pose_arrays
+
+CONFIG = RelaxationConfig()
+Perfect = tuple[KeyframeStore, Graph]
+
+
+def by_loops(node: int, poses: FloatArray, path: FloatArray, config: RelaxationConfig) -> list[int]:
+    """The candidates of a node, from the words of the settings."""
+    ranked = []
+    for k in range(len(poses)):
+        distance = float(np.hypot(*(poses[k, :2] - poses[node, :2])))
+        turn = abs(wrap_angle(float(poses[k, 2] - poses[node, 2])))
+        if path[node] - path[k] > config.loop_path_m and distance < config.loop_radius_m:
+            ranked.append((distance + 0.7 * turn, k))
+    chosen: list[int] = []
+    for _, k in sorted(ranked):
+        apart = all(abs(path[k] - path[other]) > config.loop_radius_m for other in chosen)
+        if apart and len(chosen) < config.loops_per_node:
+            chosen.append(k)
+    return chosen
+
+
+@given(
+    pose_arrays(16),
+    st.lists(st.floats(0.0, 3.0), min_size=16, max_size=16),
+    st.integers(0, 15),
+    st.integers(0, 4),
+    st.floats(0.5, 60.0),
+)
+def test_candidates_are_near_far_along_the_path_and_apart(
+    poses: FloatArray, steps: list[float], node: int, most: int, radius: float
+) -> None:
+    path = np.cumsum(steps)
+    config = RelaxationConfig(loops_per_node=most, loop_radius_m=radius)
+    assert candidates(node, poses, path, config) == by_loops(node, poses, path, config)
+
+
+def test_none_per_node_is_none(perfect: Perfect) -> None:
+    _, graph = perfect
+    none = RelaxationConfig(loops_per_node=0)
+    assert candidates(190, graph.poses, graph.path, CONFIG) != []
+    assert candidates(190, graph.poses, graph.path, none) == []
+
+
+@given(st.lists(st.floats(0.0, 3.0), min_size=1, max_size=30), st.floats(0.1, 5.0))
+def test_stops_are_the_first_nodes_past_each_stretch(steps: list[float], every_m: float) -> None:
+    path = np.cumsum(steps)
+    chosen = stops(path, every_m)
+    ways = [0.0, *path[chosen].tolist()]
+    assert (np.diff(ways) >= every_m).all()
+    for k in set(range(len(path))) - set(chosen):
+        last = max(way for way in ways if way <= path[k])
+        assert path[k] - last < every_m
+
+
+def test_a_pass_is_linked_and_remembered(perfect: Perfect) -> None:
+    store, graph = perfect
+    walls = Walls(store, graph, CONFIG.match_range_m)
+    first = passes_at(190, graph, graph.poses, walls, {}, 0.5, CONFIG)
+    assert len(first.links) >= 1
+    for found in first.links:
+        truth = between(graph.tracked, found.source, found.target)
+        assert (truth.inverse() @ found.source_from_target).distance < 0.1
+        assert found.target == graph.nodes[190]
+    assert first.cut_short == 0
+    again = passes_at(190, graph, graph.poses, walls, first.guesses, 0.5, CONFIG)
+    assert again.links == ()
+    assert again.guesses == first.guesses
+
+
+@pytest.mark.parametrize(("shift", "count"), [(0.9, 0), (1.1, 1)])
+def test_a_pair_that_moved_by_a_metre_is_matched_again(
+    perfect: Perfect, shift: float, count: int
+) -> None:
+    store, graph = perfect
+    walls = Walls(store, graph, CONFIG.match_range_m)
+    config = RelaxationConfig(loops_per_node=1)
+    first = passes_at(190, graph, graph.poses, walls, {}, 0.5, config)
+    moved = {pair: guess @ Pose2(shift, 0.0, 0.0) for pair, guess in first.guesses.items()}
+    assert len(passes_at(190, graph, graph.poses, walls, moved, 0.5, config).links) == count
+
+
+def test_a_search_shorter_than_the_drift_is_counted(perfect: Perfect) -> None:
+    store, graph = perfect
+    walls = Walls(store, graph, CONFIG.match_range_m)
+    config = RelaxationConfig(loop_search_max_m=0.5)
+    found = passes_at(190, graph, graph.poses, walls, {}, 0.6, config)
+    assert found.cut_short == len(found.guesses) > 0
+    tied = as_tracked(graph)
+    hasty = RelaxationConfig(loop_search_max_m=0.3)
+    assert find_passes(graph, tied, walls, hasty).limits["loop_search_max_m"] > 0
+    wide = RelaxationConfig(loop_search_max_m=9.0)
+    assert find_passes(graph, tied, walls, wide).limits == {}
+
+
+def test_passes_are_found_along_the_second_lap(perfect: Perfect) -> None:
+    store, graph = perfect
+    walls = Walls(store, graph, CONFIG.match_range_m)
+    draft = as_tracked(graph)
+    found = find_passes(graph, draft, walls, CONFIG)
+    assert len(found.loops) >= 15
+    for edge in found.loops:
+        truth = between(graph.tracked, edge.source, edge.target)
+        assert edge.target > 440
+        assert (truth.inverse() @ edge.source_from_target).distance < 0.1
+    assert np.abs(found.poses - graph.poses).max() < 0.1, "they confirm what was right"
+    assert draft.loops == ()
+    assert draft.tried == {}
+    again = find_passes(graph, found, walls, CONFIG)
+    assert len(again.loops) == len(found.loops), "nothing moved, nothing new"
+    assert set(again.tried) == set(found.tried)
+
+
+def test_the_layout_is_renewed_as_passes_come_in(perfect: Perfect) -> None:
+    """The second lap was put a little aside: the first passes bring all of it back at once."""
+    store, graph = perfect
+    second = graph.parts == 1
+    aside = graph.poses
+    aside[second, 1] += 0.25
+    walls = Walls(store, graph, CONFIG.match_range_m)
+    start = replace(as_tracked(graph), poses=aside)
+    often = find_passes(graph, start, walls, RelaxationConfig(solve_every=2))
+    never = find_passes(graph, start, walls, RelaxationConfig(solve_every=10_000))
+    assert np.array_equal(never.poses, aside)
+    off = np.hypot(*(often.poses - graph.poses)[second, :2].T)
+    assert off.max() < 0.1
+
+
+def test_a_stray_part_is_rejoined_on_the_way(perfect: Perfect) -> None:
+    store, graph = perfect
+    walls = Walls(store, graph, CONFIG.match_range_m)
+    draft = Draft(poses=graph.poses)
+    found = find_passes(graph, draft, walls, CONFIG)
+    assert found.tied == {0, 1}
+    assert found.tries[1] >= CONFIG.stray_votes
+    alone = find_passes(graph, draft, walls, RelaxationConfig(stray_tries=0))
+    assert alone.tied == {0}
+    assert all(edge.target < 480 for edge in alone.loops), "a guess is no place to look from"

@@ -1,0 +1,128 @@
+"""Parts of the path moved to where links put them."""
+
+from __future__ import annotations
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
+from specmap_cli.layout.parts import (
+    agreed,
+    corrections,
+    loose_starts,
+    place_part,
+    place_parts,
+    shifted,
+)
+from specmap_cli.layout.path_graph import Graph
+from tests.layout.driving import as_tracked, graph_by_hand, link, true_link
+from tests.strategies import pose_arrays, seeds
+
+AWAY = np.array([3.0, -2.0, 0.9])  # where the second part was put by a guess
+
+
+def line(count: int) -> FloatArray:
+    """True poses half a metre apart, on a gentle curve."""
+    poses = np.zeros((count, 3))
+    for k in range(1, count):
+        poses[k] = compose(poses[k - 1], np.array([0.5, 0.0, 0.05]))
+    return poses
+
+
+def kidnapped() -> tuple[FloatArray, Graph]:
+    """True poses, and the graph of a robot that was lost at 20 and again at 40."""
+    truth = line(60)
+    tracked = np.array(truth)
+    tracked[20:] = compose(AWAY, truth[20:])
+    tracked[40:] = compose(AWAY, tracked[40:])
+    return truth, graph_by_hand(tracked, breaks=(20, 40))
+
+
+@given(pose_arrays(4), seeds)
+def test_a_correction_satisfies_its_link(poses: FloatArray, seed: int) -> None:
+    graph = graph_by_hand(poses, breaks=(2,))
+    z = np.random.default_rng(seed).uniform(-3, 3, 3)
+    there, back = link(1, 3, z.tolist()), link(3, 1, invert(z).tolist())
+    motions = corrections(graph, poses, 1, [there, back])
+    for motion in motions:
+        moved = shifted(poses, graph.parts, 1, motion)
+        gap = compose(invert(z), compose(invert(moved[1]), moved[3]))
+        assert np.hypot(*gap[:2]) < 1e-6
+        assert abs(wrap_angles(gap[2:])[0]) < 1e-9
+        assert np.array_equal(moved[:2], poses[:2]), "what is older stays"
+
+
+def test_only_links_from_a_part_to_older_ones_correct_it() -> None:
+    truth, graph = kidnapped()
+    inside, later, other = (true_link(truth, *ends) for ends in ((21, 30), (25, 50), (5, 45)))
+    assert corrections(graph, graph.poses, 1, [inside, later, other]).shape == (0, 3)
+    assert corrections(graph, graph.poses, 2, [inside, later, other]).shape == (2, 3)
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.4, 0.4)),
+        min_size=1,
+        max_size=8,
+    ),
+    st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
+)
+def test_votes_are_those_of_a_count_by_hand(
+    motions: list[tuple[float, float, float]], centre: tuple[float, float]
+) -> None:
+    placed = [compose(np.array(motion), np.array([*centre, 0.0])) for motion in motions]
+    votes = [
+        sum(np.hypot(*(a - b)[:2]) <= 0.5 and abs(wrap_angles(a - b)[2]) <= 0.15 for b in placed)
+        for a in placed
+    ]
+    best = agreed(np.array(motions), np.array(centre))
+    assert best is not None
+    assert best[1] == max(votes)
+    assert np.array_equal(best[0], motions[votes.index(max(votes))]), "the first of equals"
+
+
+def test_without_a_motion_nothing_is_agreed() -> None:
+    assert agreed(np.zeros((0, 3)), np.zeros(2)) is None
+
+
+def test_parts_go_where_most_closures_put_them() -> None:
+    truth, graph = kidnapped()
+    wrong = [link(2, 22, (9.0, 9.0, 1.0)), link(3, 44, (-9.0, 9.0, 1.0))]
+    right = [true_link(truth, *ends) for ends in ((0, 25), (5, 35), (30, 50), (10, 55))]
+    draft = place_parts(graph, [*wrong, *right])
+    assert np.allclose(draft.poses, truth, atol=1e-9)
+    assert draft.tied == {0, 1, 2}
+    assert draft.loops == (), "the closures themselves are judged later"
+
+
+def test_a_part_takes_along_what_hangs_on_it_and_is_not_moved_without_votes() -> None:
+    truth, graph = kidnapped()
+    draft = place_parts(graph, [])
+    assert draft.tied == {0}
+    finds = [true_link(truth, 0, 25), true_link(truth, 5, 35), link(1, 30, (9.0, 9.0, 1.0))]
+    assert place_part(graph, draft, 1, finds, votes=3) is draft
+    placed = place_part(graph, draft, 1, finds, votes=2)
+    assert placed.tied == {0, 1}
+    assert np.allclose(placed.poses[:40], truth[:40], atol=1e-9)
+    inside = compose(invert(placed.poses[20]), placed.poses[20:])
+    assert np.allclose(inside, compose(invert(graph.poses[20]), graph.poses[20:]), atol=1e-9)
+
+
+@given(st.lists(st.tuples(st.integers(0, 19), st.integers(0, 19)), max_size=8))
+def test_loose_parts_are_those_that_networkx_finds_apart(pairs: list[tuple[int, int]]) -> None:
+    graph = graph_by_hand(line(20), breaks=range(2, 20, 2))
+    pieces = nx.empty_graph(10)
+    pieces.add_edges_from((a // 2, b // 2) for a, b in pairs)
+    with_first = nx.node_connected_component(pieces, 0)
+    loops = [link(a, b, (0.0, 0.0, 0.0)) for a, b in pairs]
+    expected = tuple(2 * part for part in range(10) if part not in with_first)
+    assert loose_starts(graph, loops) == expected
+
+
+@pytest.mark.parametrize("loops", [(), (link(0, 3, (0.0, 0.0, 0.0)),)])
+def test_a_path_in_one_part_is_never_loose(loops: tuple[()]) -> None:
+    graph = graph_by_hand(line(5))
+    assert loose_starts(graph, as_tracked(graph, *loops).loops) == ()

@@ -1,0 +1,114 @@
+"""Walls matched with walls in the ring: the right pose, its uncertainty, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.path_graph import Graph
+from specmap_cli.layout.wall_matching import WallFit, match_walls, nearby_link
+from specmap_cli.layout.walls import Walls
+from tests.layout.driving import between, scans_of
+
+CONFIG = RelaxationConfig()
+Perfect = tuple[KeyframeStore, Graph]
+
+
+def pass_of(perfect: Perfect, row: int) -> tuple[FloatArray, FloatArray, Pose2]:
+    """Walls of a node of the second lap, of the same place in the first, and the true pose."""
+    store, graph = perfect
+    away = np.hypot(*(graph.poses[:100, :2] - graph.poses[row, :2]).T)
+    old, walls = int(np.argmin(away)), Walls(store, graph, CONFIG.match_range_m)
+    source, target = walls.around(row, 3, graph.poses), walls.around(old, 8, graph.poses)
+    return source, target, between(graph.poses, old, row)
+
+
+def corridor(beams: int = 720) -> FloatArray:
+    """What is seen in the middle of a bare corridor along x, 2 m wide and very long."""
+    cells = np.full((60, 1000), OCCUPIED, dtype=np.uint8)
+    cells[10:50] = FREE
+    (scan,) = scans_of(GridMap(cells, 0.05), np.array([[25.0, 1.5, 0.0]]), beams)
+    return scan.hits(6.0)
+
+
+def deviations(fit: WallFit | None) -> FloatArray:
+    """Standard deviations of x, y and heading in the frame of the source."""
+    assert fit is not None
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(fit.information))))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_pass_is_matched_to_centimetres(perfect: Perfect, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    source, target, truth = pass_of(perfect, int(rng.integers(142, 205)))
+    error = Pose2(*rng.uniform((-0.7, -0.7, -0.14), (0.7, 0.7, 0.14)).tolist())
+    fit = match_walls(source, target, truth @ error, 1.0, CONFIG)
+    assert fit is not None
+    gap = truth.inverse() @ fit.target_from_source
+    assert gap.distance < 0.05
+    assert abs(gap.theta) < 0.02
+    assert (np.linalg.eigvalsh(fit.information) > 0).all()
+    assert np.allclose(fit.information, fit.information.T)
+
+
+def test_another_place_does_not_fit(perfect: Perfect) -> None:
+    store, graph = perfect
+    walls = Walls(store, graph, CONFIG.match_range_m)
+    source, target = (walls.around(row, reach, graph.poses) for row, reach in ((10, 3), (45, 8)))
+    here = Pose2(0.0, 0.0, 0.0)
+    assert match_walls(source, target, here, 1.0, CONFIG) is None
+    lax = RelaxationConfig(loop_score=0.0)
+    assert match_walls(source, target, here, 1.0, lax) is not None, "the score alone refuses it"
+
+
+def test_what_lies_farther_off_than_the_drift_is_not_found(perfect: Perfect) -> None:
+    source, target, truth = pass_of(perfect, 190)
+    guess = truth @ Pose2(2.0, 0.0, 0.0)
+    near = match_walls(source, target, guess, 0.5, CONFIG)
+    far = match_walls(source, target, guess, 2.2, CONFIG)
+    assert near is None or (truth.inverse() @ near.target_from_source).distance > 0.5
+    assert far is not None
+    assert (truth.inverse() @ far.target_from_source).distance < 0.05
+
+
+@pytest.mark.parametrize(("count", "least", "found"), [(40, 20, True), (40, 60, False)])
+def test_too_few_points_are_not_matched(count: int, least: int, found: bool) -> None:
+    points = corridor()
+    few = points[:: len(points) // count]
+    config = RelaxationConfig(match_points=least, loop_score=0.1)
+    here = Pose2(0.0, 0.0, 0.0)
+    assert (match_walls(few, points, here, 0.3, config) is not None) is found
+    assert match_walls(np.zeros((0, 2)), points, here, 0.3, config) is None
+
+
+@pytest.mark.parametrize(("turn", "open_axis"), [(0.0, 0), (np.pi / 2, 1)])
+def test_along_a_corridor_a_match_is_loose_in_the_frame_of_the_source(
+    turn: float, open_axis: int
+) -> None:
+    """One robot looks along the corridor and may be off ahead, one looks at a wall."""
+    points = corridor()
+    target_from_source = Pose2(0.0, 0.0, turn)
+    source = target_from_source.inverse().apply(points)
+    deviation = deviations(match_walls(source, points, target_from_source, 0.3, CONFIG))
+    assert deviation[open_axis] > 0.1
+    assert deviation[1 - open_axis] < 0.05
+
+
+def test_in_a_bare_corridor_the_nearest_of_equal_places_is_taken() -> None:
+    short = corridor(500)
+    short = short[np.abs(short[:, 0]) < 3.0]
+    fit = match_walls(short, corridor(), Pose2(0.5, 0.0, 0.0), 2.0, CONFIG)
+    assert fit is not None
+    assert abs(fit.target_from_source.x - 0.5) < 0.35
+    assert abs(fit.target_from_source.y) < 0.03
+
+
+def test_a_link_names_the_keyframes_of_its_rows(perfect: Perfect) -> None:
+    _, graph = perfect
+    made = nearby_link(graph, 3, 200, WallFit(Pose2(1.0, 2.0, 0.5), np.eye(3)))
+    assert (made.source, made.target) == (graph.nodes[3], graph.nodes[200])
+    assert (made.kind, made.source_from_target) == ("nearby", (1.0, 2.0, 0.5))

@@ -1,0 +1,218 @@
+"""The table of readers, and the documented example of one as a package of its own."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import tempfile
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.errors import LogError, UsageError
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs import Message, open_log
+from specmap_cli.logs.convert import convert
+from specmap_cli.logs.inspection import summarize
+from specmap_cli.logs.readers import Recording
+from specmap_cli.logs.readers.table import BUILT_IN, format_names, known_readers
+from specmap_cli.logs.stream import SweepStream
+
+Install = Callable[..., None]
+
+LINES = b"RANGES 1\n" + b"".join(
+    b"%d 1.0 2.0 3.0 %d.5\n" % (1_700_000_000_000_000_000 + n * 100_000_000, n) for n in range(1, 6)
+)
+BARE = """
+from specmap_cli.logs.readers import Contents, Recording
+class {name}(Recording):
+    {body}
+    def close(self): pass
+"""
+WHOLE = "contents = Contents((), 0, 0)\n    def messages(self, topics=None): return iter(())"
+
+
+def documented_reader() -> str:
+    """The code that the docstring of `Recording` shows."""
+    text = textwrap.dedent(f"    {Recording.__doc__}")
+    code = text.partition("A whole reader")[2].partition("::\n")[2]
+    return textwrap.dedent(code)
+
+
+@pytest.fixture
+def range_lines(install: Install) -> None:
+    """The documented reader as an installed package."""
+    install("range_lines", documented_reader(), entry="range_lines:RangeLines")
+
+
+@pytest.mark.usefixtures("range_lines")
+def test_a_reader_of_another_package_reads_its_log(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    path.write_bytes(LINES)
+    with open_log(path) as log:
+        assert log.format == "range lines"
+        stream = SweepStream(log, LogConfig())
+        sweeps = list(stream)
+        summary = summarize(log)
+    assert stream.expected == len(sweeps) == 5
+    assert [s.planar.ranges.tolist() for s in sweeps] == [[1, 2, 3, n + 0.5] for n in range(1, 6)]
+    assert (
+        summary.outlook.chosen == "scans from /scan (LaserScan, 5), no odometry, base frame laser"
+    )
+    assert summary.outlook.next_command == f"specmap build {path}"
+    assert summary.extent.duration_s == pytest.approx(0.4)
+
+
+@pytest.mark.usefixtures("range_lines")
+def test_its_log_is_converted(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    path.write_bytes(LINES)
+    convert(path, tmp_path / "out.mcap")
+    with open_log(path) as before, open_log(tmp_path / "out.mcap") as after:
+        assert list(before.messages()) == list(after.messages())
+        assert (before.format, after.format) == ("range lines", "MCAP")
+
+
+@pytest.mark.usefixtures("range_lines")
+@pytest.mark.parametrize("compress", [gzip.compress, bz2.compress])
+def test_its_log_is_read_inside_a_compressed_file(
+    tmp_path: Path, compress: Callable[[bytes], bytes]
+) -> None:
+    path = tmp_path / "log.txt.packed"
+    path.write_bytes(compress(LINES + b"oops\n"))
+    before = set(Path(tempfile.gettempdir()).glob("specmap-*"))
+    with open_log(path) as log:
+        first, second = list(log.messages()), list(log.messages())
+        assert first == second
+        assert len(first) == 5
+        assert log.damage == [f"{path}: line 7 is damaged: one scan is lost"]
+        assert log.paths == [path]
+    assert set(Path(tempfile.gettempdir()).glob("specmap-*")) == before, "nothing is left behind"
+
+
+@pytest.mark.usefixtures("range_lines")
+def test_its_logs_are_found_in_a_directory(
+    tmp_path: Path, drive: Path, drive_messages: list[Message]
+) -> None:
+    folder = tmp_path / "recording"
+    folder.mkdir()
+    (folder / "a.txt").write_bytes(LINES)
+    (folder / "b.mcap").write_bytes(drive.read_bytes())
+    (folder / "notes.txt").write_text("RANGES of hills\n")
+    with open_log(folder) as log:
+        assert log.format == "MCAP + range lines"
+        assert log.paths == [folder / "b.mcap", folder / "a.txt"]
+        assert log.contents.messages == len(drive_messages) + 5
+
+
+def test_an_installed_reader_is_asked_before_the_built_in_ones(
+    drive: Path, install: Install
+) -> None:
+    body = f'format = "dialect"; magic = b"\\x89MCAP"\n    {WHOLE}'
+    install("dialect", BARE.format(name="Dialect", body=body), entry="dialect:Dialect")
+    assert list(known_readers()) == ["dialect", *BUILT_IN]
+    with open_log(drive) as log:
+        assert log.format == "dialect"
+
+
+def test_what_no_reader_knows_is_refused_with_the_formats_known(
+    tmp_path: Path, install: Install
+) -> None:
+    path = tmp_path / "log.txt"
+    path.write_text("hello\n")
+    expected = (
+        "a text file, not a recording; expected {}MCAP, rosbag2 (SQLite), ROS 1 bag or CARMEN"
+    )
+    with pytest.raises(LogError) as caught:
+        open_log(path)
+    assert str(caught.value) == f"{path}: {expected.format('')} log"
+    body = f'format = "made-up"; magic = b"MADE"\n    {WHOLE}'
+    install("made_up", BARE.format(name="MadeUp", body=body), entry="made_up:MadeUp")
+    with pytest.raises(LogError) as caught:
+        open_log(path)
+    assert str(caught.value) == f"{path}: {expected.format('made-up, ')} log"
+    path.write_bytes(b"MAD")
+    with pytest.raises(LogError, match="cut off after 3 bytes; no message can be read"):
+        open_log(path)
+
+
+def test_a_reader_may_know_its_files_by_more_than_their_first_bytes(
+    tmp_path: Path, install: Install
+) -> None:
+    body = f"""format = "ended"
+    @classmethod
+    def sniff(cls, head, file): return file.read_bytes().endswith(b"END")
+    {WHOLE}"""
+    install("ended", BARE.format(name="Ended", body=body), entry="ended:Ended")
+    path = tmp_path / "log"
+    path.write_bytes(bytes(10_000) + b"END")
+    with open_log(path) as log:
+        assert log.format == "ended"
+
+
+@pytest.mark.parametrize(
+    ("code", "entry", "said"),
+    [
+        (
+            "import no_such_module",
+            "broken:Reader",
+            "package broken: its specmap.readers entry 'broken' cannot be loaded: "
+            "ModuleNotFoundError: No module named 'no_such_module'; mend or remove the package",
+        ),
+        (
+            "x = 1",
+            "broken:Reader",
+            "package broken: its specmap.readers entry 'broken' cannot be loaded: "
+            "AttributeError: module 'broken' has no attribute 'Reader'; mend or remove the package",
+        ),
+        (
+            "def reader(file, path): ...",
+            "broken:reader",
+            "the reader 'broken' of specmap.readers is no class derived from "
+            "specmap_cli.logs.readers.Recording; mend or remove its package",
+        ),
+        (
+            BARE.format(name="Reader", body='format = "x"; magic = b"x"'),
+            "broken:Reader",
+            "the reader 'broken' of specmap.readers lacks contents, messages; "
+            "mend or remove its package",
+        ),
+        (
+            BARE.format(name="Reader", body=WHOLE),
+            "broken:Reader",
+            "the reader 'broken' of specmap.readers lacks format, magic or sniff; "
+            "mend or remove its package",
+        ),
+    ],
+)
+def test_a_broken_entry_point_is_one_clear_line(
+    drive: Path, install: Install, code: str, entry: str, said: str
+) -> None:
+    install("broken", code, entry=entry)
+    with pytest.raises(UsageError) as caught:
+        open_log(drive)
+    assert str(caught.value) == said
+
+
+def test_a_reader_cannot_take_the_name_of_another(drive: Path, install: Install) -> None:
+    install("mine", documented_reader(), entry="mine:RangeLines", name="mcap")
+    with pytest.raises(UsageError, match="package mine: offers 'mcap'"):
+        open_log(drive)
+
+
+def test_formats_are_named_in_a_phrase() -> None:
+    readers = list(BUILT_IN.values())
+    assert format_names(readers[:1]) == "MCAP"
+    assert format_names(readers[:2]) == "MCAP or rosbag2 (SQLite)"
+
+
+@pytest.mark.parametrize("name", sorted(BUILT_IN))
+def test_no_reader_claims_rubbish(tmp_path: Path, name: str) -> None:
+    rng = np.random.default_rng(3)
+    for size in (1, 7, 64, 5000):
+        path = tmp_path / "rubbish"
+        path.write_bytes(rng.integers(0, 256, size, dtype=np.uint8).tobytes())
+        assert not BUILT_IN[name].sniff(path.read_bytes()[:4096], path)

@@ -1,0 +1,207 @@
+"""The look at a log as `build` would, and how `info` tells it."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs import open_log
+from specmap_cli.logs.inspection import summarize
+from specmap_cli.logs.summary import (
+    Extent,
+    FrameSummary,
+    LogSummary,
+    Outlook,
+    ScanSummary,
+    TopicSummary,
+)
+from specmap_cli.logs.writer import LogWriter
+
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND
+
+
+def summary_of(path: Path | list[Path], **options: object) -> LogSummary:
+    with open_log(path) as log:
+        return summarize(log, LogConfig.model_validate(options))
+
+
+def write_scans(path: Path, count: int = 3, beams: int = 5, **scan: Any) -> None:
+    with LogWriter(path) as log:
+        for number in range(count):
+            stamp = START + number * SECOND // 2
+            values = {"range_max": 8.0, **scan}
+            log.scan("/scan", "laser", stamp, -1.0, 0.5, np.full(beams, 2.0), **values)
+
+
+def test_its_json_is_on_one_level(drive: Path) -> None:
+    plain = summary_of(drive).to_dict()
+    said = {"chosen", "damage", "next_command", "problem", "warnings"}
+    held = {"files", "format", "frames", "messages", "scan", "size_bytes", "topics"}
+    assert set(plain) == {*said, *held, "start_s", "end_s", "duration_s"}
+    assert json.loads(json.dumps(plain))["scan"]["range_max_m"] == 8.0
+    assert plain["files"] == (str(drive),)
+    assert plain["size_bytes"] == drive.stat().st_size
+    assert (plain["start_s"], plain["end_s"]) == (100.0, 102.95)
+
+
+def test_wrong_types_are_refused_at_once(drive: Path) -> None:
+    with pytest.raises(TypeError, match=r"^log: expected .*Log, found"):
+        summarize(str(drive))  # type: ignore[arg-type]
+    with (
+        open_log(drive) as log,
+        pytest.raises(TypeError, match=r"^config: .*LogConfig, found"),
+    ):
+        summarize(log, {"use_odometry": False})  # type: ignore[arg-type]
+
+
+def test_real_times_are_dates(tmp_path: Path) -> None:
+    write_scans(tmp_path / "log.mcap")
+    lines = summary_of(tmp_path / "log.mcap").lines()
+    assert lines[1] == ("3 messages in 1.0 s, 2023-11-14 22:13:20 UTC to 2023-11-14 22:13:21 UTC")
+
+
+def test_a_scan_with_times_and_without_a_maximum(tmp_path: Path) -> None:
+    write_scans(tmp_path / "log.mcap", range_max=0.0, time_increment=0.01)
+    summary = summary_of(tmp_path / "log.mcap")
+    assert summary.scan is not None
+    assert summary.scan.range_max_m == math.inf
+    assert summary.to_dict()["scan"]["range_max_m"] is None
+    said = "scan: 5 beams over 114.59 degrees in frame laser, of any range, with times"
+    assert said in summary.lines()
+
+
+def test_a_single_beam_and_a_single_message(tmp_path: Path) -> None:
+    write_scans(tmp_path / "log.mcap", count=1, beams=1)
+    summary = summary_of(tmp_path / "log.mcap")
+    assert summary.scan is not None
+    assert (summary.scan.beams, summary.scan.field_of_view_deg) == (1, 0.0)
+    assert summary.topics[0].rate_hz == 0.0
+    assert summary.lines()[3] == "  /scan         1  sensor_msgs/msg/LaserScan"
+
+
+@pytest.mark.parametrize(("degrees", "full"), [(360.0, True), (200.0, False)])
+def test_a_cloud_is_told_with_its_points_and_its_view(
+    tmp_path: Path, degrees: float, full: bool
+) -> None:
+    angles = np.radians(np.linspace(-degrees / 2, degrees / 2, 4000, endpoint=False))
+    points = np.column_stack([3 * np.cos(angles), 3 * np.sin(angles), np.full(4000, 0.5)])
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.static_transform("base_link", "lidar", (0.0, 0.0, 0.4), stamp_ns=START)
+        log.cloud("/points", "lidar", START, points)
+    summary = summary_of(tmp_path / "log.mcap")
+    assert summary.scan is not None
+    assert (summary.scan.points, summary.scan.full_circle) == (4000, full)
+    assert summary.scan.field_of_view_deg == pytest.approx(degrees, abs=0.6)
+    assert any(line.startswith("scan: 4,000 points over") for line in summary.lines())
+
+
+def test_frames_are_those_above_the_scan(tmp_path: Path) -> None:
+    turn = Rotation.from_euler("ZYX", [90.0, -20.0, 180.0], degrees=True).as_quat()
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.static_transform("base_link", "laser", (0.1, -0.2, 0.3), tuple(turn), START)
+        log.static_transform("base_link", "camera", (0.0, 0.0, 1.0), stamp_ns=START)
+        log.transform("odom", "base_link", START, Pose2(1.0, 2.0, 0.5))
+        log.scan("/scan", "laser", START, -1.0, 0.5, np.full(5, 2.0), range_max=8.0)
+    summary = summary_of(tmp_path / "log.mcap")
+    lines = summary.lines()
+    place = lines.index("frames:")
+    assert lines[place + 1 : place + 4] == [
+        "  odom -> base_link  moving",
+        "  base_link -> laser  at (0.1, -0.2, 0.3) m, roll 180, pitch -20, yaw 90 degrees",
+        "  and 1 other frame",
+    ]
+    assert [frame.child for frame in summary.frames] == ["base_link", "camera", "laser"]
+
+
+def test_a_log_of_unreadable_scans_has_no_next_command(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.mcap") as log:
+        for number in range(2):
+            log.scan("/scan", "laser", START + number, -1.0, 0.5, [], range_max=8.0)
+    summary = summary_of(tmp_path / "log.mcap")
+    assert summary.outlook.problem == "no usable scan on /scan"
+    assert summary.outlook.next_command is None
+    assert summary.outlook.chosen is not None
+    assert summary.scan is None
+
+
+def test_a_named_frame_that_is_not_there_is_a_problem_with_a_command(drive: Path) -> None:
+    summary = summary_of(drive, base_frame="body", scan_topic="/scan")
+    assert summary.outlook.problem is not None
+    assert "--base-frame body: no transform joins it" in summary.outlook.problem
+    assert summary.outlook.next_command == f"specmap build {drive} --scan-topic /scan"
+    assert [frame.child for frame in summary.frames] == ["laser"]
+
+
+def test_many_files_are_named_in_short(tmp_path: Path) -> None:
+    paths = [tmp_path / f"part {number}.mcap" for number in range(4)]
+    for path in paths:
+        write_scans(path)
+    summary = summary_of(paths)
+    first = ", ".join(str(path) for path in paths[:3])
+    assert summary.lines()[0].startswith(f"{first} ...: MCAP, 0.0 MB")
+    quoted = " ".join(f"'{path}'" for path in paths)
+    assert summary.outlook.next_command == f"specmap build {quoted}"
+
+
+def test_every_line_has_its_place() -> None:
+    summary = LogSummary(
+        extent=Extent(
+            files=("log",),
+            format="MCAP",
+            size_bytes=2_500_000,
+            messages=1,
+            start_s=0.5,
+            end_s=2.0,
+            duration_s=1.5,
+        ),
+        topics=(
+            TopicSummary(name="/a", type="T", count=1234, rate_hz=0.04),
+            TopicSummary(name="/long", type="U", count=2, rate_hz=0.05),
+        ),
+        frames=(
+            FrameSummary(
+                parent="a",
+                child="b",
+                xyz_m=(1.0, 0.0, 0.0),
+                roll_pitch_yaw_deg=(0.0, 0.0, 0.5),
+                moving=False,
+            ),
+        ),
+        scan=ScanSummary(
+            topic="/a",
+            frame="elsewhere",
+            beams=3,
+            field_of_view_deg=90.0,
+            full_circle=False,
+            range_max_m=8.0,
+            point_times=False,
+            points=None,
+        ),
+        outlook=Outlook(chosen="all", problem="none", next_command="go", warnings=("w1", "w2")),
+        damage=("d",),
+    )
+    assert summary.lines() == [
+        "log: MCAP, 2.5 MB",
+        "1 message in 1.5 s, 0.500 s to 2.000 s",
+        "topics:",
+        "  /a        1,234  T",
+        "  /long         2  U  0.1 Hz",
+        "frames:",
+        "  a -> b  at (1, 0, 0) m, roll 0, pitch 0, yaw 0.5 degrees",
+        "scan: 3 beams over 90 degrees in frame elsewhere, up to 8 m, all at one time",
+        "build would read: all",
+        "warning: w1",
+        "warning: w2",
+        "damage: d",
+        "problem: none",
+        "next: go",
+    ]

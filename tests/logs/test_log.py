@@ -1,0 +1,88 @@
+"""Recordings joined to one log."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.logs import Log, Message, TopicInfo
+from specmap_cli.logs.readers import Contents, Recording, survey
+
+
+class Listed(Recording):
+    """A recording of given messages, which remembers how often it was closed."""
+
+    format = "list"
+
+    def __init__(self, name: str, messages: list[Message]) -> None:
+        super().__init__(Path(name))
+        self.listed = messages
+        self.closed = 0
+
+    @property
+    def contents(self) -> Contents:
+        return survey((m.topic, m.type, m.time_ns) for m in self.listed)
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        return (m for m in self.listed if topics is None or m.topic in topics)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Other(Listed):
+    format = "another"
+
+
+def at(*times: int, topic: str = "/a", kind: str = "T") -> list[Message]:
+    return [Message(topic, kind, time, b"") for time in times]
+
+
+def test_files_come_in_the_order_of_their_first_messages() -> None:
+    parts = [Listed("b", at(5, 9)), Other("c", at(1, 2)), Listed("a", at(5, 6))]
+    log = Log(parts, [Path("folder"), Path("c"), Path("d")])
+    assert [path.name for path in log.paths] == ["c", "a", "b"]
+    assert [m.time_ns for m in log.messages()] == [1, 2, 5, 5, 6, 9]
+    assert log.format == "another + list"
+    assert log.name == "folder and 2 more"
+    assert Log(parts[:1], [Path("b")]).name == "b"
+    assert Log(parts[:1], [Path("b")]).format == "list"
+
+
+@given(st.lists(st.lists(st.integers(1, 99)), min_size=1, max_size=4))
+def test_its_contents_are_those_of_its_messages(times: list[list[int]]) -> None:
+    parts = [Listed(str(n), at(*part, topic=f"/{n % 2}")) for n, part in enumerate(times)]
+    log = Log(parts, [Path("log")])
+    assert log.contents == survey((m.topic, m.type, m.time_ns) for m in log.messages())
+
+
+def test_a_topic_with_two_types_is_listed_for_each() -> None:
+    log = Log([Listed("a", at(1)), Listed("b", at(2, 3, kind="U"))], [Path("a"), Path("b")])
+    assert log.topics() == [TopicInfo("/a", "T", 1), TopicInfo("/a", "U", 2)]
+
+
+def test_only_the_wanted_topics_are_read() -> None:
+    log = Log([Listed("a", at(1, 3)), Listed("b", at(2, topic="/b"))], [Path("a")])
+    assert [m.time_ns for m in log.messages(["/b"])] == [2]
+    assert list(log.messages([])) == []
+
+
+def test_damage_is_told_file_by_file_as_it_is_met() -> None:
+    late, early = Listed("late", at(7)), Listed("early", at(1))
+    log = Log([late, early], [Path("a")])
+    assert log.damage == []
+    late.report("cut off")
+    early.report("a chunk is lost")
+    assert log.damage == ["early: a chunk is lost", "late: cut off"]
+
+
+def test_a_block_releases_the_files_once() -> None:
+    parts = [Listed("a", at(1)), Listed("b", at(2))]
+    with pytest.raises(KeyError), Log(parts, [Path("a")]) as log:
+        raise KeyError
+    log.close()
+    assert [part.closed for part in parts] == [1, 1]

@@ -1,0 +1,178 @@
+"""Topological maps as the records of topology.json, and back, without files."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.records import Closure
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.maps.conversion import from_record, image_stem, to_record
+from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.maps.writing import MapResult
+from specmap_cli.topology.outlines import Outline
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.topological_map import (
+    Edge,
+    LogInfo,
+    Submap,
+    TopologicalMap,
+    Traversal,
+    Visit,
+)
+from tests.strategies import poses
+
+GRID = GridMap(np.zeros((2, 2), dtype=np.uint8), 0.1)
+STAMPS = st.integers(0, 2**61)
+# of floats only as much as seconds as a double can say exactly to the microsecond
+TIMES = st.integers(0, 2 * 10**15).map(lambda microseconds: microseconds * 1000)
+CLOSURE = Closure(
+    new=5,
+    old=2,
+    xi=math.nan,
+    claims_new_by_old=0.25,
+    claims_old_by_new=math.nan,
+    verified=False,
+    merged=False,
+    score=math.nan,
+    reason="claims too low",
+)
+
+
+def regions_of(**centroids: tuple[float, float]) -> Regions:
+    """Regions `s0`, `s1`, ... that are triangles around their centroids."""
+    outlines = {
+        int(name[1:]): Outline(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1e-9]]), np.array(c), 2.5)
+        for name, c in centroids.items()
+    }
+    return Regions(GRID, np.zeros((2, 2), dtype=np.int64), outlines)
+
+
+def submap(id_: int, frame: Pose2 = IDENTITY, keyframes: tuple[int, ...] = ()) -> Submap:
+    return Submap(id=id_, map_from_submap=frame, grid=GRID, keyframes=keyframes)
+
+
+def record_of(topology: TopologicalMap, regions: Regions | None = None) -> TopologyRecord:
+    return to_record(topology, regions or regions_of(), LogInfo("a.mcap"))
+
+
+def back(record: TopologyRecord) -> TopologicalMap:
+    """The map of a record, keyframes ten a submap."""
+    return from_record(record, lambda _: GRID, lambda id_: range(10 * id_, 10 * id_ + 10))
+
+
+@given(poses, poses, st.lists(st.tuples(TIMES, poses), max_size=3), TIMES, TIMES)
+def test_there_and_back(
+    frame: Pose2,
+    transform: Pose2,
+    crossings: list[tuple[int, Pose2]],
+    start: int,
+    end: int,
+) -> None:
+    """But for what six decimals of metres and whole microseconds take."""
+    traversals = tuple(Traversal(stamp, 3, 7, pose) for stamp, pose in crossings)
+    edge = Edge(
+        source=3, target=7, kind="traversed", traversals=traversals, source_from_target=transform
+    )
+    visited = replace(submap(3, frame, tuple(range(30, 40))), visits=(Visit(start, end),))
+    written = TopologicalMap(submaps={3: visited, 7: submap(7)}, edges={(3, 7): edge})
+    read = back(record_of(written))
+    assert read.submaps[3].keyframes == visited.keyframes
+    assert read.submaps[3].visits == visited.visits
+    assert read.submaps[3].map_from_submap == pytest.approx(frame, abs=1e-6)
+    found = read.edges[3, 7]
+    assert found.source_from_target == pytest.approx(transform, abs=1e-6)
+    assert [t.stamp_ns for t in found.traversals] == [stamp for stamp, _ in crossings]
+    for traversal, (_, pose) in zip(found.traversals, crossings, strict=True):
+        assert traversal.pose == pytest.approx(pose, abs=1e-6)
+
+
+def test_all_that_was_read_cannot_be_changed_and_is_written_the_same(result: MapResult) -> None:
+    record = to_record(result.topology, result.regions, result.log)
+    read = from_record(record, lambda _: GRID, lambda _: ())
+    assert isinstance(read.closures, tuple)
+    for edge in read.edges.values():
+        assert isinstance(edge.traversals, tuple)
+    for part in read.submaps.values():
+        assert isinstance(part.keyframes, tuple)
+        assert isinstance(part.visits, tuple)
+    again = to_record(read, result.regions, result.log)
+    assert again.graph == record.graph
+    assert again.edges == record.edges
+
+
+def test_nodes_and_edges_are_by_id_and_closures_as_considered() -> None:
+    edges = {pair: Edge(source=pair[0], target=pair[1], kind="loose") for pair in ((4, 9), (2, 9))}
+    closures = (CLOSURE, replace(CLOSURE, old=0), replace(CLOSURE, old=1))
+    record = record_of(
+        TopologicalMap(submaps={k: submap(k) for k in (9, 2, 4)}, edges=edges, closures=closures)
+    )
+    assert [node.id for node in record.nodes] == [2, 4, 9]
+    assert [(edge.source, edge.target) for edge in record.edges] == [(2, 9), (4, 9)]
+    assert [closure.old for closure in record.graph.closures] == [2, 0, 1]
+
+
+def test_what_is_not_a_number_is_null_and_back() -> None:
+    (written,) = record_of(TopologicalMap(closures=(CLOSURE,))).graph.closures
+    assert (written.xi, written.score, written.claims_old_by_new) == (None, None, None)
+    assert (written.claims_new_by_old, written.transform) == (0.25, None)
+    (read,) = back(record_of(TopologicalMap(closures=(CLOSURE,)))).closures
+    assert math.isnan(read.xi)
+    assert math.isnan(read.score)
+    assert (read.reason, read.old_from_new, read.merged) == ("claims too low", None, False)
+    verified = replace(CLOSURE, verified=True, old_from_new=Pose2(1.0, -2.0, 0.5))
+    (kept,) = back(record_of(TopologicalMap(closures=(verified,)))).closures
+    assert kept.old_from_new == (1.0, -2.0, 0.5)
+
+
+def test_the_way_runs_from_centroid_to_centroid_through_the_crossing() -> None:
+    regions = regions_of(s0=(0.0, 0.0), s1=(4.0, 0.0))
+    through = (Traversal(0, 0, 1, Pose2(0.0, 3.0, 0.0)),)
+    for edge, metres in (
+        (Edge(source=0, target=1, kind="traversed", traversals=through), 3.0 + 5.0),
+        (Edge(source=0, target=1, kind="loose"), 4.0),
+        (Edge(source=0, target=1, kind="doorway", doorway=(4.0, 3.0), width_m=0.9), 5.0 + 3.0),
+    ):
+        topology = TopologicalMap(submaps={0: submap(0), 1: submap(1)}, edges={(0, 1): edge})
+        (written,) = record_of(topology, regions).edges
+        assert written.distance_m == pytest.approx(metres)
+        assert back(record_of(topology, regions)).edges[0, 1] == edge
+
+
+def test_a_submap_that_owns_nothing_is_where_its_frame_is() -> None:
+    """It has no centroid: the way leads to its origin."""
+    far = submap(1, Pose2(0.0, -6.0, 1.0))
+    edge = Edge(source=0, target=1, kind="loose")
+    topology = TopologicalMap(submaps={0: submap(0), 1: far}, edges={(0, 1): edge})
+    record = record_of(topology, regions_of(s0=(0.0, 2.0)))
+    assert record.edges[0].distance_m == pytest.approx(8.0)
+    assert record.nodes[1].centroid is None
+    assert (record.nodes[0].polygon[2], record.nodes[0].area_m2) == ((0.0, 0.0), 2.5)
+
+
+def test_a_submap_has_a_name_and_a_picture_and_keyframes_only_if_there_are_scans() -> None:
+    named = replace(submap(1, keyframes=(4,)), name="kitchen")
+    record = record_of(TopologicalMap(submaps={0: submap(0), 1: named}))
+    assert [node.name for node in record.nodes] == ["submap 0", "kitchen"]
+    assert [node.image for node in record.nodes] == ["submaps/000.png", "submaps/001.png"]
+    assert image_stem(1234) == "submaps/1234"
+    read = back(record)
+    assert read.submaps[0].keyframes == (), "a table of keyframes is not even asked for"
+    assert read.submaps[1].keyframes == tuple(range(10, 20))
+
+
+@given(STAMPS, STAMPS)
+def test_the_log_is_told_in_seconds(start: int, end: int) -> None:
+    log = LogInfo(name="a.mcap", start_ns=start, end_ns=end, scans=7)
+    told = to_record(TopologicalMap(), regions_of(), log, frame="odom").graph
+    assert (told.frame, told.log.name, told.log.scans) == ("odom", "a.mcap", 7)
+    assert told.log.start == pytest.approx(start * 1e-9, abs=1e-6)
+    assert told.log.end == pytest.approx(end * 1e-9, abs=1e-6)
+    nothing = to_record(TopologicalMap(), regions_of(), LogInfo("plan.yaml")).graph.log
+    assert (nothing.start, nothing.end, nothing.scans) == (None, None, 0)

@@ -1,0 +1,127 @@
+"""The format of topology.json: its models, its JSON Schema, and what other tools make of it."""
+
+from __future__ import annotations
+
+import json
+import ntpath
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import networkx as nx
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import TypeAdapter, ValidationError
+
+from specmap_cli.maps import schema
+
+
+def test_topology_follows_its_schema(stored: Path) -> None:
+    document = json.loads((stored / "topology.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema.json_schema())
+    jsonschema.validate(document, schema.json_schema())
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**document, "nodes": [{"id": 0}]}, schema.json_schema())
+
+
+def test_the_shipped_schema_is_that_of_the_models() -> None:
+    shipped = json.loads(schema.SCHEMA_FILE.read_text())
+    assert shipped == schema.json_schema()
+
+
+def test_networkx_reads_topology_as_it_is(stored: Path) -> None:
+    document = json.loads((stored / "topology.json").read_text())
+    graph = nx.node_link_graph(document, edges="edges")
+    assert list(graph.nodes) == [0, 1, 2]
+    assert sorted(graph.edges) == [(0, 1), (0, 2)]
+    assert graph.edges[0, 1]["kind"] == "traversed"
+    assert graph.graph["log"]["scans"] == 30
+    assert nx.is_connected(graph)
+
+
+def test_the_module_prints_the_file_to_ship() -> None:
+    command = [sys.executable, "-m", "specmap_cli.maps.schema"]
+    printed = subprocess.run(command, capture_output=True, check=True)
+    shipped = schema.SCHEMA_FILE.read_bytes()
+    assert json.loads(printed.stdout) == json.loads(shipped), (
+        "run `python -m specmap_cli.maps.schema > specmap_cli/maps/topology.schema.json`"
+    )
+    assert printed.stderr == b""
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("directed", True),
+        ("multigraph", None),
+        ("graph__schema_version", 2),
+        ("graph__frame", 7),
+        ("graph__log__scans", -1),
+        ("graph__closures__0__xi", "high"),
+        ("graph__closures__0__transform", [1.0, 2.0]),
+        ("nodes__0__id", -1),
+        ("nodes__0__id", 0.5),
+        ("nodes__0__area_m2", -0.1),
+        ("nodes__0__visits", {}),
+        ("nodes__0__polygon", [[1.0, 2.0, 3.0]]),
+        ("nodes__0__colour", "red"),
+        ("edges__0__kind", "tunnel"),
+        ("edges__0__traversals__0__from", None),
+        ("edges__0__distance_m", -2.0),
+        ("edges", None),
+    ],
+)
+def test_models_and_json_schema_refuse_the_same_documents(
+    stored: Path, key: str, value: Any
+) -> None:
+    document = json.loads((stored / "topology.json").read_text())
+    *parents, last = (int(part) if part.isdigit() else part for part in key.split("__"))
+    place = document
+    for parent in parents:
+        place = place[parent]
+    schema.TopologyRecord.model_validate(document)
+    place[last] = value
+    with pytest.raises(ValidationError):
+        schema.TopologyRecord.model_validate(document)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(document, schema.json_schema())
+
+
+@pytest.mark.parametrize("record", ["graph", "nodes__0", "edges__0", "edges__0__traversals__0"])
+def test_no_key_may_be_missing(stored: Path, record: str) -> None:
+    document = json.loads((stored / "topology.json").read_text())
+    place = document
+    for part in record.split("__"):
+        place = place[int(part) if part.isdigit() else part]
+    for key in list(place):
+        value = place.pop(key)
+        with pytest.raises(ValidationError, match=key):
+            schema.TopologyRecord.model_validate(document)
+        place[key] = value
+
+
+def accepted(name: str) -> bool:
+    try:
+        TypeAdapter(schema.InnerPath).validate_python(name)
+    except ValidationError:
+        return False
+    return True
+
+
+@given(st.lists(st.sampled_from([*"ab./\\:", "..", "../", "\n"]), max_size=8).map("".join))
+def test_images_lie_inside_the_map_directory(name: str) -> None:
+    """Whatever name is accepted, no way of reading it leads out of the directory."""
+    if accepted(name):
+        inside = os.path.normpath(os.path.join("/maps/home", name))
+        assert inside == "/maps/home" or inside.startswith("/maps/home/")
+        assert ntpath.splitdrive(name)[0] == ""
+        assert "\n" not in name
+
+
+@pytest.mark.parametrize("name", ["submaps/000.png", "a.b/c", "..a", "räume/küche.png"])
+def test_plain_names_of_images_are_accepted(name: str) -> None:
+    assert accepted(name)

@@ -1,0 +1,215 @@
+"""Writing map directories: every file, the same bytes every time."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import hashlib
+import json
+import math
+import os
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.map_server import read_grid
+from specmap_cli.maps.store import read_map
+from specmap_cli.maps.writing import MapResult, write_map, write_segmentation
+from specmap_cli.topology.regions import NOBODY, Regions, divide
+from specmap_cli.topology.topological_map import Edge, LogInfo, Submap, TopologicalMap
+from tests.house import whole_of
+from tests.strategies import seeds
+
+FILES = {
+    "classifiers.json",
+    "labels.csv",
+    "map.png",
+    "map.yaml",
+    "overview.png",
+    "run.json",
+    "submaps/000.png",
+    "submaps/000.yaml",
+    "submaps/001.png",
+    "submaps/001.yaml",
+    "submaps/002.png",
+    "submaps/002.yaml",
+    "topology.json",
+    "trajectory.g2o",
+    "trajectory.tum",
+}
+
+
+def digests(directory: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(directory)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(directory.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_all_files_and_no_other(stored: Path) -> None:
+    assert set(digests(stored)) == FILES
+
+
+def test_the_same_bytes_every_time(stored: Path, tmp_path: Path, result: MapResult) -> None:
+    again = tmp_path / "again"
+    again.mkdir()
+    write_map(again, result)
+    assert digests(again) == digests(stored)
+
+
+def test_numbers_in_topology(stored: Path) -> None:
+    text = (stored / "topology.json").read_text()
+    document = json.loads(text)
+    assert text.endswith("}\n")
+    assert "NaN" not in text
+    assert document["graph"]["closures"][1]["score"] is None
+    assert document["graph"]["log"]["start"] == 1_700_000_000.123456
+    assert json.dumps(document) == json.dumps(document, sort_keys=True)
+    corridor, room, _ = document["nodes"]
+    assert corridor["area_m2"] == pytest.approx(24.0, rel=1e-3)
+    assert room["centroid"] == pytest.approx([-3.0, 3.5], abs=0.1)
+    link, closure = document["edges"]
+    assert (link["x"], link["y"]) == (-3.0, 1.25)
+    way = math.dist(corridor["centroid"], (-3.0, 1.25)) + math.dist((-3.0, 1.25), room["centroid"])
+    assert link["distance_m"] == pytest.approx(way, abs=1e-5)
+    assert closure["x"] is None
+
+
+def test_the_grid_of_the_whole_map_is_that_of_the_regions(
+    tmp_path: Path, result: MapResult
+) -> None:
+    whole = GridMap(np.zeros((40, 50), dtype=np.uint8), 0.1, (-2.0, -2.0))
+    regions = divide(whole, result.labels)
+    write_map(tmp_path, dataclasses.replace(result, regions=regions))
+    assert read_grid(tmp_path / "map.yaml").cells.shape == (40, 50)
+
+
+def test_a_submap_that_owns_nothing_is_written(tmp_path: Path, result: MapResult) -> None:
+    empty = GridMap(np.full((3, 3), 2, dtype=np.uint8), 0.1)
+    submaps = {**result.topology.submaps}
+    submaps[2] = dataclasses.replace(submaps[2], grid=empty)
+    topology = TopologicalMap(submaps=submaps, edges=result.topology.edges)
+    regions = divide(whole_of(submaps.values()), result.labels)
+    write_map(tmp_path, dataclasses.replace(result, topology=topology, regions=regions))
+    node = read_map(tmp_path).record.nodes[2]
+    assert (node.centroid, node.polygon, node.area_m2) == (None, [], 0.0)
+
+
+def test_a_map_without_links(tmp_path: Path, result: MapResult) -> None:
+    only = TopologicalMap(submaps={0: result.topology.submaps[0]})
+    labels = dataclasses.replace(result.labels, submaps=np.zeros(30, dtype=np.int64))
+    write_map(tmp_path, dataclasses.replace(result, topology=only, labels=labels))
+    assert not read_map(tmp_path).topology.edges
+    assert read_map(tmp_path).record.edges == []
+
+
+def test_a_finished_map_cut_into_regions(tmp_path: Path) -> None:
+    grid = GridMap(np.zeros((20, 40), dtype=np.uint8), 0.1, (1.0, 2.0))
+    owner = np.zeros((20, 40), dtype=np.int64)
+    owner[:, 20:] = 1
+    owner[0, :] = NOBODY
+    submaps = {}
+    for id_ in (0, 1):
+        cells = np.where(owner == id_, 0, 2).astype(np.uint8)
+        part = GridMap(cells, grid.resolution, grid.origin)
+        submaps[id_] = Submap(id=id_, map_from_submap=Pose2(0.0, 0.0, 0.0), grid=part)
+    edge = Edge(source=0, target=1, kind="doorway", doorway=(3.0, 3.0), width_m=1.9)
+    topology = TopologicalMap(submaps=submaps, edges={(0, 1): edge})
+    write_segmentation(
+        tmp_path,
+        topology,
+        Regions.of(grid, owner),
+        LogInfo("plan.yaml"),
+        np.zeros((5, 5, 3), np.uint8),
+    )
+    labels = cv2.imread(str(tmp_path / "labels.png"), cv2.IMREAD_UNCHANGED)
+    assert labels is not None
+    assert labels.dtype == np.uint16
+    assert (labels == owner[::-1] + 1).all()
+    edge = read_map(tmp_path).topology.edges[0, 1]
+    assert (edge.kind, edge.crossing, edge.width_m) == ("doorway", (3.0, 3.0), 1.9)
+    assert (tmp_path / "overview.png").is_file()
+    with pytest.raises(MapError, match="classifiers"):
+        _ = read_map(tmp_path).classifiers
+
+
+def test_labels_csv(stored: Path) -> None:
+    with (stored / "labels.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["stamp", "x", "y", "theta", "submap"]
+    assert len(rows) == 30
+    assert rows[0]["stamp"] == "1700000000.123456789"
+    assert [row["submap"] for row in rows[8:12]] == ["0", "0", "1", "1"]
+
+
+def test_trajectory_tum(stored: Path, result: MapResult) -> None:
+    table = np.loadtxt(stored / "trajectory.tum")
+    assert table.shape == (30, 8)
+    assert table[:, 1:3] == pytest.approx(result.trajectory.poses[:, :2], abs=1e-6)
+    yaw = 2.0 * np.arctan2(table[:, 6], table[:, 7])
+    turn = yaw - result.trajectory.poses[:, 2]
+    assert np.cos(turn) == pytest.approx(np.ones(30))
+    first = (stored / "trajectory.tum").read_text().splitlines()[0].split()
+    assert first[0] == "1700000000.123456789"
+    assert [len(number.split(".")[1]) for number in first] == [9, 6, 6, 6, 9, 9, 9, 9]
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_the_frame_and_the_directory_may_be_named(
+    tmp_path: Path, result: MapResult, kind: type
+) -> None:
+    write_map(kind(tmp_path), dataclasses.replace(result, frame="building_7"))
+    assert read_map(kind(tmp_path)).record.graph.frame == "building_7"
+
+
+def test_run_json_is_plain_json(tmp_path: Path, result: MapResult) -> None:
+    run = {"b": np.float64("nan"), "a": {"n": np.int64(3), "inf": float("inf")}, "t": (1.5, 2)}
+    write_map(tmp_path, dataclasses.replace(result, run=run))
+    text = (tmp_path / "run.json").read_text()
+    assert json.loads(text) == {"a": {"inf": None, "n": 3}, "b": None, "t": [1.5, 2]}
+    assert text.index('"a"') < text.index('"b"')
+
+
+def test_the_picture_is_written_as_it_is(tmp_path: Path, result: MapResult) -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    write_map(tmp_path, dataclasses.replace(result, overview=picture))
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "overview.png")), picture)
+
+
+@settings(max_examples=25)
+@given(seeds, st.integers(2, 30), st.integers(2, 30))
+def test_labels_png_holds_any_division(seed: int, height: int, width: int) -> None:
+    """Ids up to 65534 there and back, the picture upside down: its first row is the highest y."""
+    rng = np.random.default_rng(seed)
+    owner = rng.choice([NOBODY, 0, 7, 300, 65_534], size=(height, width))
+    grid = GridMap(np.zeros((height, width), dtype=np.uint8), 0.1)
+    regions = Regions(grid, owner, {})
+    with tempfile.TemporaryDirectory() as folder:
+        overview = np.zeros((2, 2, 3), dtype=np.uint8)
+        write_segmentation(folder, TopologicalMap(), regions, LogInfo("plan"), overview)
+        written = cv2.imread(f"{folder}/labels.png", cv2.IMREAD_UNCHANGED)
+        assert written is not None
+        np.testing.assert_array_equal(written[::-1].astype(np.int64) - 1, owner)
+        assert sorted(os.listdir(folder)) == [
+            "labels.png",
+            "overview.png",
+            "submaps",
+            "topology.json",
+        ]
+
+
+def test_every_submap_s_grid_is_beside_the_map(tmp_path: Path, result: MapResult) -> None:
+    write_map(tmp_path, result)
+    for id_, submap in result.topology.submaps.items():
+        written = read_grid(tmp_path / "submaps" / f"{id_:03d}.yaml")
+        np.testing.assert_array_equal(written.cells, submap.grid.cells)
+        assert written.resolution == submap.grid.resolution

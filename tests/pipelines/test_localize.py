@@ -1,0 +1,214 @@
+"""Localising a log in a map of the flat: the whole way, and what the report says of it."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from specmap_cli import build_map, load_config, localize_log, read_map
+from specmap_cli.core.errors import LogError, MapError
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.progress import Silent
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.pipelines.localization_report import (
+    HEADER,
+    METRIC_HEADER,
+    LocalizationReport,
+    LocalizedScan,
+    write_csv,
+    write_plot,
+)
+from specmap_cli.pipelines.localize import settings_for
+from specmap_cli.pipelines.simulate import SimulationResult
+from specmap_cli.recognition.localization.localizer import Label
+
+
+@pytest.fixture(scope="module")
+def stored(flat_log: SimulationResult, tmp_path_factory: pytest.TempPathFactory) -> StoredMap:
+    """The map of the flat."""
+    out = tmp_path_factory.mktemp("map") / "map"
+    config = load_config(overrides={"recognition": {"rounds": 40}})
+    build_map(flat_log.log, out, config)
+    return read_map(out)
+
+
+@pytest.fixture(scope="module")
+def metric(flat_log: SimulationResult, stored: StoredMap) -> LocalizationReport:
+    """The map's own log localised in it, with poses."""
+    return localize_log(flat_log.log, stored, metric=True)
+
+
+def labelled(submaps: Sequence[int | None], poses: Sequence[Pose2 | None]) -> LocalizationReport:
+    """A report of made-up labels along a straight way of 0.1 m a scan."""
+    scans = tuple(
+        LocalizedScan(
+            label=Label(
+                stamp_ns=k * 10**8,
+                submap=submap,
+                margin=1.0,
+                runner_up=None,
+                filtered_submap=submap,
+                filtered_probability=0.9,
+            ),
+            track_from_base=Pose2(0.1 * k, 0.0, 0.0),
+            submap_from_base=pose,
+            score=math.nan if pose is None else 0.9,
+        )
+        for k, (submap, pose) in enumerate(zip(submaps, poses, strict=True))
+    )
+    return LocalizationReport(log="made.mcap", scans=scans, warnings=("a warning",))
+
+
+def test_the_map_s_own_log_is_found_where_it_was_taken(
+    stored: StoredMap, metric: LocalizationReport
+) -> None:
+    """Labels of keyframes are the map's, and poses within submaps meet those of the map."""
+    rows = {stamp: k for k, stamp in enumerate(stored.labels.stamps_ns.tolist())}
+    right, off = [], []
+    for scan in metric.scans:
+        k = rows.get(scan.label.stamp_ns)
+        if k is None or scan.label.filtered_submap is None or scan.submap_from_base is None:
+            continue
+        right.append(scan.label.filtered_submap == int(stored.labels.submaps[k]))
+        frame = stored.topology.submaps[scan.label.filtered_submap].map_from_submap
+        place = frame @ scan.submap_from_base
+        off.append(math.dist(place[:2], stored.labels.poses[k, :2].tolist()))
+    assert len(right) > 200
+    assert np.mean(right) > 0.9
+    assert np.median(off) < 0.05
+
+
+def test_offline_smoothing_keeps_the_raw_votes(
+    flat_log: SimulationResult, stored: StoredMap, metric: LocalizationReport
+) -> None:
+    smoothed = localize_log(flat_log.log, stored.path, offline=True)
+    assert len(smoothed.scans) == len(metric.scans)
+    for a, b in zip(smoothed.scans, metric.scans, strict=True):
+        assert (a.label.submap, a.label.margin) == (b.label.submap, b.label.margin)
+        assert a.submap_from_base is None
+    changed = [
+        a.label.filtered_submap != b.label.filtered_submap
+        for a, b in zip(smoothed.scans, metric.scans, strict=True)
+    ]
+    assert 0 < sum(changed) < len(changed) / 2
+
+
+def test_offline_poses_are_in_the_frames_of_the_smoothed_submaps(
+    flat_log: SimulationResult, stored: StoredMap, metric: LocalizationReport
+) -> None:
+    """A scan whose label smoothing changes is matched in the submap that it ended in."""
+    both = localize_log(flat_log.log, stored, offline=True, metric=True)
+    changed = 0
+    for a, b in zip(both.scans, metric.scans, strict=True):
+        assert (a.submap_from_base is None) == (a.label.filtered_submap is None)
+        if a.submap_from_base is None or a.score < 0.8:
+            continue
+        changed += a.label.filtered_submap != b.label.filtered_submap
+        frame = stored.topology.submaps[a.label.filtered_submap].map_from_submap  # type: ignore[index]
+        place = frame @ a.submap_from_base
+        assert math.dist(place[:2], a.track_from_base[:2]) < 0.6  # the map was built of this log
+    assert changed > 0
+
+
+def test_the_settings_are_the_map_s_but_topics_are_the_log_s(stored: StoredMap) -> None:
+    config = settings_for(stored, {"localization": {"stay": 0.9}})
+    assert config.recognition.rounds == 40
+    assert config.localization.stay == 0.9
+    assert config.log == LogConfig()
+
+
+def test_a_log_without_a_usable_scan_is_refused(stored: StoredMap, tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="no such file"):
+        localize_log(tmp_path / "gone.mcap", stored)
+
+
+def test_classifiers_of_other_submaps_are_refused(
+    flat_log: SimulationResult, stored: StoredMap
+) -> None:
+    record = stored.record
+    fewer = record.model_copy(update={"nodes": record.nodes[:-1]})
+    with pytest.raises(MapError, match=r"classifiers\.json: classifiers of the submaps"):
+        localize_log(flat_log.log, StoredMap(stored.path, fewer))
+
+
+def test_what_is_wrong_with_the_input_is_warned_of(
+    flat_log: SimulationResult, stored: StoredMap
+) -> None:
+    progress = Silent()
+    report = localize_log(flat_log.log, stored, progress=progress)
+    assert list(report.warnings) == progress.warnings
+
+
+class TestReport:
+    def test_it_counts_labels_and_how_often_raw_and_filtered_agree(self) -> None:
+        report = labelled([0, 0, 2, None], [None] * 4)
+        other = replace(report.scans[0].label, filtered_submap=2)
+        scans = (replace(report.scans[0], label=other), *report.scans[1:])
+        found = replace(report, scans=scans).as_dict()
+        assert found == {
+            "log": "made.mcap",
+            "scans": 4,
+            "raw": {"0": 2, "2": 1, "unknown": 1},
+            "filtered": {"0": 1, "2": 2, "unknown": 1},
+            "agreement": 0.75,
+            "warnings": ["a warning"],
+        }
+
+    def test_its_lines_are_a_table_with_unknown_last(self) -> None:
+        lines = labelled([3, None, 3], [None] * 3).lines()
+        assert lines[0] == "made.mcap: 3 scans, raw and filtered label agree on 100.0%"
+        assert [line.split() for line in lines[1:]] == [
+            ["submap", "raw", "filtered"],
+            ["3", "2", "2"],
+            ["unknown", "1", "1"],
+        ]
+
+    @pytest.mark.parametrize("with_poses", [False, True])
+    def test_its_csv_has_a_line_a_scan(self, with_poses: bool, tmp_path: Path) -> None:
+        report = labelled([4, None], [Pose2(1.0, 2.0, 0.5), None])
+        write_csv(tmp_path / "out.csv", report, with_poses)
+        text = (tmp_path / "out.csv").read_text()
+        assert text.splitlines()[0] == HEADER + (METRIC_HEADER if with_poses else "")
+        first, second = csv.DictReader(text.splitlines())
+        assert (first["stamp"], first["submap"]) == ("0.000000000", "4")
+        assert (second["submap"], second["filtered_submap"]) == ("", "")
+        assert second["stamp"] == "0.100000000"
+        if with_poses:
+            assert (first["x"], first["y"], first["theta"]) == ("1.000000", "2.000000", "0.500000")
+            assert (second["x"], second["score"]) == ("", "")
+        assert None not in first
+        assert None not in second
+
+    def test_its_picture_leaves_out_places_that_leap_away_and_back(
+        self, stored: StoredMap, tmp_path: Path
+    ) -> None:
+        """A few scans matched at the wrong end of a submap draw no line across the map."""
+        here, far = Pose2(0.0, 0.0, 0.0), Pose2(60.0, 60.0, 0.0)
+        poses = [here @ Pose2(0.1 * k, 0.0, 0.0) for k in range(40)]
+        leaping = [*poses[:20], far, far, *poses[22:]]
+        for name, track in (("straight", poses), ("leaping", leaping)):
+            write_plot(tmp_path / f"{name}.png", labelled([0] * 40, track), stored, True)
+        straight, other = (
+            cv2.imread(str(tmp_path / f"{name}.png")) for name in ("straight", "leaping")
+        )
+        assert straight is not None
+        assert other is not None
+        assert straight.shape == other.shape
+
+    def test_its_picture_without_a_map_shows_the_track(
+        self, stored: StoredMap, tmp_path: Path
+    ) -> None:
+        write_plot(
+            tmp_path / "track.png", labelled([0] * 20 + [1] * 20, [None] * 40), stored, False
+        )
+        picture = cv2.imread(str(tmp_path / "track.png"))
+        assert picture is not None
+        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 3

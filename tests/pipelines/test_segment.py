@@ -1,0 +1,93 @@
+"""Dividing a finished map: from a picture to a directory, and what it says of itself."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from specmap_cli import read_map, segment_map
+from specmap_cli.core.config import load_config
+from specmap_cli.core.errors import MapError, NoResultError, UsageError
+from specmap_cli.core.settings import Config
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.map_server import write_grid
+
+
+@pytest.fixture
+def plan(flat: GridMap, tmp_path: Path) -> Path:
+    """The flat as a map_server file."""
+    folder = tmp_path / "plan"
+    folder.mkdir()
+    write_grid(folder / "flat", flat)
+    return folder / "flat.yaml"
+
+
+def test_the_rooms_of_the_flat_are_found(plan: Path, tmp_path: Path, flat: GridMap) -> None:
+    report = segment_map(str(plan), str(tmp_path / "rooms"))
+    found = report.as_dict()
+    assert found["out"] == str(tmp_path / "rooms")
+    assert found["submaps"] == 4
+    assert found["edges"] == 3
+    assert found["area_m2"] == pytest.approx(flat.free_area_m2, rel=0.03)
+    stored = read_map(tmp_path / "rooms")
+    assert stored.ids == [0, 1, 2, 3]
+    for edge in stored.record.edges:
+        assert edge.kind == "doorway"
+        assert edge.width_m == pytest.approx(0.9, abs=0.15)
+    assert report.lines()[0].startswith(f"{tmp_path / 'rooms'}: 4 submaps, 3 edges, ")
+    assert sum(node.area_m2 for node in stored.record.nodes) == pytest.approx(found["area_m2"])
+
+
+def test_the_label_picture_has_the_size_of_the_map(plan: Path, tmp_path: Path) -> None:
+    segment_map(plan, tmp_path / "rooms", Config())
+    labels = cv2.imread(str(tmp_path / "rooms" / "labels.png"), cv2.IMREAD_UNCHANGED)
+    grid = cv2.imread(str(plan.with_suffix(".png")), cv2.IMREAD_UNCHANGED)
+    assert labels is not None
+    assert grid is not None
+    assert labels.dtype == np.uint16
+    assert labels.shape == grid.shape
+    assert set(np.unique(labels).tolist()) == {0, 1, 2, 3, 4}
+    assert (labels[grid == 0] == 0).mean() > 0.9  # walls belong to nobody; the desk to its room
+
+
+def test_what_was_looked_at_is_drawn_when_asked_for(plan: Path, tmp_path: Path) -> None:
+    segment_map(plan, tmp_path / "rooms", explain=str(tmp_path / "nodes.png"))
+    picture = cv2.imread(str(tmp_path / "nodes.png"))
+    assert picture is not None
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 10
+
+
+def test_the_settings_are_used(plan: Path, tmp_path: Path) -> None:
+    config = load_config(overrides={"segmentation": {"eigenvalue_min": 0.999, "halve": False}})
+    assert segment_map(plan, tmp_path / "whole", config).as_dict()["submaps"] == 1
+
+
+@pytest.mark.parametrize(
+    ("resolution", "error", "words"),
+    [
+        (None, MapError, "a picture has no scale"),
+        (0.6, UsageError, "too coarse to see a door"),
+        (0.001, NoResultError, "no free space wider than"),
+    ],
+)
+def test_what_cannot_be_divided_is_one_line_and_leaves_nothing(
+    resolution: float | None, error: type[Exception], words: str, plan: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(error, match=words) as caught:
+        segment_map(plan.with_suffix(".png"), tmp_path / "rooms", resolution=resolution)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "rooms").exists()
+
+
+def test_an_existing_result_is_replaced_only_when_asked_to(plan: Path, tmp_path: Path) -> None:
+    segment_map(plan, tmp_path / "rooms")
+    before = (tmp_path / "rooms" / "topology.json").read_bytes()
+    with pytest.raises(UsageError, match="already holds a map"):
+        segment_map(plan, tmp_path / "rooms")
+    segment_map(plan, tmp_path / "rooms", overwrite=True)
+    assert (tmp_path / "rooms" / "topology.json").read_bytes() == before
+    assert json.loads(before)["graph"]["log"]["name"] == "flat.yaml"

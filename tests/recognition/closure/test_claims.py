@@ -1,0 +1,200 @@
+"""Claims of eq. 4 and 5: against classifiers trained by hand, what is held out, what is kept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.recognition.closure import claims as module
+from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
+from specmap_cli.recognition.features.sets import feature_names
+from specmap_cli.recognition.learning.boosting import StumpBoost
+
+NAMES = feature_names("table1")
+PAPER = RecognitionConfig(
+    feature_set="table1",
+    booster="stumps",
+    closure_rounds=6,
+    groups=0,
+    refresh_growth=0.0,
+    closure_negatives=1_000_000,
+)
+TREES = RecognitionConfig(feature_set="table1", closure_rounds=12)
+
+
+def scans_of(place: int, seed: int = 0, n: int = 40) -> FloatArray:
+    """Features of scans of a place, around a centre of its own."""
+    centre = np.random.default_rng(place).normal(0.0, 1.0, len(NAMES))
+    return np.random.default_rng([place, seed]).normal(centre, 0.6, (n, len(NAMES)))
+
+
+def ranker(config: RecognitionConfig, places: int) -> ClaimRanker:
+    made = ClaimRanker(config, np.random.default_rng(0))
+    for place in range(places):
+        made.remember(place, scans_of(place))
+    return made
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_xi_is_the_product_of_both_shares(first: float, second: float) -> None:
+    claims = Claims(new_by_old=first, old_by_new=second, rank=0.0, by_stay=np.ones(2))
+    assert claims.xi == pytest.approx(first * second)
+    assert 0.0 <= claims.xi <= min(first, second) + 1e-12
+
+
+@pytest.mark.parametrize("config", [PAPER, TREES])
+def test_before_there_are_two_submaps_the_first_claims_all(config: RecognitionConfig) -> None:
+    new = scans_of(9)
+    assert ranker(config, 0).claims(new) == {}
+    only = ranker(config, 1).claims(new)
+    assert list(only) == [0]
+    assert (only[0].xi, only[0].rank, only[0].by_stay.tolist()) == (1.0, 1.0, [1.0])
+
+
+def test_claims_are_the_shares_of_classifiers_trained_as_the_paper_says() -> None:
+    """c_o against the other old submaps; c_n against all old submaps but o (Section III-C)."""
+    old = {place: scans_of(place) for place in range(4)}
+    new = scans_of(2, seed=1)
+    found = ranker(PAPER, 4).claims(new)
+    for o, X in old.items():
+        others = np.vstack([old[i] for i in old if i != o])
+        y = np.repeat([1.0, -1.0], [len(X), len(others)])
+        c_old = StumpBoost(NAMES, 6).fit(np.vstack([X, others]), y)
+        y = np.repeat([1.0, -1.0], [len(new), len(others)])
+        c_new = StumpBoost(NAMES, 6).fit(np.vstack([new, others]), y)
+        assert found[o].new_by_old == (c_old.margins(new) > 0.0).mean()
+        assert found[o].old_by_new == (c_new.margins(X) > 0.0).mean()
+        chances = [1.0 / (1.0 + np.exp(-c.margins(Z))) for c, Z in ((c_old, new), (c_new, X))]
+        assert found[o].rank == pytest.approx(chances[0].mean() * chances[1].mean())
+
+
+@pytest.mark.parametrize("config", [PAPER, TREES])
+def test_the_place_that_was_seen_before_ranks_first(config: RecognitionConfig) -> None:
+    made = ranker(config, 6)
+    for place in range(6):
+        claims = made.claims(scans_of(place, seed=3))
+        assert max(claims, key=lambda i: claims[i].rank) == place
+        assert claims[place].xi > 0.5
+
+
+@pytest.mark.parametrize("groups", [0, 1, 2, 3, 50])
+def test_an_old_submap_is_never_among_the_negatives_that_judge_it(
+    groups: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = PAPER.model_copy(update={"groups": groups})
+    made, new = ranker(config, 5), scans_of(7)
+    left_out: dict[str, list[set[int]]] = {"new": [], "old": []}
+    train = ClaimRanker._train
+
+    def watched(self: ClaimRanker, own: Any, others: list[int]) -> Any:
+        whose = "new" if own[0].features is new else "old"
+        left_out[whose].append(set(range(5)) - set(others))
+        return train(self, own, others)
+
+    monkeypatch.setattr(ClaimRanker, "_train", watched)
+    assert sorted(made.claims(new)) == list(range(5))
+    assert sorted(map(sorted, left_out["old"])) == [[0], [1], [2], [3], [4]]
+    assert len(left_out["new"]) == min(groups or 5, 5)
+    assert sorted(i for out in left_out["new"] for i in out) == [0, 1, 2, 3, 4]
+
+
+def test_stays_of_one_submap_are_claimed_one_by_one_and_judged_together() -> None:
+    made = ranker(TREES, 4)
+    made.remember(8, scans_of(1, seed=5))
+    made.remember(9, scans_of(77, seed=5))  # another place, merged by mistake
+    made.merge(1, 8)
+    made.merge(1, 9)
+    claims = made.claims(scans_of(1, seed=6))
+    assert sorted(claims) == [0, 1, 2, 3]
+    assert len(claims[1].by_stay) == 3
+    assert claims[1].by_stay[:2].min() > claims[1].by_stay[2]
+    assert max(claims, key=lambda i: claims[i].rank) == 1
+
+
+def kept(made: ClaimRanker) -> dict[int, int]:
+    """Which classifier is kept for each submap, by its identity."""
+    return {i: id(trained.booster) for i, trained in made._classifiers.items()}
+
+
+def test_a_classifier_is_trained_again_when_the_map_has_grown_enough() -> None:
+    made = ranker(TREES.model_copy(update={"refresh_growth": 0.5}), 4)
+    made.claims(scans_of(9))
+    before = kept(made)
+    made.remember(4, scans_of(4))
+    made.claims(scans_of(9))
+    assert {i: kept(made)[i] for i in before} == before  # 5 of 4 is less than half more
+    made.remember(5, scans_of(5))
+    made.claims(scans_of(9))
+    assert not set(kept(made).items()) & set(before.items())
+
+
+def test_a_classifier_is_trained_again_when_its_submap_has_grown() -> None:
+    made = ranker(TREES.model_copy(update={"refresh_growth": 0.5}), 4)
+    made.claims(scans_of(9))
+    before = kept(made)
+    made.remember(4, scans_of(1, seed=2))
+    made.merge(1, 4)
+    made.claims(scans_of(9))
+    assert kept(made)[1] != before[1]
+    assert kept(made)[0] == before[0]
+
+
+def test_without_growth_allowed_every_classifier_is_trained_every_time() -> None:
+    made = ranker(PAPER, 3)
+    made.claims(scans_of(9))
+    first = dict(made._classifiers)
+    made.claims(scans_of(9))
+    assert all(made._classifiers[i] is not first[i] for i in first)
+
+
+def test_negatives_are_capped_and_evenly_spread(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[tuple[int, int]] = []
+
+    class Watched(StumpBoost):
+        def fit(self, X: FloatArray, y: FloatArray) -> StumpBoost:
+            sizes.append((int((y > 0).sum()), int((y < 0).sum())))
+            return super().fit(X, y)
+
+    monkeypatch.setattr(module, "StumpBoost", Watched)
+    config = PAPER.model_copy(update={"closure_negatives": 30, "samples_per_submap": 10})
+    ranker(config, 4).claims(scans_of(9))
+    assert {negatives for _, negatives in sizes} == {30}
+    assert {positives for positives, _ in sizes} == {20}  # twice the samples of a submap
+
+
+def test_the_bins_are_cut_anew_once_the_map_has_doubled() -> None:
+    made = ranker(TREES, 2)
+    made.claims(scans_of(9))
+    first = made._quantiser
+    made.remember(2, scans_of(2))
+    made.claims(scans_of(9))
+    assert made._quantiser is first
+    made.remember(3, scans_of(3))
+    made.claims(scans_of(9))
+    assert made._quantiser is not first
+
+
+def test_the_same_seed_gives_the_same_claims_and_stumps_need_none() -> None:
+    once, again = (ranker(TREES, 3).claims(scans_of(1, 4)) for _ in range(2))
+    assert [c.rank for c in once.values()] == [c.rank for c in again.values()]
+    other = ClaimRanker(PAPER, np.random.default_rng(5))
+    for place in range(3):
+        other.remember(place, scans_of(place))
+    ranks = [c.rank for c in ranker(PAPER, 3).claims(scans_of(1, 4)).values()]
+    assert [c.rank for c in other.claims(scans_of(1, 4)).values()] == ranks
+
+
+def test_asking_changes_nothing_that_was_handed_in() -> None:
+    handed = [scans_of(place) for place in range(4)]
+    copies = [X.copy() for X in handed]
+    made = ClaimRanker(TREES, np.random.default_rng(0))
+    for place, X in enumerate(handed[:3]):
+        made.remember(place, X)
+    made.claims(handed[3])
+    assert all((copy == X).all() for X, copy in zip(handed, copies, strict=True))

@@ -1,0 +1,140 @@
+"""What a match is worth: every reason in its words, and the limits that decide."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.grids.gridmap import FREE, GridMap
+from specmap_cli.recognition.closure.stay import Stay
+from specmap_cli.recognition.closure.verdict import verdict
+from specmap_cli.recognition.closure.verification import Check
+
+CONFIG = RecognitionConfig()
+SURE = Check(
+    old_from_new=IDENTITY, score=0.9, inliers=500, overlap=0.9, least_overlap=0.8, lead=0.5
+)
+LINE = np.column_stack([np.arange(0.0, 8.0, 0.25), np.zeros(32), np.zeros(32)])
+
+
+def stay(number: int = 0, **known: Any) -> Stay:
+    """A stay along a line of 8 m; only its track and what is known of its frame matter."""
+    grid = GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.05)
+    return Stay(number=number, features=np.zeros((1, 1)), grid=grid, track=LINE, **known)
+
+
+@pytest.mark.parametrize(
+    ("change", "verified", "merged", "reason"),
+    [
+        ({}, True, True, "the grids match and the tracks overlap"),
+        ({"score": 0.7499}, False, False, "the grids do not match"),
+        ({"score": 0.75}, True, True, "the grids match and the tracks overlap"),
+        ({"inliers": 99}, False, False, "too few wall points match"),
+        ({"overlap": 0.39, "least_overlap": 0.39}, False, False, "the grids overlap too little"),
+        ({"least_overlap": 0.14}, False, False, "the grids overlap too little"),
+        ({"lead": 0.09}, False, False, "ambiguous: the grids match in more than one way"),
+        (
+            {"old_from_new": Pose2(6.0, 0.0, 0.0)},
+            True,
+            False,
+            "the grids match, the robot's tracks do not overlap",
+        ),
+        (
+            {"old_from_new": Pose2(0.0, 1.01, 0.0)},
+            True,
+            False,
+            "the grids match, the robot's tracks do not overlap",
+        ),
+    ],
+)
+def test_every_verdict_says_why(
+    change: dict[str, Any], verified: bool, merged: bool, reason: str
+) -> None:
+    found = verdict(stay(), stay(1), replace(SURE, **change), CONFIG)
+    assert (found.verified, found.merged, found.reason) == (verified, merged, reason)
+
+
+def test_no_match_at_all_is_none() -> None:
+    found = verdict(stay(), stay(1), None, CONFIG)
+    assert (found.verified, found.merged, found.reason) == (False, False, "the grids do not match")
+
+
+TWIN = "ambiguous: looks the same but is too far away, a twin"
+
+
+@pytest.mark.parametrize(
+    ("apart_m", "driven_m", "reason"),
+    [
+        (1.4, 0.0, "the grids match and the tracks overlap"),
+        (1.6, 0.0, TWIN),
+        (1.6, 2.0, "the grids match and the tracks overlap"),
+        (9.0, 60.0, TWIN),
+        (9.0, 80.0, "the grids match and the tracks overlap"),
+        (9.0, math.inf, "the grids match and the tracks overlap"),
+    ],
+)
+def test_twins_are_told_by_the_drift_that_one_place_would_need(
+    apart_m: float, driven_m: float, reason: str
+) -> None:
+    old = stay(0, map_from_stay=Pose2(3.0, 2.0, 0.4), travelled_m=10.0)
+    frame = Pose2(3.0, 2.0, 0.4) @ Pose2(apart_m, 0.0, 0.0)
+    new = stay(1, map_from_stay=frame, travelled_m=10.0 + driven_m)
+    assert verdict(old, new, SURE, CONFIG).reason == reason
+    assert verdict(new, old, SURE, CONFIG).reason == reason
+
+
+def test_two_stays_after_a_loss_of_tracking_may_be_any_way_apart() -> None:
+    known = {"travelled_m": math.inf}
+    old = stay(0, map_from_stay=IDENTITY, **known)
+    new = stay(1, map_from_stay=Pose2(500.0, 0.0, 0.0), **known)
+    assert verdict(old, new, SURE, CONFIG).merged
+
+
+@pytest.mark.parametrize("known", [(True, False), (False, True), (False, False)])
+def test_without_both_frames_no_twin_is_told(known: tuple[bool, bool]) -> None:
+    frames = [Pose2(90.0 * k, 0.0, 0.0) if is_known else None for k, is_known in enumerate(known)]
+    stays = [stay(k, map_from_stay=frame) for k, frame in enumerate(frames)]
+    assert verdict(stays[0], stays[1], SURE, CONFIG).merged
+
+
+def test_margins_are_settings() -> None:
+    old = stay(0, map_from_stay=IDENTITY)
+    new = stay(1, map_from_stay=Pose2(4.0, 0.0, 0.0))
+    assert verdict(old, new, SURE, CONFIG).reason == TWIN
+    assert verdict(old, new, SURE, CONFIG.model_copy(update={"twin_margin_m": 4.5})).merged
+    wide = CONFIG.model_copy(update={"merge_reach_m": 2.0})
+    aside = replace(SURE, old_from_new=Pose2(0.0, 1.5, 0.0))
+    assert not verdict(stay(), stay(1), aside, CONFIG).merged
+    assert verdict(stay(), stay(1), aside, wide).merged
+
+
+@given(
+    st.floats(-1.0, 1.0),
+    st.integers(0, 400),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.floats(-1.0, 2.0),
+)
+def test_a_better_match_is_never_worth_less(
+    score: float, inliers: int, overlap: float, least: float, lead: float
+) -> None:
+    check = Check(
+        old_from_new=IDENTITY,
+        score=score,
+        inliers=inliers,
+        overlap=max(overlap, least),
+        least_overlap=min(overlap, least),
+        lead=lead,
+    )
+    found = verdict(stay(), stay(1), check, CONFIG)
+    better = replace(check, score=min(1.0, score + 0.1), inliers=inliers + 50, lead=lead + 0.1)
+    assert verdict(stay(), stay(1), better, CONFIG).verified >= found.verified
+    assert found.merged <= found.verified

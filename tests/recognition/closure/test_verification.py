@@ -1,0 +1,206 @@
+"""Do two grids show the same place? The search without a guess, and the judgement."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.recognition.closure.prepared import PreparedGrid, prepared
+from specmap_cli.recognition.closure.verification import judge, tracks_overlap, verify
+from tests.strategies import pose_arrays, poses
+
+CONFIG = RecognitionConfig()
+
+
+def ready(grid: GridMap, config: RecognitionConfig = CONFIG) -> PreparedGrid:
+    made = prepared(grid, config)
+    assert made is not None
+    return made
+
+
+def walls_at(
+    segments: list[tuple[float, float, float, float]], free: bool = False, resolution: float = 0.05
+) -> GridMap:
+    """A grid of 12 m by 12 m about the origin with walls (x0, y0, x1, y1), else free or unknown."""
+    side = round(12.0 / resolution)
+    cells = np.full((side, side), FREE if free else UNKNOWN, dtype=np.uint8)
+    grid = GridMap(cells, resolution, (-6.0, -6.0))
+    for x0, y0, x1, y1 in segments:
+        t = np.linspace(0.0, 1.0, round(math.hypot(x1 - x0, y1 - y0) / resolution * 2))[:, None]
+        rows, columns = grid.cells_of(np.array([[x0, y0]]) * (1 - t) + np.array([[x1, y1]]) * t).T
+        cells[rows, columns] = OCCUPIED
+    return grid
+
+
+# an L-shaped room: no turn takes it to itself
+ROOM = [
+    (-3.0, -2.0, 3.0, -2.0),
+    (3.0, -2.0, 3.0, 0.5),
+    (3.0, 0.5, 0.5, 0.5),
+    (0.5, 0.5, 0.5, 2.0),
+    (0.5, 2.0, -3.0, 2.0),
+    (-3.0, 2.0, -3.0, -2.0),
+    (-1.5, -0.7, -0.5, -0.7),
+]
+
+
+ROOMS_WITH_FLOOR = (ready(walls_at(ROOM, free=True)), ready(walls_at(ROOM[:4], free=True)))
+
+
+def moved(segments: list[tuple[float, float, float, float]], by: Pose2) -> Any:
+    """The segments as seen from a frame at `by`."""
+    ends = by.inverse().apply(np.array(segments).reshape(-1, 2))
+    return [tuple(row) for row in ends.reshape(-1, 4).tolist()]
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7, -2.4])
+def test_verification_needs_no_guess(building: Any, turn: float) -> None:
+    old, new = building.visit(0, 1, seed=0), building.visit(1, 1, seed=2)
+    first, second = ready(old.grid), ready(new.grid)
+    check = verify(first, second, CONFIG)
+    assert check is not None
+    error = building.truth(1, 0, 2).inverse() @ check.old_from_new
+    assert error.distance < 0.06
+    assert check.score > 0.8
+    elsewhere = judge(first, second, check.old_from_new @ Pose2(0.6, 0.0, turn), CONFIG)
+    assert elsewhere.score < check.score
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-math.pi, math.pi, exclude_max=True))
+@settings(max_examples=8)
+def test_a_room_is_found_however_it_lies(x: float, y: float, theta: float) -> None:
+    """The frame of the second grid lies anywhere; its rows and columns cut the walls otherwise."""
+    truth = Pose2(x, y, theta)
+    first, second = ready(walls_at(ROOM)), ready(walls_at(moved(ROOM, truth)))
+    check = verify(first, second, CONFIG)
+    assert check is not None
+    error = truth.inverse() @ check.old_from_new
+    assert error.distance < 0.08
+    assert abs(error.theta) < 0.03
+
+
+@pytest.mark.parametrize("resolution", [0.03, 0.05, 0.07, 0.1])
+def test_a_room_is_found_at_any_resolution(resolution: float) -> None:
+    truth = Pose2(0.8, -0.5, 1.2)
+    first, second = (
+        ready(walls_at(segments, resolution=resolution)) for segments in (ROOM, moved(ROOM, truth))
+    )
+    check = verify(first, second, CONFIG)
+    assert check is not None
+    error = truth.inverse() @ check.old_from_new
+    assert error.distance < 0.05 + resolution
+    assert check.score > 0.75
+
+
+def test_grids_of_two_rooms_contradict_each_other(building: Any) -> None:
+    first, other = ready(building.visit(0, 1).grid), ready(building.visit(1, 2).grid)
+    check = verify(first, other, CONFIG)
+    assert check is not None
+    assert check.score < CONFIG.min_score
+
+
+def test_a_corridor_that_fits_in_two_ways_has_no_lead() -> None:
+    long = [(-3.5, -1.0, 3.5, -1.0), (-3.5, 1.0, 3.5, 1.0)]
+    short = [(-1.2, -1.0, 1.2, -1.0), (-1.2, 1.0, 1.2, 1.0)]
+    check = verify(ready(walls_at(long)), ready(walls_at(short)), CONFIG)
+    assert check is not None
+    assert check.lead < CONFIG.min_lead
+    room = verify(ready(walls_at(ROOM)), ready(walls_at(ROOM)), CONFIG)
+    assert room is not None
+    assert room.lead > CONFIG.min_lead
+
+
+def test_a_match_below_hope_is_left_rough(building: Any) -> None:
+    """Nothing is gained by the fine steps, so they are not made: its lead is not known."""
+    first, other = ready(building.visit(0, 1).grid), ready(building.visit(1, 2).grid)
+    config = RecognitionConfig(hopeless_score=1.0)
+    check = verify(first, other, config)
+    assert check is not None
+    assert check.lead == 0.0
+
+
+def test_the_same_grid_agrees_with_itself_wholly() -> None:
+    room = ready(walls_at(ROOM, free=True))
+    check = judge(room, room, IDENTITY, CONFIG)
+    assert (check.score, check.overlap, check.least_overlap) == (1.0, 1.0, 1.0)
+    assert check.inliers == len(room.walls)
+
+
+def by_hand(old: GridMap, new: GridMap, old_from_new: Pose2, config: RecognitionConfig) -> Any:
+    """Confirmed and contradicted share and count of the new grid's walls, by nearest cells."""
+    walls = old.centres_of(np.argwhere(old.occupied))
+    closed = old.centres_of(np.argwhere(old.cells != FREE))
+    points = old_from_new.apply(new.centres_of(np.argwhere(new.occupied)))
+    known = old.values_at(points) != UNKNOWN
+    at = old.centres_of(old.cells_of(points[known]))
+    distance, _ = cKDTree(walls).query(at)
+    depth, _ = cKDTree(closed).query(at)
+    confirmed = distance <= config.inlier_m + 1e-6
+    contradicted = (distance > config.contradiction_m + 1e-6) & (
+        depth > config.contradiction_depth_m + 1e-6
+    )
+    return confirmed.mean(), contradicted.mean(), int(confirmed.sum())
+
+
+@pytest.mark.parametrize("shift", [0.05, 0.2, 0.4, 1.0])
+def test_the_judgement_counts_what_is_confirmed_and_what_is_contradicted(shift: float) -> None:
+    old, new = walls_at(ROOM, free=True), walls_at(ROOM, free=True)
+    there = Pose2(shift, 0.0, 0.0)
+    check = judge(ready(old), ready(new), there, CONFIG)
+    sides = by_hand(old, new, there, CONFIG), by_hand(new, old, there.inverse(), CONFIG)
+    expected = min(s[0] for s in sides) - 2.0 * max(s[1] for s in sides)
+    assert check.score == pytest.approx(expected, abs=0.02)  # OpenCV's distances are rounded
+    assert check.inliers == pytest.approx(min(s[2] for s in sides), abs=5)
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("inlier_m", 0.5), ("contradiction_m", 2.0), ("contradiction_depth_m", 3)],
+)
+def test_limits_of_the_judgement_are_settings(setting: str, value: float) -> None:
+    room, there = ready(walls_at(ROOM, free=True)), Pose2(0.6, 0.2, 0.0)
+    lenient = CONFIG.model_copy(update={setting: value})
+    assert judge(room, room, there, lenient).score > judge(room, room, there, CONFIG).score
+
+
+def test_grids_that_do_not_meet_have_nothing_in_common() -> None:
+    room = ready(walls_at(ROOM))
+    check = judge(room, room, Pose2(50.0, 0.0, 0.0), CONFIG)
+    assert (check.score, check.inliers, check.overlap) == (0.0, 0, 0.0)
+
+
+@given(poses)
+def test_the_judgement_is_the_same_both_ways(there: Pose2) -> None:
+    first, second = ROOMS_WITH_FLOOR
+    one, other = judge(first, second, there, CONFIG), judge(second, first, there.inverse(), CONFIG)
+    assert one.score == pytest.approx(other.score)
+    assert (one.inliers, one.overlap) == (other.inliers, other.overlap)
+
+
+def test_tracks_overlap_by_the_smaller_share() -> None:
+    line = np.column_stack([np.arange(0.0, 10.0, 0.5), np.zeros(20), np.zeros(20)])
+    assert tracks_overlap(line, line, Pose2(0.0, 0.5, 0.0), 1.0) == 1.0
+    assert tracks_overlap(line, line[:2], IDENTITY, 1.0) == pytest.approx(0.2)
+    assert tracks_overlap(line, line[:0], IDENTITY, 1.0) == 0.0
+
+
+@given(pose_arrays(), pose_arrays(), poses, st.floats(0.5, 60.0))
+def test_overlap_by_a_loop_and_the_same_both_ways(
+    old: FloatArray, new: FloatArray, old_from_new: Pose2, reach: float
+) -> None:
+    placed = old_from_new.apply(new[:, :2])
+    gaps = [[math.dist(a, b) for b in placed] for a in old[:, :2]]
+    of_old = sum(min(row) <= reach for row in gaps) / len(old)
+    of_new = sum(min(column) <= reach for column in zip(*gaps, strict=True)) / len(new)
+    found = tracks_overlap(old, new, old_from_new, reach)
+    assert found == pytest.approx(min(of_old, of_new))
+    assert tracks_overlap(new, old, old_from_new.inverse(), reach) == pytest.approx(found)

@@ -1,0 +1,110 @@
+"""The returns of a scan: which readings count, their order, and what is computed of them once."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.recognition.features.returns import PAIR_STEPS, pairs_of, returns_of
+from tests.strategies import planar_scans
+
+readings = st.lists(
+    st.one_of(st.floats(0.05, 25.0), st.sampled_from([math.inf, math.nan, 0.0, 20.0])),
+    min_size=0,
+    max_size=30,
+)
+
+
+def scan_of(ranges: FloatArray, full: bool = True) -> PlanarScan:
+    bearings = np.linspace(-np.pi, np.pi, len(ranges), endpoint=False)
+    if not full:
+        bearings = bearings / 2.0
+    return PlanarScan(0, bearings, np.asarray(ranges, dtype=float), 20.0, full_circle=full)
+
+
+@given(readings, st.booleans())
+def test_readings_are_returns_or_no_returns_or_invalid(ranges: list[float], full: bool) -> None:
+    returns = returns_of(scan_of(np.array(ranges), full))
+    assert len(returns) == sum(0.0 < r < 20.0 for r in ranges)
+    assert returns.no_return == sum(r >= 20.0 for r in ranges)
+    assert returns.beams == len(ranges)
+    assert sorted(returns.ranges) == sorted(r for r in ranges if 0.0 < r < 20.0)
+
+
+@given(readings, st.booleans())
+def test_points_and_steps_are_those_of_ranges_and_bearings(ranges: list[float], full: bool) -> None:
+    returns = returns_of(scan_of(np.array(ranges), full))
+    polar = zip(returns.ranges.tolist(), returns.bearings.tolist(), strict=True)
+    expected = [(r * math.cos(b), r * math.sin(b)) for r, b in polar]
+    assert returns.points == pytest.approx(np.reshape(expected, (-1, 2)))
+    steps = [math.dist(a, b) for a, b in pairwise(expected)]
+    assert returns.steps.tolist() == pytest.approx(steps)
+
+
+@given(planar_scans(), st.integers(1, 71))
+def test_returns_of_a_circle_begin_at_the_same_place_however_the_robot_turns(
+    scan: PlanarScan, shift: int
+) -> None:
+    turned = returns_of(scan_of(np.roll(scan.ranges, shift)))
+    still = returns_of(scan_of(scan.ranges))
+    assert turned.ranges.tolist() == still.ranges.tolist()
+    assert turned.steps == pytest.approx(still.steps)
+
+
+@given(planar_scans())
+def test_no_step_of_a_circle_is_wider_than_the_one_left_out(scan: PlanarScan) -> None:
+    returns = returns_of(scan)
+    left_out = math.dist(returns.points[-1], returns.points[0])
+    assert returns.steps.max() <= left_out + 1e-9
+
+
+def test_a_half_circle_keeps_the_order_of_its_beams() -> None:
+    ranges = np.where(np.arange(50) < 25, 1.0, 9.0)
+    returns = returns_of(scan_of(ranges, full=False))
+    assert (np.diff(returns.bearings) > 0.0).all()
+    assert returns.ranges.tolist() == ranges.tolist()
+
+
+def test_the_polygon_of_a_half_circle_holds_the_laser() -> None:
+    half = returns_of(scan_of(np.full(181, 2.0), full=False))
+    assert half.polygon[0].tolist() == [0.0, 0.0]
+    area, perimeter = half.area_and_perimeter
+    assert area == pytest.approx(math.pi * 2.0, rel=0.01)  # half a disc of 2 m
+    assert perimeter == pytest.approx(math.pi * 2.0 + 4.0, rel=0.01)
+    whole = returns_of(scan_of(np.full(181, 2.0)))
+    assert len(whole.polygon) == 181
+    assert whole.area_and_perimeter[0] == pytest.approx(math.pi * 4.0, rel=0.01)
+
+
+@given(planar_scans())
+def test_pair_shares_are_those_of_every_kth_return(scan: PlanarScan) -> None:
+    returns = returns_of(scan)
+    shares = returns.pair_shares
+    assert shares.shape == (PAIR_STEPS + 1,)
+    assert shares.sum() == pytest.approx(1.0)
+    distances = [math.dist(a, b) for a, b in combinations(returns.points.tolist(), 2)]
+    assert len(returns) <= 90  # no return is left out of so few
+    far = sum(distance >= 12.0 for distance in distances)
+    assert shares[-1] == pytest.approx(far / len(distances))
+
+
+def test_a_dense_scan_is_thinned_for_its_pairs() -> None:
+    rng = np.random.default_rng(0)
+    dense = returns_of(scan_of(rng.uniform(2.0, 4.0, 1440)))
+    sparse = returns_of(scan_of(dense.ranges[np.argsort(dense.bearings)][::4]))
+    assert np.abs(np.cumsum(dense.pair_shares) - np.cumsum(sparse.pair_shares)).max() < 0.1
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 5])
+def test_pairs_are_all_combinations(count: int) -> None:
+    first, second = pairs_of(count)
+    assert list(zip(first.tolist(), second.tolist(), strict=True)) == list(
+        combinations(range(count), 2)
+    )

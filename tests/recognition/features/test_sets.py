@@ -1,0 +1,199 @@
+"""Feature sets: one table of them, what the settings may name, and sets of other packages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.config import load_config
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.recognition.features.returns import returns_of
+from specmap_cli.recognition.features.sets import (
+    BUILT_IN,
+    KeyframeFeatures,
+    check_feature_sets,
+    feature_names,
+    feature_sets,
+    histogram_columns,
+    scan_features,
+    scans_features,
+)
+
+
+def scan(range_m: float = 3.0, beams: int = 180) -> PlanarScan:
+    bearings = np.linspace(-np.pi, np.pi, beams, endpoint=False)
+    ranges = range_m + 0.2 * np.cos(3.0 * bearings)
+    return PlanarScan(0, bearings, ranges, range_max=20.0, full_circle=True)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_a_set_names_every_column_once(name: str) -> None:
+    columns = feature_names(name)
+    assert len(set(columns)) == len(columns)
+    assert scan_features(scan(), name).shape == (len(columns),)
+    assert scans_features([], name).shape == (0, len(columns))
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_columns_hold_what_their_group_gives(name: str) -> None:
+    values = dict(zip(feature_names(name), scan_features(scan(), name).tolist(), strict=True))
+    for group in BUILT_IN[name]:
+        assert [values[column] for column in group.columns] == group.compute(returns_of(scan()))
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_histograms_are_shares_that_sum_to_one(name: str) -> None:
+    features = scan_features(scan(), name)
+    columns = feature_names(name)
+    groups = [group for group in BUILT_IN[name] if group.histogram]
+    assert groups
+    for group in groups:
+        shares = features[[columns.index(column) for column in group.histogram]]
+        assert (shares >= 0.0).all()
+        assert shares.sum() == pytest.approx(1.0)
+    marked = [column for group in groups for column in group.histogram]
+    assert [columns[k] for k in histogram_columns(name)] == marked
+
+
+def test_the_paper_s_set_is_part_of_all_others() -> None:
+    paper = feature_names("table1")
+    for name in BUILT_IN:
+        assert feature_names(name)[: len(paper)] == paper
+
+
+def test_the_defaults_and_the_paper_s_settings_are_in_the_table() -> None:
+    for preset in ("default", "paper"):
+        check_feature_sets(load_config(preset=preset))
+
+
+@pytest.mark.parametrize("section", ["recognition", "localization"])
+def test_a_setting_that_names_no_set_is_told_before_the_work(section: str) -> None:
+    config = load_config(overrides={section: {"feature_set": "tabel1"}})
+    with pytest.raises(UsageError) as error:
+        check_feature_sets(config)
+    assert str(error.value) == (
+        f"{section}.feature_set: unknown feature set 'tabel1': choose from full, pairs, places, "
+        "shape, table1, or install the package that offers it"
+    )
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda name: feature_names(name),
+        lambda name: scan_features(scan(), name),
+        lambda name: scans_features([scan()], name),
+        lambda name: scans_features([], name),
+        lambda name: histogram_columns(name),
+    ],
+)
+def test_an_unknown_set_is_told_wherever_it_is_used(use: Callable[[str], object]) -> None:
+    with pytest.raises(UsageError, match="feature_set: unknown feature set 'mine'"):
+        use("mine")
+
+
+def test_a_package_adds_a_set(install: Callable[..., None]) -> None:
+    install("mine")
+    assert list(feature_sets()) == [*BUILT_IN, "mine"]
+    assert feature_names("mine") == (
+        "reach",
+        "returns",
+        "rings_near",
+        "rings_middle",
+        "rings_far",
+    )
+    assert histogram_columns("mine") == [2, 3, 4]
+    assert scan_features(scan(), "mine") == pytest.approx([3.2, 180.0, 0.0, 1.0, 0.0])
+    check_feature_sets(load_config(overrides={"recognition": {"feature_set": "mine"}}))
+
+
+def test_the_sets_of_a_package_are_listed_with_the_others(install: Callable[..., None]) -> None:
+    install("mine")
+    with pytest.raises(UsageError, match="choose from full, mine, pairs, places, shape, table1,"):
+        feature_names("yours")
+
+
+def test_the_name_of_a_set_cannot_be_taken(install: Callable[..., None]) -> None:
+    install("full")
+    with pytest.raises(UsageError, match=r"stranger.*'full'.*exists already"):
+        feature_sets()
+
+
+HEAD = "from specmap_cli.recognition.features.group import FeatureGroup\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("GROUPS = 7", "it is no tuple of FeatureGroup"),
+        ("GROUPS = ()", "it is no tuple of FeatureGroup"),
+        ("GROUPS = (len,)", "it is no tuple of FeatureGroup"),
+        (
+            HEAD + "GROUPS = (FeatureGroup(len, ('a', 'b')), FeatureGroup(len, ('b',)))",
+            "two of its columns have one name",
+        ),
+        (HEAD + "GROUPS = [FeatureGroup(len, ())]", "a group has no columns, or histograms"),
+        (HEAD + "GROUPS = [FeatureGroup(len, ('a',), ('b',))]", "a group has no columns, or"),
+    ],
+)
+def test_a_set_that_is_none_is_refused_in_one_line(
+    text: str, why: str, install: Callable[..., None]
+) -> None:
+    install("mine", text)
+    with pytest.raises(UsageError) as error:
+        feature_names("full")
+    assert str(error.value).startswith(f"feature set 'mine': {why}")
+    assert str(error.value).endswith("mend or remove the package that offers it")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ("[1.0]", "the group of 'a' gives 1 values for its 2 columns"),
+        ("[1.0, 2.0, 3.0]", "the group of 'a' gives 3 values for its 2 columns"),
+        ("[1.0, float('nan')]", "'b' is not finite for a scan"),
+        ("[float('-inf'), 1.0]", "'a' is not finite for a scan"),
+    ],
+)
+def test_a_function_that_breaks_its_word_is_told(
+    given: str, why: str, install: Callable[..., None]
+) -> None:
+    install("mine", f"{HEAD}GROUPS = (FeatureGroup(lambda returns: {given}, ('a', 'b')),)")
+    with pytest.raises(UsageError, match=why):
+        scan_features(scan(), "mine")
+
+
+def test_keyframes_have_their_features_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    computed: list[float] = []
+
+    def counting(scan: PlanarScan, feature_set: str) -> object:
+        computed.append(float(scan.ranges[0]))
+        return scan_features(scan, feature_set)
+
+    monkeypatch.setattr("specmap_cli.recognition.features.sets.scan_features", counting)
+    with KeyframeStore() as store:
+        for k in range(4):
+            pose = Pose2(0.1 * k, 0.0, 0.0)
+            store.append(
+                PosedScan(
+                    index=k,
+                    stamp_ns=k,
+                    map_from_base=pose,
+                    planar=scan(2.0 + k),
+                    base_from_laser=IDENTITY,
+                )
+            )
+        features = KeyframeFeatures(store, "table1")
+        first = features.of([2, 0])
+        again = features.of([0, 1, 2])
+        assert features.of([]).shape == (0, len(feature_names("table1")))
+        expected = np.array([scan_features(store.scan(k), "table1") for k in range(3)])
+    assert again == pytest.approx(expected)
+    assert first.tolist() == again[[2, 0]].tolist()
+    assert sorted(computed) == pytest.approx([1.8, 2.8, 3.8])

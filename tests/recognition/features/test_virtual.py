@@ -1,0 +1,151 @@
+"""Virtual full-circle scans: of the window behind the robot, and cast from a grid."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.recognition.features.virtual import (
+    RecentScans,
+    all_round,
+    cast_circles,
+    circle,
+    nearest_returns,
+)
+from tests.strategies import poses, seeds
+
+WALL = np.array([[0.0, 1.0]])
+
+
+def recent_scans(share: float = 1.0, **settings: float) -> RecentScans:
+    """A window of 2 m, scans 0.2 m apart, 36 beams up to 10 m."""
+    chosen = {"window_m": 2.0, "virtual_beams": 36, "virtual_range_m": 10.0} | settings
+    return RecentScans(LocalizationConfig.model_validate(chosen), share)
+
+
+def drive(recent: RecentScans, metres: float, step: float = 0.25) -> Pose2:
+    """Drive straight on; each scan sees one point, a metre to the left of the robot."""
+    pose = IDENTITY
+    for k in range(round(metres / step) + 1):
+        pose = Pose2(step * k, 0.0, 0.0)
+        recent.add_points(WALL, pose, IDENTITY)
+    return pose
+
+
+@pytest.mark.parametrize("beams", [1, 2, 37, 360])
+def test_the_bearings_of_a_circle_are_even_and_end_before_they_begin_again(beams: int) -> None:
+    bearings = circle(beams)
+    assert bearings[0] == -math.pi
+    assert np.diff(bearings) == pytest.approx(2.0 * math.pi / beams)
+    assert bearings[-1] < math.pi
+    assert all_round(np.ones(beams), 5.0).bearings.tolist() == bearings.tolist()
+
+
+@given(seeds, st.integers(0, 60), st.integers(4, 72))
+def test_the_nearest_return_is_taken_at_each_bearing(seed: int, count: int, beams: int) -> None:
+    points = np.random.default_rng(seed).normal(0.0, 2.0, (count, 2))
+    scan = nearest_returns(points, beams, 4.0, stamp_ns=7)
+    expected = np.full(beams, math.inf)
+    for x, y in points.tolist():
+        distance, half = math.hypot(x, y), math.pi / beams
+        for k, bearing in enumerate(scan.bearings.tolist()):
+            off = math.remainder(math.atan2(y, x) - bearing, 2.0 * math.pi)
+            if 0.05 < distance < 4.0 and -half <= off < half:
+                expected[k] = min(expected[k], distance)
+    assert scan.ranges == pytest.approx(expected)
+    assert scan.full_circle
+    assert (scan.stamp_ns, scan.range_max) == (7, 4.0)
+
+
+@given(seeds, poses)
+def test_a_virtual_scan_sees_the_same_points_from_wherever_it_is_taken(
+    seed: int, origin: Pose2
+) -> None:
+    """What one scan saw, seen from the place where it was taken, is that scan."""
+    ranges = np.random.default_rng(seed).uniform(0.5, 9.0, 36)
+    bearings = circle(36)
+    mounting = Pose2(0.3, -0.1, 0.4)
+    planar = PlanarScan(0, bearings, ranges, range_max=20.0, full_circle=True)
+    recent = recent_scans()
+    recent.add(
+        PosedScan(
+            index=0, stamp_ns=0, map_from_base=origin, planar=planar, base_from_laser=mounting
+        )
+    )
+    assert recent.scan(3, origin @ mounting).ranges == pytest.approx(ranges)
+
+
+def test_an_empty_window_sees_nothing() -> None:
+    recent = recent_scans()
+    assert recent.filled == 0.0
+    assert np.isinf(recent.scan(0, IDENTITY).ranges).all()
+
+
+def test_what_lies_a_window_back_is_forgotten() -> None:
+    recent = recent_scans()
+    here = drive(recent, 7.25)
+    assert recent.filled == 1.0
+    assert recent.scan(0, here).ranges.min() == pytest.approx(1.0)
+    assert np.isinf(recent.scan(0, Pose2(-20.0, 0.0, 0.0)).ranges).all()
+    from_the_start = recent.scan(0, IDENTITY).ranges
+    assert from_the_start.min() == pytest.approx(math.hypot(5.25, 1.0))
+
+
+@pytest.mark.parametrize(("share", "metres", "filled"), [(1.0, 1.0, 0.5), (0.5, 1.0, 1.0)])
+def test_a_share_of_the_window_fills_sooner(share: float, metres: float, filled: float) -> None:
+    recent = recent_scans(share)
+    drive(recent, metres)
+    assert recent.filled == pytest.approx(filled)
+
+
+def test_scans_too_near_to_the_last_are_left_out_but_their_way_counts() -> None:
+    recent = recent_scans(virtual_spacing_m=0.5)
+    for k in range(5):  # 0.1 m apart, each with another point
+        point = np.array([[0.0, 1.0 + k]])
+        recent.add_points(point, Pose2(0.1 * k, 0.0, 0.0), IDENTITY)
+    assert recent.filled == pytest.approx(0.2)
+    ranges = recent.scan(0, IDENTITY).ranges
+    assert np.isfinite(ranges).sum() == 1
+    recent.add_points(np.array([[1.0, 0.0]]), Pose2(0.5, 0.0, 0.0), IDENTITY)
+    assert np.isfinite(recent.scan(0, IDENTITY).ranges).sum() == 2
+
+
+def test_a_turn_on_the_spot_is_worth_a_scan() -> None:
+    recent = recent_scans(virtual_spacing_rad=0.3)
+    for theta in (0.0, 0.2, 0.4):
+        recent.add_points(np.array([[2.0, 0.0]]), Pose2(0.0, 0.0, theta), IDENTITY)
+    seen = np.isfinite(recent.scan(0, IDENTITY).ranges)
+    assert seen.sum() == 2  # straight ahead, and at 0.4 rad; the turn of 0.2 added nothing
+    assert recent.filled == 0.0
+
+
+def test_after_a_restart_nothing_of_before_is_seen_and_the_window_fills_anew() -> None:
+    recent = recent_scans()
+    drive(recent, 3.0)
+    recent.clear()
+    assert recent.filled == 0.0
+    recent.add_points(WALL, Pose2(100.0, 0.0, 0.0), IDENTITY)
+    assert recent.filled == 0.0  # the leap between the two poses is no way driven
+    recent.add_points(WALL, Pose2(101.0, 0.0, 0.0), IDENTITY)
+    assert recent.filled == pytest.approx(0.5)
+
+
+def test_a_cast_scan_is_what_the_walls_of_the_grid_show(flat: GridMap) -> None:
+    origin = np.array([[1.6, 4.0]])
+    cast = cast_circles(flat, origin, 90, 12.0)[0]
+    walls: FloatArray = flat.centres_of(np.argwhere(flat.occupied))
+    seen = nearest_returns(walls - origin, 90, 12.0)
+    assert cast.bearings.tolist() == seen.bearings.tolist()
+    assert np.median(np.abs(seen.ranges - cast.ranges)) < 0.06
+
+
+def test_no_origin_gives_no_scan(flat: GridMap) -> None:
+    assert cast_circles(flat, np.zeros((0, 2)), 90, 12.0) == []

@@ -1,0 +1,88 @@
+"""One classifier a class: the estimator's contract, and every booster against one fitted alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.sampling import evenly
+from specmap_cli.core.settings import Config, RecognitionConfig
+from specmap_cli.recognition.features.sets import feature_names
+from specmap_cli.recognition.learning.boosting import StumpBoost
+from specmap_cli.recognition.learning.one_vs_all import OneVsAll
+from tests.recognition.learning.made_up import PAPER, SMALL, samples_of
+
+
+def one_vs_all(config: Config) -> OneVsAll:
+    return OneVsAll(config.recognition.feature_set, config.recognition)
+
+
+def fitted(config: Config, seed: int = 0) -> OneVsAll:
+    return one_vs_all(config).fit(samples_of(config), np.random.default_rng(seed))
+
+
+def test_the_constructor_stores_and_fit_learns() -> None:
+    model = one_vs_all(SMALL)
+    assert (model.feature_set, model.config) == ("pairs", SMALL.recognition)
+    assert (model.classes_, model.boosters_) == ((), {})
+    assert model.fit(samples_of(SMALL), np.random.default_rng(0)) is model
+    assert model.classes_ == tuple(model.boosters_) == (0, 2, 4)
+
+
+@pytest.mark.parametrize("config", [SMALL, PAPER])
+def test_margins_are_those_of_the_boosters(config: Config) -> None:
+    model = fitted(config)
+    X = samples_of(config, seed=5)[2]
+    expected = np.column_stack([b.margins(X) for b in model.boosters_.values()])
+    assert model.margins(X) == pytest.approx(expected)
+    assert model.margins(X[:1]) == pytest.approx(expected[:1])
+    assert model.margins(X[:0]).shape == (0, 3)
+
+
+def test_each_booster_is_one_fitted_against_an_even_choice_of_the_others() -> None:
+    config = RecognitionConfig(feature_set="table1", booster="stumps", rounds=6, negatives=40)
+    made = samples_of(PAPER)
+    model = OneVsAll("table1", config).fit(made, np.random.default_rng(0))
+    for own, booster in model.boosters_.items():
+        others = np.vstack([X for i, X in made.items() if i != own])
+        chosen = evenly(others, 40)
+        y = np.repeat([1.0, -1.0], [len(made[own]), len(chosen)])
+        alone = StumpBoost(feature_names("table1"), 6).fit(np.vstack([made[own], chosen]), y)
+        assert booster.to_dict() == alone.to_dict()
+
+
+def test_the_order_of_the_classes_does_not_matter() -> None:
+    made = samples_of(SMALL)
+    model = one_vs_all(SMALL).fit(dict(reversed(made.items())), np.random.default_rng(0))
+    assert model.to_dict() == fitted(SMALL).to_dict()
+
+
+def test_one_class_is_enough() -> None:
+    made = {7: samples_of(SMALL)[0]}
+    model = one_vs_all(SMALL).fit(made, np.random.default_rng(0))
+    assert model.classes_ == (7,)
+    assert (model.margins(made[7]) > 0.0).all()
+
+
+def test_fitting_again_forgets_the_classes_of_before() -> None:
+    model = fitted(SMALL)
+    made: dict[int, FloatArray] = {9: samples_of(SMALL)[0], 5: samples_of(SMALL)[2]}
+    model.fit(made, np.random.default_rng(1))
+    assert model.classes_ == (5, 9)
+    assert model.margins(made[9]).shape == (90, 2)
+
+
+@pytest.mark.parametrize("config", [SMALL, PAPER])
+def test_what_is_read_back_is_fitted(config: Config) -> None:
+    model = fitted(config)
+    back = OneVsAll.from_dict(model.to_dict())
+    X = samples_of(config, seed=6)[0]
+    assert back.classes_ == model.classes_
+    assert back.to_dict() == model.to_dict()
+    assert back.margins(X).tolist() == model.margins(X).tolist()
+
+
+def test_another_generator_draws_other_features() -> None:
+    assert fitted(SMALL, seed=0).to_dict() != fitted(SMALL, seed=1).to_dict()
+    assert fitted(PAPER, seed=0).to_dict() == fitted(PAPER, seed=1).to_dict()  # nothing is drawn

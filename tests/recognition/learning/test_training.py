@@ -1,0 +1,285 @@
+"""Training for localisation: which scans are learned from, and a feature set of another package."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.config import load_config
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
+from specmap_cli.core.records import PosedScan
+from specmap_cli.core.settings import Config
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.recognition.features.sets import (
+    KeyframeFeatures,
+    feature_names,
+    feature_sets,
+    scans_features,
+)
+from specmap_cli.recognition.features.virtual import cast_circles
+from specmap_cli.recognition.learning import training
+from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.learning.training import (
+    sensor_of,
+    train_localizer,
+    train_raw,
+    train_virtual,
+    virtual_samples,
+)
+from specmap_cli.recognition.localization.localizer import Localizer
+
+SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 are in none
+
+
+def settings(**localization: Any) -> Config:
+    """Few rounds and few samples, so that training takes a moment."""
+    chosen = {"augmentation": 60, "track_samples": 30, "feature_set": "table1"} | localization
+    return load_config(
+        overrides={
+            "recognition": {"rounds": 8, "feature_set": "table1"},
+            "localization": chosen,
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
+    """Forty keyframes in each of two rooms of the building."""
+    building = request.getfixturevalue("building")
+    with KeyframeStore() as made:
+        for room in (0, 2):
+            for pose in building.path(room, 1):
+                at = Pose2(*pose.tolist())
+                number = len(made)
+                scan = building.scans(pose[None])[0]
+                made.append(
+                    PosedScan(
+                        index=number,
+                        stamp_ns=number,
+                        map_from_base=at,
+                        planar=scan,
+                        base_from_laser=IDENTITY,
+                    )
+                )
+        yield made
+
+
+@pytest.fixture(scope="module")
+def grids(store: KeyframeStore) -> dict[int, GridMap]:
+    """The grid of each room in the frame of its first keyframe."""
+    made = {}
+    for submap, keyframes in SUBMAPS.items():
+        track = compose(invert(store.poses[keyframes[0]]), store.poses[keyframes])
+        made[submap] = integrate_keyframes(store, keyframes, track, Config().grid).snapshot()
+    return made
+
+
+def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: KeyframeStore) -> None:
+    config = settings()
+    learned = train_raw(store, SUBMAPS, config, np.random.default_rng(0))
+    assert learned.ids == (0, 2)
+    samples = {
+        i: scans_features([store.scan(k) for k in keyframes], "table1")
+        for i, keyframes in SUBMAPS.items()
+    }
+    again = training.train(samples, "table1", config, np.random.default_rng(0))
+    assert learned.to_dict() == again.to_dict()
+    known = KeyframeFeatures(store, "table1")
+    known.of(range(50))
+    shared = train_raw(store, SUBMAPS, config, np.random.default_rng(0), known)
+    assert shared.to_dict() == learned.to_dict()
+
+
+def test_the_two_kinds_are_learned_apart_or_together_alike(
+    store: KeyframeStore, grids: dict[int, GridMap]
+) -> None:
+    config = settings()
+    both = train_localizer(store, SUBMAPS, store.poses, grids, config, np.random.default_rng(3))
+    raw_rng, virtual_rng = np.random.default_rng(3).spawn(2)
+    virtual = train_virtual(store, SUBMAPS, store.poses, grids, config, virtual_rng)
+    apart = ClassifierSet(
+        sensor=sensor_of(store, SUBMAPS),
+        raw=train_raw(store, SUBMAPS, config, raw_rng),
+        virtual=virtual,
+    )
+    assert apart.to_json() == both.to_json()
+
+
+def test_virtual_classifiers_are_left_out_when_not_wanted(
+    store: KeyframeStore, grids: dict[int, GridMap]
+) -> None:
+    config = settings(virtual=False)
+    arguments = (store, SUBMAPS, store.poses, grids, config)
+    assert train_virtual(*arguments, np.random.default_rng(0)) is None
+    assert train_localizer(*arguments, np.random.default_rng(0)).virtual is None
+
+
+def test_the_sensor_is_that_of_the_first_keyframe_in_a_submap(store: KeyframeStore) -> None:
+    assert sensor_of(store, SUBMAPS).beams == 180
+    late = {5: [70, 71], 1: [60, 61]}
+    assert sensor_of(store, late).full_circle
+
+
+class Cast:
+    """Watches which virtual scans are cast in which grid."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.origins: list[tuple[GridMap, FloatArray]] = []
+        monkeypatch.setattr(training, "cast_circles", self)
+
+    def __call__(self, grid: GridMap, origins: FloatArray, beams: int, reach: float) -> Any:
+        self.origins.append((grid, origins))
+        return cast_circles(grid, origins, beams, reach)
+
+
+def samples_of(
+    store: KeyframeStore, grids: dict[int, GridMap], seed: int = 0, **localization: Any
+) -> dict[int, FloatArray]:
+    config = settings(**localization).localization
+    rng = np.random.default_rng(seed)
+    return virtual_samples(store, SUBMAPS, store.poses, grids, config, rng)
+
+
+def test_virtual_scans_are_cast_from_free_cells_near_the_submap_s_own_track(
+    store: KeyframeStore, grids: dict[int, GridMap], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cast = Cast(monkeypatch)
+    limits: dict[str, Any] = {"augmentation_clearance_m": 0.4, "augmentation_reach_m": 0.8}
+    samples_of(store, grids, augmentation=100, **limits)
+    assert [grid for grid, _ in cast.origins] == [grids[0], grids[2]]
+    for (grid, origins), keyframes in zip(cast.origins, SUBMAPS.values(), strict=True):
+        assert 0 < len(origins) <= 60
+        rows, columns = grid.cells_of(origins).T
+        assert (grid.clearance()[rows, columns] > 0.4).all()
+        frame = Pose2(*store.poses[keyframes[0]].tolist())
+        own = store.poses[keyframes][:, :2]
+        gaps = np.linalg.norm(frame.apply(origins)[:, None] - own[None], axis=2).min(axis=1)
+        assert (gaps < 0.8).all()
+
+
+@pytest.mark.parametrize("augmentation", [0, 40, 400])
+def test_cast_scans_are_dealt_out_half_alike_and_half_by_area(
+    store: KeyframeStore,
+    grids: dict[int, GridMap],
+    monkeypatch: pytest.MonkeyPatch,
+    augmentation: int,
+) -> None:
+    cast = Cast(monkeypatch)
+    generous: dict[str, Any] = {"augmentation_clearance_m": 0.0, "augmentation_reach_m": 50.0}
+    found = samples_of(store, grids, augmentation=augmentation, **generous)
+    areas = {i: grid.free_area_m2 for i, grid in grids.items()}
+    for (_, origins), submap in zip(cast.origins, SUBMAPS, strict=True):
+        share = 0.25 + 0.5 * areas[submap] / sum(areas.values())
+        assert len(origins) == round(augmentation * share)
+    along = sum(len(X) for X in found.values()) - sum(len(o) for _, o in cast.origins)
+    assert along == 30
+
+
+@pytest.mark.parametrize(("most", "along"), [(1, 1), (30, 30), (10_000, 76)])
+def test_the_track_gives_evenly_spread_samples_of_its_own_submaps(
+    store: KeyframeStore, grids: dict[int, GridMap], most: int, along: int
+) -> None:
+    found = samples_of(store, grids, augmentation=0, track_samples=most)
+    assert sum(len(X) for X in found.values()) == along
+    if most > 1:
+        assert len(found[0]) / along == pytest.approx(40 / 76, abs=0.05)
+    assert all(X.shape[1] == len(feature_names("table1")) for X in found.values())
+
+
+def test_a_submap_without_a_free_cell_has_the_samples_of_its_track(
+    store: KeyframeStore, grids: dict[int, GridMap]
+) -> None:
+    closed = dict(grids)
+    closed[2] = GridMap(np.ones_like(grids[2].cells), 0.05, grids[2].origin)
+    found = samples_of(store, closed)
+    assert len(found[2]) == len(samples_of(store, grids, augmentation=0)[2])
+    assert len(found[0]) > len(found[2])
+
+
+def test_samples_are_repeatable_and_drawn_anew_for_another_seed(
+    store: KeyframeStore, grids: dict[int, GridMap]
+) -> None:
+    first, again, other = (samples_of(store, grids, seed)[0].tolist() for seed in (0, 0, 1))
+    assert first == again
+    assert first != other
+
+
+def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> None:
+    few, many = (
+        train_raw(store, SUBMAPS, settings(**chosen), np.random.default_rng(0)).familiarity
+        for chosen in ({"exemplars": 5}, {"exemplars": 12, "false_unknown": 0.4})
+    )
+    assert few is not None
+    assert many is not None
+    assert (len(few.exemplars_), len(many.exemplars_)) == (10, 24)
+    assert many.limit_ < few.limit_
+
+
+def test_a_feature_set_of_another_package_is_trained_and_used(
+    store: KeyframeStore,
+    grids: dict[int, GridMap],
+    install: Callable[..., None],
+    building: Any,
+) -> None:
+    """From an entry point to labels, by way of a file; without the package, one clear line."""
+    install("mine")
+    config = load_config(
+        overrides={
+            "recognition": {"rounds": 20, "feature_set": "mine"},
+            "localization": {"augmentation": 60, "feature_set": "mine"},
+        }
+    )
+    rng = np.random.default_rng(0)
+    text = train_localizer(store, SUBMAPS, store.poses, grids, config, rng).to_json()
+    assert '"rings_middle"' in text
+    read = ClassifierSet.from_json(text)
+    assert read.raw.familiarity is not None
+    assert read.raw.familiarity.exemplars_.shape[1] == 3
+    guide = Localizer(read, {0: [2], 2: [0]}, grids, config.localization)
+    labels = []
+    for room in (0, 2):
+        for k, pose in enumerate(building.path(room, 5)):
+            at, scan = Pose2(*pose.tolist()), building.scans(pose[None])[0]
+            labels.append(
+                guide.update(
+                    PosedScan(
+                        index=k,
+                        stamp_ns=k,
+                        map_from_base=at,
+                        planar=scan,
+                        base_from_laser=IDENTITY,
+                        restarted=k == 0,
+                    )
+                )
+            )
+    right = [label.filtered_submap == (0, 2)[k // 40] for k, label in enumerate(labels)]
+    assert np.mean(right) > 0.8
+
+    feature_sets.cache_clear()
+    with pytest.MonkeyPatch.context() as gone:
+        gone.setattr("specmap_cli.core.plugins.entry_points", lambda **_: [])
+        with pytest.raises(MapError) as error:
+            ClassifierSet.from_json(text)
+    assert str(error.value) == (
+        "classifiers: file: its feature set 'mine' is not installed: install the package that "
+        "offers it, or build the map again"
+    )
+
+
+def test_a_file_of_an_older_edition_of_the_package_is_refused(
+    store: KeyframeStore, install: Callable[..., None]
+) -> None:
+    install("mine")
+    config = load_config(overrides={"recognition": {"rounds": 20, "feature_set": "mine"}})
+    learned = ClassifierSet(
+        sensor=sensor_of(store, SUBMAPS),
+        raw=train_raw(store, SUBMAPS, config, np.random.default_rng(0)),
+    )
+    text = learned.to_json().replace('"rings_far"', '"rings_farthest"')
+    with pytest.raises(MapError, match="'rings_farthest', which is not known; build the map again"):
+        ClassifierSet.from_json(text)

@@ -1,0 +1,60 @@
+"""Registration methods for tests: one that does nothing by itself, one that does as it is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, MutableMapping
+from dataclasses import dataclass, field
+from typing import cast
+
+import pytest
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.registration import SensorKind
+from specmap_cli.registration.aligner import AlignerFactory
+from specmap_cli.registration.methods import BUILT_IN
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """What an aligner was asked for."""
+
+    points: FloatArray
+    guess: FloatArray
+    kernel_m: float
+    coarse: bool
+
+
+@dataclass
+class ToldAligner:
+    """Answers what `answer` makes of the guess, and remembers everything it was asked for."""
+
+    answer: Callable[[FloatArray], FloatArray] = lambda guess: guess
+    asked: list[Asked] = field(default_factory=list)
+    inserted: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
+    cleared: int = 0
+
+    def insert(self, points: FloatArray, map_from_base: FloatArray) -> None:
+        self.inserted.append((points, map_from_base.copy()))
+
+    def clear(self) -> None:
+        self.cleared += 1
+
+    def align(
+        self, points: FloatArray, guess: FloatArray, kernel_m: float, *, coarse: bool
+    ) -> FloatArray:
+        self.asked.append(Asked(points=points, guess=guess, kernel_m=kernel_m, coarse=coarse))
+        return self.answer(guess)
+
+
+def offer(monkeypatch: pytest.MonkeyPatch, aligner: ToldAligner) -> str:
+    """Make an aligner a registration method for one test; returns the method's name."""
+
+    def factory(config: RegistrationConfig, sensor: SensorKind) -> ToldAligner:
+        assert config.method == "told"
+        assert sensor.voxel_m > 0.0
+        return aligner
+
+    methods = cast("MutableMapping[str, AlignerFactory]", BUILT_IN)
+    monkeypatch.setitem(methods, "told", factory)
+    return "told"

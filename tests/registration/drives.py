@@ -1,0 +1,143 @@
+"""Simulated drives for the front end: true paths, what a laser saw along them, how it was found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
+from specmap_cli.core.records import PlanarScan, PosedScan, Sweep
+from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.ray_casting import cast_ranges
+from specmap_cli.registration import Aligner, FrontEnd, SensorKind
+from specmap_cli.registration.local_map import LocalMap
+from specmap_cli.registration.scene import Scene
+from specmap_cli.registration.sweep_view import SweepView
+
+Setting = float | str | tuple[float, ...]
+LASER = Pose2(0.2, -0.1, 0.5)
+
+
+def path() -> FloatArray:
+    """True base poses every 8 cm from the first room into the second."""
+    x = np.arange(1.5, 9.0, 0.08)
+    y = 2.4 + 0.25 * np.sin(2 * (x - 1.5))
+    heading = np.arctan2(np.gradient(y), np.gradient(x))
+    return np.column_stack([x, y, heading])
+
+
+def sweeps(
+    world: GridMap,
+    truth: FloatArray,
+    field_of_view: float = 2 * np.pi,
+    beams: int = 240,
+    reach: float = 10.0,
+    odometry: bool = True,
+) -> list[Sweep]:
+    """What a laser mounted askew sees from the poses, and slightly wrong odometry."""
+    full = field_of_view > 6.2
+    half = field_of_view / 2
+    bearings = np.linspace(-half, half, beams, endpoint=not full)
+    distance, rng = world.obstacle_distance(), np.random.default_rng(0)
+    odom, result = np.array([3.0, -2.0, 1.0]), []
+    steps = compose(invert(truth[:-1]), truth[1:])
+    for k, pose in enumerate(truth):
+        laser = Pose2(*pose.tolist()) @ LASER
+        origin = np.array([[laser.x, laser.y]])
+        ranges = cast_ranges(distance, world, origin, bearings + laser.theta, reach)[0]
+        ranges += rng.normal(0, 0.01, beams)
+        stamp = (k + 1) * 10**8
+        scan = PlanarScan(
+            stamp_ns=stamp, bearings=bearings, ranges=ranges, range_max=reach, full_circle=full
+        )
+        if k:
+            odom = compose(odom, steps[k - 1] * (1.05, 1.0, 1.0) + rng.normal(0, 0.004, 3))
+        result.append(
+            Sweep(
+                index=k,
+                stamp_ns=stamp,
+                planar=scan,
+                base_from_laser=LASER,
+                odom_from_base=Pose2(*odom.tolist()) if odometry else None,
+            )
+        )
+    return result
+
+
+def circle(k: int, ranges: FloatArray, odometry: Pose2 | None = None) -> Sweep:
+    """A full-circle sweep of these ranges, the k-th at 10 Hz, by a laser amid the base."""
+    stamp = k * 10**8
+    bearings = np.linspace(-np.pi, np.pi, len(ranges), endpoint=False)
+    scan = PlanarScan(
+        stamp_ns=stamp, bearings=bearings, ranges=ranges, range_max=10.0, full_circle=True
+    )
+    return Sweep(
+        index=k,
+        stamp_ns=stamp,
+        planar=scan,
+        base_from_laser=IDENTITY,
+        odom_from_base=odometry,
+    )
+
+
+def run(items: Sequence[Sweep], **settings: Setting) -> tuple[FrontEnd, list[PosedScan]]:
+    front_end = FrontEnd(RegistrationConfig.model_validate(settings))
+    return front_end, [front_end.register(sweep) for sweep in items]
+
+
+def worst(scans: Sequence[PosedScan], truth: FloatArray) -> tuple[float, float]:
+    """Largest error of place and heading, seen from the first pose."""
+    found = np.array([scan.map_from_base for scan in scans])
+    away = compose(invert(compose(invert(truth[0]), truth)), compose(invert(found[0]), found))
+    return float(np.hypot(*away[:, :2].T).max()), float(np.abs(away[:, 2]).max())
+
+
+def cloud_of(world: GridMap, pose: FloatArray) -> FloatArray:
+    """Walls from floor to ceiling and the floor itself, as a 3D lidar 0.5 m up would see them."""
+    bearings = np.linspace(-np.pi, np.pi, 180, endpoint=False)
+    distance = world.obstacle_distance()
+    ranges = cast_ranges(distance, world, pose[None, :2], bearings + pose[2], 15.0)[0]
+    rings = [
+        np.column_stack(
+            [ranges * np.cos(bearings), ranges * np.sin(bearings), 0.5 + ranges * np.tan(slope)]
+        )
+        for slope in np.radians([-10, -5, 0, 5, 10, 15])
+    ]
+    points = np.concatenate(rings)
+    low = points[:, 2] < 0.0
+    points[low] *= (0.5 / (0.5 - points[low, 2]))[:, None] * (1, 1, 0)
+    return points
+
+
+def turned(x: float, yaw: float, roll: float) -> FloatArray:
+    """A pose (4, 4) in space."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("ZYX", [yaw, 0.0, roll]).as_matrix()
+    pose[0, 3] = x
+    return pose
+
+
+def view_of_points(points: FloatArray) -> SweepView:
+    """A view whose points (N, 2) are all there is."""
+    cloud = np.column_stack([points, np.zeros(len(points))])
+    planar = circle(0, np.ones(4)).planar
+    return SweepView(planar=planar, cloud=cloud, sparse=cloud[::2], walls=points, probe=points[::2])
+
+
+def scene_of(seen: FloatArray, known: FloatArray, aligner: Aligner, **settings: Setting) -> Scene:
+    """Points (N, 2) seen from where the only keyframe of the map saw the `known` (M, 2)."""
+    config = RegistrationConfig.model_validate(settings)
+    sensor = SensorKind(in_space=False, voxel_m=config.voxel_m, range_m=config.max_range_m)
+    local = LocalMap(aligner, sensor, config)
+    local.insert(view_of_points(known), np.eye(4))
+    return Scene(view=view_of_points(seen), local=local, config=config)
+
+
+def scene_in(world: GridMap, aligner: Aligner, **settings: Setting) -> Scene:
+    """The first sweep of `path` seen twice."""
+    sweep = sweeps(world, path()[:2])[0]
+    points = LASER.apply(sweep.planar.hits())
+    return scene_of(points, points, aligner, **settings)

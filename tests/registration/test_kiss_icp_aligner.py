@@ -1,0 +1,131 @@
+"""KISS-ICP as a registration method: it aligns, forgets what is old, and repeats itself exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.registration import Aligner, SensorKind
+from specmap_cli.registration.kiss_icp_aligner import KissIcpAligner
+from tests.registration.drives import turned
+
+KERNELS_M = (0.4, 0.2, 0.1, 0.05)
+
+
+def aligner(voxel_m: float = 0.2, range_m: float = 20.0, **settings: int) -> KissIcpAligner:
+    sensor = SensorKind(in_space=True, voxel_m=voxel_m, range_m=range_m)
+    return KissIcpAligner(RegistrationConfig.model_validate(settings), sensor)
+
+
+def room(seed: int) -> FloatArray:
+    """Points (N, 3) on floor and four walls of a room, the two long ones with a step in them."""
+    rng = np.random.default_rng(seed)
+    u, v = rng.uniform(0.0, 1.0, (2, 250))
+    faces = [
+        np.column_stack([6 * u, 4 * v, 0 * u]),
+        np.column_stack([6 * u, 0.5 * (u > 0.4), 2 * v]),
+        np.column_stack([6 * u, 4 - 0.7 * (u > 0.7), 2 * v]),
+        np.column_stack([0 * u, 4 * v, 2 * u]),
+        np.column_stack([6 + 0 * u, 4 * v, 2 * u]),
+    ]
+    return np.concatenate(faces) - (3.0, 2.0, 0.0)
+
+
+def aligned(method: Aligner, points: FloatArray, guess: FloatArray) -> FloatArray:
+    for kernel_m in KERNELS_M:
+        guess = method.align(points, guess, kernel_m, coarse=False)
+    return guess
+
+
+@settings(max_examples=15)
+@given(
+    st.floats(-0.15, 0.15), st.floats(-0.15, 0.15), st.floats(-0.08, 0.08), st.floats(-0.03, 0.03)
+)
+def test_a_displaced_cloud_comes_back_to_its_pose(
+    x: float, y: float, yaw: float, roll: float
+) -> None:
+    """Other points of the same room, so that no point finds itself."""
+    method = aligner()
+    keyframe = Pose2(5.0, -3.0, 0.7).matrix()
+    method.insert(room(0), keyframe)
+    guess = keyframe @ turned(x, yaw, roll) @ Pose2(0.0, y, 0.0).matrix()
+    found = aligned(method, room(1), guess)
+    assert np.linalg.norm((found - keyframe)[:3, 3]) < 0.02
+    assert np.abs(found[:3, :3] - keyframe[:3, :3]).max() < 0.01
+
+
+@pytest.mark.parametrize("coarse", [True, False])
+def test_two_runs_are_identical_and_arguments_stay(coarse: bool) -> None:
+    points, guess = room(1), turned(0.1, 0.05, 0.01)
+    before = points.copy(), guess.copy()
+    found = []
+    for _ in range(2):
+        method = aligner()
+        method.insert(room(0), np.eye(4))
+        found.append(method.align(points, guess, 0.2, coarse=coarse))
+    assert np.array_equal(found[0], found[1])
+    assert np.array_equal(points, before[0])
+    assert np.array_equal(guess, before[1])
+
+
+def test_a_coarse_alignment_may_stop_early() -> None:
+    method = aligner()
+    method.insert(room(0), np.eye(4))
+    guess = turned(0.2, 0.1, 0.0)
+    coarse, fine = (method.align(room(1), guess, 0.2, coarse=flag) for flag in (True, False))
+    assert not np.array_equal(coarse, fine)
+    assert np.linalg.norm(coarse[:3, 3]) < 0.05
+
+
+def pulled_m(method: KissIcpAligner, place_m: float) -> float:
+    """How far a room is pulled to what the map holds at a place."""
+    at = Pose2(place_m, 0.0, 0.0).matrix()
+    guess = at @ turned(0.1, 0.0, 0.0)
+    found = method.align(room(1), guess, 0.2, coarse=False)
+    return float(np.linalg.norm((found - guess)[:3, 3]))
+
+
+def test_keyframes_that_left_the_window_leave_the_map_at_the_next_rebuild() -> None:
+    method = aligner(window_keyframes=2, rebuild_keyframes=3)
+    held = []
+    for number in range(8):  # rooms 20 m apart
+        method.insert(room(0), Pose2(20.0 * number, 0.0, 0.0).matrix())
+        held.append([k for k in range(8) if pulled_m(method, 20.0 * k) > 0.05])
+    assert held == [[0], [0, 1], [0, 1, 2], [2, 3], [2, 3, 4], [2, 3, 4, 5], [5, 6], [5, 6, 7]]
+
+
+def test_a_cleared_map_is_as_good_as_new() -> None:
+    cleared, new = aligner(rebuild_keyframes=2), aligner(rebuild_keyframes=2)
+    for _ in range(3):
+        cleared.insert(room(0), np.eye(4))
+    cleared.clear()
+    assert pulled_m(cleared, 0.0) == 0.0
+    for number in range(3):
+        for method in (cleared, new):
+            method.insert(room(number), Pose2(20.0 + 0.03 * number, 0.0, 0.0).matrix())
+        assert pulled_m(cleared, 0.0) == 0.0
+        assert pulled_m(cleared, 20.0) == pulled_m(new, 20.0) > 0.05
+
+
+def test_a_full_voxel_keeps_the_newest_keyframe_s_points() -> None:
+    """Two keyframes of one room 8 cm apart, with one point a voxel: the newer decides."""
+    method = aligner(points_per_voxel=1, rebuild_keyframes=1)
+    method.insert(room(0), np.eye(4))
+    method.insert(room(0), Pose2(0.08, 0.0, 0.0).matrix())
+    newest = aligned(method, room(1), np.eye(4))[0, 3]
+    later = aligner(points_per_voxel=1, rebuild_keyframes=4)  # not rebuilt: the older stays
+    later.insert(room(0), np.eye(4))
+    later.insert(room(0), Pose2(0.08, 0.0, 0.0).matrix())
+    oldest = aligned(later, room(1), np.eye(4))[0, 3]
+    assert newest > 0.05 > oldest
+
+
+def test_points_far_from_everything_in_the_map_leave_the_guess_as_it_is() -> None:
+    method = aligner()
+    method.insert(room(0), np.eye(4))
+    guess = Pose2(50.0, 0.0, 0.0).matrix()
+    assert np.array_equal(method.align(room(1), guess, 0.2, coarse=False), guess)

@@ -1,0 +1,213 @@
+"""Every limit of the front end that is hit is counted, and said in plain words if it matters."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import Sweep
+from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.registration import FrontEnd
+from specmap_cli.registration.tally import COUNTS, warnings_of
+from tests.registration.aligners import ToldAligner, offer
+from tests.registration.drives import circle, cloud_of, path, run, sweeps, turned, worst
+
+# counts that a good run has, too
+USUAL = {"registered", "searched", "wide_searched", "walls_left_out", "long_steps", "lost"}
+
+
+def hit(front_end: FrontEnd) -> dict[str, int]:
+    """What was counted beyond the usual."""
+    return {name: count for name, count in front_end.counts.items() if count and name not in USUAL}
+
+
+def test_a_run_within_all_limits_has_nothing_to_say(world: GridMap) -> None:
+    front_end, scans = run(sweeps(world, path()[:20]))
+    assert set(front_end.counts) == set(COUNTS)
+    assert front_end.counts["registered"] == len(scans)
+    assert hit(front_end) == {}
+    assert front_end.warnings == []
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "sentence"),
+    [
+        (
+            "odometry_jumps",
+            1,
+            "registration met 1 jump of odometry beyond registration.odometry_jump_m and "
+            "odometry_jump_mps: the motion before was carried on instead",
+        ),
+        (
+            "shortened_motions",
+            2000,
+            "registration carried the motion before on to 2,000 scans only in part: raise "
+            "registration.carried_forward_m, carried_sideways_m and carried_rad for a fast robot",
+        ),
+        (
+            "few_points",
+            3,
+            "registration lost 3 scans with fewer than 12 wall points (registration.min_points)",
+        ),
+        (
+            "refused_alignments",
+            2,
+            "registration refused 2 alignments that ended farther from the guess, or tilted more, "
+            "than registration.max_shift_m, max_shift_rad and max_tilt_rad allow",
+        ),
+        (
+            "long_steps_lost",
+            1,
+            "registration lost 1 scan in agreement with odometry, which is not believed from 0.25 "
+            "m or 0.5 rad between scans on: if it is good, raise registration.believed_step_m and "
+            "believed_step_rad",
+        ),
+    ],
+)
+def test_what_is_said_of_a_limit(name: str, count: int, sentence: str) -> None:
+    config = RegistrationConfig(min_points=12, believed_step_m=0.25)
+    counts = dict.fromkeys(COUNTS, 0)
+    assert warnings_of(counts, config) == []
+    assert warnings_of({**counts, name: count}, config) == [sentence]
+
+
+def test_settings_named_in_a_warning_exist() -> None:
+    everything = " ".join(warnings_of(dict.fromkeys(COUNTS, 1), RegistrationConfig()))
+    named = re.findall(r"\w+_\w+", everything)
+    assert len(named) == 11
+    assert set(named) <= set(RegistrationConfig.model_fields)
+
+
+@pytest.mark.parametrize("name", ["registered", "searched", "walls_left_out", "long_steps"])
+def test_what_every_run_does_is_counted_and_not_said(name: str) -> None:
+    counts = {**dict.fromkeys(COUNTS, 0), name: 7}
+    assert warnings_of(counts, RegistrationConfig()) == []
+
+
+def straight(step_m: float, count: int) -> FloatArray:
+    """A drive straight on through the first room."""
+    return np.column_stack([1.0 + step_m * np.arange(count), np.full(count, 2.4), np.zeros(count)])
+
+
+def test_a_robot_too_fast_for_the_motion_to_be_carried_on_is_told(world: GridMap) -> None:
+    items = sweeps(world, straight(0.6, 6), odometry=False)
+    front_end, _ = run(items, wide_search_m=1.0)
+    assert front_end.counts["shortened_motions"] >= 3
+    assert "registration.carried_forward_m" in front_end.warnings[0]
+    wider, scans = run(items, carried_forward_m=1.0, blind_search_m=0.7)
+    assert wider.counts["shortened_motions"] == 0
+    assert worst(scans, straight(0.6, 6))[0] < 0.1
+
+
+def test_scans_with_too_few_walls_are_counted(world: GridMap) -> None:
+    items = sweeps(world, path()[:10])
+    for k in (4, 7):
+        ranges = np.where(np.arange(240) < 9, items[k].planar.ranges, np.inf)
+        planar = dataclasses.replace(items[k].planar, ranges=ranges)
+        items[k] = dataclasses.replace(items[k], planar=planar)
+    front_end, scans = run(items)
+    assert hit(front_end) == {"few_points": 2}
+    assert [scan.index for scan in scans if scan.lost] == [4, 7]
+    assert [(scan.score, scan.agrees) for scan in scans if scan.lost] == [(0.0, True)] * 2
+    assert run(items, min_points=3)[0].counts["few_points"] == 0
+
+
+def test_alignments_that_run_off_are_counted(
+    world: GridMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wild = ToldAligner(lambda guess: guess @ turned(2.0, 0.0, 0.0))
+    truth = np.tile(path()[0], (5, 1))
+    front_end, scans = run(sweeps(world, truth), method=offer(monkeypatch, wild))
+    assert hit(front_end) == {"refused_alignments": 4}  # the first sweep is aligned to nothing
+    assert worst(scans, truth)[0] < 0.05
+    assert front_end.warnings[0].startswith("registration refused 4 alignments")
+
+
+def test_good_odometry_over_long_steps_is_lost_unless_it_is_believed(
+    world: GridMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each scan sees walls the map has not got yet, so that its score alone does not carry it."""
+    method = offer(monkeypatch, ToldAligner())
+    items = sweeps(world, straight(0.6, 5))
+    strict = {"good_score": 1.0, "sure_score": 1.0, "search_m": 0.0, "search_rad": 0.0}
+    front_end, scans = run(items, method=method, **strict)
+    assert front_end.counts["long_steps"] == front_end.counts["long_steps_lost"] == 4
+    assert [scan.lost for scan in scans] == [False, True, True, True, True]
+    assert front_end.warnings[0].startswith("registration lost 4 scans in agreement with odometry")
+    believing, scans = run(items, method=method, believed_step_m=1.0, **strict)
+    assert believing.counts["long_steps"] == believing.counts["lost"] == 0
+    assert all(scan.agrees for scan in scans)
+
+
+def test_walls_beyond_the_score_field_are_counted(world: GridMap) -> None:
+    items = sweeps(world, path()[:10])
+    assert run(items, max_range_m=4.0)[0].counts["walls_left_out"] == 0
+    narrow, _ = run(items, max_range_m=4.0, field_ranges=1.0)
+    assert narrow.counts["walls_left_out"] == 9  # all but the first, which is scored on nothing
+
+
+@pytest.mark.parametrize("limit", [1, 3])
+def test_so_many_lost_sweeps_in_a_row_end_a_map(limit: int) -> None:
+    rng = np.random.default_rng(5)
+    walls, blank = rng.uniform(2.0, 4.0, 90), np.full(90, np.inf)
+    pattern = [walls, *[blank] * (limit - 1), walls, *[blank] * (limit + 2), walls]
+    front_end, scans = run([circle(k, r) for k, r in enumerate(pattern)], lost_limit=limit)
+    assert front_end.counts["breaks"] == 1
+    assert [scan.restarted for scan in scans] == [False] * (len(scans) - 1) + [True]
+    assert front_end.counts["lost"] == 2 * limit + 1
+
+
+def test_lost_sweeps_before_the_first_map_end_none() -> None:
+    blank, walls = np.full(90, np.inf), np.random.default_rng(5).uniform(2.0, 4.0, 90)
+    front_end, scans = run([circle(k, blank) for k in range(8)] + [circle(8, walls)])
+    assert front_end.counts["breaks"] == 0
+    assert not scans[-1].restarted
+    assert not scans[-1].lost
+
+
+def test_keyframes_are_inserted_where_their_scans_were_put(
+    world: GridMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also the first one of a new map, at a tilt that is partly taken back."""
+    aligner = ToldAligner(lambda guess: guess @ turned(0.0, 0.0, 0.02))
+    truth = path()[:24:2]
+    items: list[Sweep] = []
+    for k, sweep in enumerate(sweeps(world, truth)):
+        blank = dataclasses.replace(sweep.planar, ranges=np.full(240, np.nan))
+        planar = blank if k in (6, 7) else sweep.planar
+        items.append(dataclasses.replace(sweep, planar=planar, cloud=cloud_of(world, truth[k])))
+    front_end, scans = run(items, method=offer(monkeypatch, aligner), lost_limit=2)
+    assert front_end.counts["breaks"] == aligner.cleared == 1
+    assert [scan.index for scan in scans if scan.restarted] == [8]
+    handed_on = [scan.map_from_base_3d for scan in scans]
+    for _, pose in aligner.inserted:
+        assert any(other is not None and np.array_equal(pose, other) for other in handed_on)
+    upright = [float(pose[2, 2]) for pose in handed_on if pose is not None]
+    assert upright[5] == pytest.approx(upright[7], abs=1e-12)  # what is lost keeps its guess
+    assert upright[7] < upright[8] < 1.0 - 1e-5
+
+
+def test_keyframes_come_at_the_distances_and_turns_of_the_settings(
+    world: GridMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turns = np.column_stack([np.full(10, 2.0), np.full(10, 2.4), 0.1 * np.arange(10)])
+    for truth, settings, expected in (
+        (straight(0.08, 12), {"keyframe_m": 0.2}, 4),  # after 3, 6 and 9 steps
+        (straight(0.08, 12), {"keyframe_m": 5.0}, 1),
+        (turns, {"keyframe_rad": 0.25}, 4),
+        (turns, {"keyframe_rad": 3.0}, 1),
+    ):
+        aligner = ToldAligner()
+        method = offer(monkeypatch, aligner)
+        exact = [
+            dataclasses.replace(sweep, odom_from_base=Pose2(*pose))
+            for sweep, pose in zip(sweeps(world, truth), truth.tolist(), strict=True)
+        ]
+        run(exact, method=method, **settings)
+        assert len(aligner.inserted) == expected
+        assert np.array_equal(aligner.inserted[0][1], IDENTITY.matrix())

@@ -1,0 +1,206 @@
+"""From the guess to the best pose: which searches are made, which guess is taken, what slips."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.registration.expected_motion import ExpectedMotion
+from specmap_cli.registration.locating import best_guess, locate
+from specmap_cli.registration.scene import Scene
+from tests.registration.aligners import ToldAligner
+from tests.registration.drives import scene_in, scene_of, turned
+
+
+def expecting(
+    motion: Pose2 = IDENTITY, carried: Pose2 = IDENTITY, *, measured: bool = True
+) -> ExpectedMotion:
+    return ExpectedMotion(
+        motion=motion,
+        carried=carried,
+        during=IDENTITY,
+        interval_s=0.1,
+        measured=measured,
+        jumped=False,
+        shortened=False,
+    )
+
+
+def kernels_m(scene: Scene) -> Sequence[float]:
+    """The kernels of all alignments made in a scene."""
+    assert isinstance(scene.local.aligner, ToldAligner)
+    return [asked.kernel_m for asked in scene.local.aligner.asked]
+
+
+def test_a_good_result_near_its_guess_calls_for_no_search(world: GridMap) -> None:
+    scene = scene_in(world, ToldAligner())
+    located = locate(scene, np.eye(4), expecting(), IDENTITY)
+    assert not located.searched
+    assert not located.wide_searched
+    assert np.array_equal(located.fit.pose, np.eye(4))
+    assert kernels_m(scene) == pytest.approx([0.2, 0.1, 0.05, 0.025])
+
+
+@pytest.mark.parametrize("answer", [turned(0.15, 0.0, 0.0), turned(0.0, 0.11, 0.0)])
+def test_a_good_result_far_from_its_guess_is_searched_for_again(
+    world: GridMap, answer: FloatArray
+) -> None:
+    """One kernel, whose result is right; only the guess is off."""
+    aligner = ToldAligner(lambda _: np.eye(4))
+    scene = scene_in(world, aligner, kernel_voxels=(1.0,))
+    located = locate(scene, answer, expecting(), IDENTITY)
+    assert located.searched
+    assert not located.wide_searched
+    assert np.array_equal(located.fit.pose, np.eye(4))
+    eager = scene_in(world, aligner, kernel_voxels=(1.0,), doubt_m=0.16, doubt_rad=0.12)
+    assert not locate(eager, answer, expecting(), IDENTITY).searched
+
+
+@pytest.mark.parametrize("away", [Pose2(0.2, 0.1, 0.1), Pose2(-0.1, 0.2, -0.3)])
+def test_a_low_score_is_searched_for_near_by(world: GridMap, away: Pose2) -> None:
+    located = locate(scene_in(world, ToldAligner()), away.matrix(), expecting(), IDENTITY)
+    assert located.searched
+    assert located.fit.score > 0.75
+    assert located.fit.planar.distance < 0.08
+    assert abs(located.fit.planar.theta) < 0.03
+
+
+@pytest.mark.parametrize("away", [Pose2(0.8, -0.7, 0.5), Pose2(-0.5, 0.9, -1.4)])
+def test_a_poor_score_is_searched_for_widely(world: GridMap, away: Pose2) -> None:
+    scene = scene_in(world, ToldAligner())
+    located = locate(scene, away.matrix(), expecting(), IDENTITY)
+    assert located.wide_searched
+    assert located.fit.planar.distance < 0.15
+    assert abs(located.fit.planar.theta) < 0.05
+    assert kernels_m(scene)[8:] == pytest.approx([0.4, 0.2, 0.1, 0.05, 0.025])
+
+
+@pytest.mark.parametrize(
+    ("measured", "settings", "found"),
+    [
+        (True, {}, False),
+        (False, {}, False),
+        (True, {"search_m": 0.6}, True),
+        (False, {"search_m": 0.6}, False),
+        (False, {"blind_search_m": 0.6}, True),
+        (True, {"blind_search_m": 0.6}, False),
+    ],
+)
+def test_the_window_of_the_search_is_that_of_the_guess(
+    world: GridMap, measured: bool, settings: dict[str, float], found: bool
+) -> None:
+    scene = scene_in(world, ToldAligner(), **settings, wide_search_m=0.0, wide_search_rad=0.0)
+    guess = Pose2(0.5, 0.5, 0.0).matrix()
+    located = locate(scene, guess, expecting(measured=measured), IDENTITY)
+    assert (located.fit.planar.distance < 0.1) == found
+    assert located.wide_searched == (not found)
+
+
+def test_a_worse_result_of_a_search_is_not_taken(world: GridMap) -> None:
+    """An aligner that makes everything worse after the first time it is asked."""
+    answers = [turned(0.2, 0.0, 0.0)]
+    worse = turned(0.9, 0.5, 0.0)
+    scene = scene_in(
+        world, ToldAligner(lambda _: answers.pop() if answers else worse), kernel_voxels=(1.0,)
+    )
+    located = locate(scene, np.eye(4), expecting(), IDENTITY)
+    assert located.searched
+    assert located.fit.planar.x == pytest.approx(0.2)
+
+
+def test_refusals_of_all_searches_are_told(world: GridMap) -> None:
+    scene = scene_in(world, ToldAligner(lambda guess: np.full_like(guess, np.nan)))
+    located = locate(scene, Pose2(3.0, 3.0, 1.0).matrix(), expecting(), IDENTITY)
+    assert (located.searched, located.wide_searched, located.fit.refused) == (True, True, 3)
+
+
+def test_the_guess_is_odometry_s_unless_the_walls_object(world: GridMap) -> None:
+    scene = scene_in(world, ToldAligner())
+    slightly, wildly = Pose2(0.01, 0.0, 0.002), Pose2(0.0, 0.0, 0.3)
+    before = np.eye(4)
+    for odometry, taken in ((slightly, slightly), (wildly, IDENTITY)):
+        guess = best_guess(scene, before, expecting(odometry, IDENTITY))
+        assert np.allclose(guess, taken.matrix())
+    # what is no better is not taken, nor anything at all against no odometry
+    assert np.allclose(best_guess(scene, before, expecting(wildly, wildly)), wildly.matrix())
+    unmeasured = expecting(wildly, IDENTITY, measured=False)
+    assert np.allclose(best_guess(scene, before, unmeasured), wildly.matrix())
+    stubborn = scene_in(world, ToldAligner(), guess_margin=1.0)
+    assert np.allclose(best_guess(stubborn, before, expecting(wildly)), wildly.matrix())
+
+
+def corridor(length_m: float, end_m: float | None = None) -> FloatArray:
+    """Two bare walls 2 m apart; a wall across one end, if any, in which half of the points lie."""
+    x = np.arange(-length_m / 2, length_m / 2, 0.05)
+    walls = [np.column_stack([x, np.full(len(x), y)]) for y in (-1.0, 1.0)]
+    if end_m is not None:
+        y = np.linspace(-1.0, 1.0, 2 * len(x))
+        walls.append(np.column_stack([np.full(len(y), end_m), y]))
+    return np.concatenate(walls)
+
+
+def scene_in_corridor(end_m: float | None = None, **settings: float) -> Scene:
+    """A corridor, which the map knows farther than the sweep sees."""
+    return scene_of(corridor(20.0, end_m), corridor(30.0, end_m), ToldAligner(), **settings)
+
+
+@pytest.mark.parametrize(("points", "taken"), [(30, False), (200, True)])
+def test_of_places_nearly_alike_a_search_takes_the_one_near_the_guess(
+    points: int, taken: bool
+) -> None:
+    """A post fits farther on: a small one better, but not by enough for a quarter metre."""
+    post = np.column_stack([np.full(points, 2.0), np.linspace(-0.3, 0.3, points)])
+    seen = np.concatenate([corridor(20.0), post])
+    known = np.concatenate([corridor(30.0), post + (0.25, 0.0)])
+    scene = scene_of(seen, known, ToldAligner(), good_score=1.0)
+    assert scene.score(Pose2(0.25, 0.0, 0.0)) > scene.score(IDENTITY) + 0.02
+    located = locate(scene, np.eye(4), expecting(), IDENTITY)
+    assert located.searched
+    assert (located.fit.planar.x > 0.05) == taken
+
+
+@pytest.fixture(scope="module")
+def bare() -> Scene:
+    return scene_in_corridor()
+
+
+@given(st.floats(-0.5, 0.5), st.floats(-0.03, 0.03), st.floats(-0.01, 0.01))
+def test_along_a_bare_corridor_the_way_is_odometry_s(
+    bare: Scene, ahead_m: float, offset_m: float, turn: float
+) -> None:
+    """Registration stays behind at the guess; heading and offset are as it found them."""
+    found = locate(bare, np.eye(4), expecting(), Pose2(ahead_m, offset_m, turn)).fit.planar
+    assert found.x == pytest.approx(ahead_m if abs(ahead_m) >= 0.08 else 0.0, abs=1e-9)
+    assert (found.y, found.theta) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("end_m", "measured", "settings"),
+    [
+        (4.0, True, {}),  # the end wall tells where the robot is
+        (None, False, {}),  # a motion carried on is no witness
+        (None, True, {"slip_m": 0.4}),
+    ],
+)
+def test_odometry_is_not_followed_along_a_corridor_where_it_is_no_witness(
+    end_m: float | None, measured: bool, settings: dict[str, float]
+) -> None:
+    scene = scene_in_corridor(end_m, **settings)
+    ahead = Pose2(0.3, 0.0, 0.0)
+    located = locate(scene, np.eye(4), expecting(measured=measured), ahead)
+    assert located.fit.planar == IDENTITY
+
+
+def test_a_slip_is_mended_as_far_as_the_score_allows() -> None:
+    """Odometry is 0.3 m ahead; the end wall objects to that, but not to a part of it."""
+    scene = scene_in_corridor(end_m=4.0)
+    guess, ahead = Pose2(-0.1, 0.0, 0.0), Pose2(0.2, 0.0, 0.0)  # the truth is in between
+    fit = locate(scene, guess.matrix(), expecting(), ahead).fit
+    assert guess.x < fit.planar.x < ahead.x
+    assert scene.score(ahead) < scene.score(guess) <= fit.score == scene.score(fit.planar)

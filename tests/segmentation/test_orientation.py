@@ -1,0 +1,72 @@
+"""One window and one orientation, whatever copy of a map is given."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.grids.gridmap import BoolArray
+from specmap_cli.segmentation.orientation import canonical
+
+seeds = st.integers(0, 10_000)
+turns = st.integers(0, 3)
+
+
+def blotch(seed: int) -> BoolArray:
+    """A few free cells, one at the least."""
+    rng = np.random.default_rng(seed)
+    free = rng.random((rng.integers(1, 7), rng.integers(1, 7))) < 0.4
+    free[rng.integers(free.shape[0]), rng.integers(free.shape[1])] = True
+    return np.asarray(free)
+
+
+@given(seeds, turns, st.tuples(*[st.integers(0, 5)] * 4))
+def test_every_copy_of_a_map_looks_the_same(
+    seed: int, turned: int, frame: tuple[int, int, int, int]
+) -> None:
+    free = blotch(seed)
+    copy = np.pad(np.rot90(free, turned), (frame[:2], frame[2:]))
+    np.testing.assert_array_equal(canonical(copy).apply(copy), canonical(free).apply(free))
+
+
+@given(seeds)
+def test_no_other_turn_has_a_smaller_picture(seed: int) -> None:
+    free = blotch(seed)
+    chosen = canonical(free).apply(free)
+    for turned in range(4):
+        other = np.rot90(chosen, turned)
+        assert (chosen.shape, chosen.tobytes()) <= (other.shape, other.tobytes())
+
+
+@given(seeds)
+def test_what_was_turned_is_put_back_where_it_was(seed: int) -> None:
+    free = blotch(seed)
+    upright = canonical(free)
+    picture = np.arange(free.size).reshape(free.shape)
+    canvas = np.full(free.shape, -1)
+    back = upright.undo(upright.apply(picture), canvas)
+    np.testing.assert_array_equal(back[upright.window], picture[upright.window])
+    outside = np.ones(free.shape, dtype=bool)
+    outside[upright.window] = False
+    assert (back[outside] == -1).all()
+    assert not free[outside].any()
+    assert (canvas == -1).all()  # it is not changed itself
+
+
+@given(seeds)
+def test_cells_are_found_again_in_the_grid(seed: int) -> None:
+    free = blotch(seed)
+    upright = canonical(free)
+    numbers = np.arange(free.size).reshape(free.shape)
+    turned = upright.apply(numbers)
+    cells = np.argwhere(np.ones(turned.shape, dtype=bool))
+    rows, columns = upright.cells_in_grid(cells, turned.shape).astype(int).T
+    np.testing.assert_array_equal(numbers[rows, columns], turned.reshape(-1))
+
+
+def test_a_map_without_free_cells_has_an_empty_window() -> None:
+    nothing = np.zeros((4, 6), dtype=bool)
+    upright = canonical(nothing)
+    assert upright.apply(nothing).shape == (0, 0)
+    assert upright.cells_in_grid(np.zeros((0, 2)), (0, 0)).shape == (0, 2)

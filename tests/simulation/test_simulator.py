@@ -1,0 +1,174 @@
+"""The simulator: options, and tours whose scans agree with their truth."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy.spatial import cKDTree
+
+from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.geometry import Pose2, compose, invert
+from specmap_cli.core.records import Sweep
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.simulation.simulator import (
+    START_NS,
+    SimulationOptions,
+    simulate_sweeps,
+    simulated_tour,
+    simulation_options,
+    stamp_of,
+)
+
+BRIEF = SimulationOptions(beams=30, rate_hz=4, max_duration_s=5.0, seed=2)
+EXACT: dict[str, Any] = {"noise_m": 0.0, "range_step_m": 0.0, "odometry_drift": 0.0}
+
+
+def brief(**changes: Any) -> SimulationOptions:
+    return BRIEF.model_copy(update=changes)
+
+
+def test_errors_of_the_sensors_leave_the_route_as_it_is(flat: GridMap) -> None:
+    exact = simulated_tour(flat, SimulationOptions(seed=5, noise_m=0.0, odometry_drift=0.0))
+    noisy = simulated_tour(
+        flat, SimulationOptions(seed=5, noise_m=0.05, odometry_drift=3.0, beams=90)
+    )
+    np.testing.assert_array_equal(exact.truth.poses, noisy.truth.poses)
+
+
+def test_the_laser_s_noise_leaves_the_odometry_as_it_is(flat: GridMap) -> None:
+    one, other = (simulated_tour(flat, brief(noise_m=noise, beams=8)) for noise in (0.0, 0.3))
+    np.testing.assert_array_equal(one.odometry.poses, other.odometry.poses)
+
+
+def test_the_scans_of_a_tour_are_the_same_every_time(flat: GridMap) -> None:
+    tour = simulated_tour(flat, brief(dropouts=0.2))
+    for (sweep, pose), (again, pose_again) in zip(tour.scans(), tour.scans(), strict=True):
+        np.testing.assert_array_equal(sweep.planar.ranges, again.planar.ranges)
+        assert (pose, sweep.odom_from_base) == (pose_again, again.odom_from_base)
+
+
+def test_returns_lie_on_walls_seen_from_the_true_pose(
+    flat: GridMap, flat_tour: list[tuple[Sweep, Pose2]]
+) -> None:
+    walls = cKDTree(flat.centres_of(np.argwhere(flat.occupied)))
+    for sweep, map_from_base in flat_tour[::40]:
+        hits = (map_from_base @ sweep.base_from_laser).apply(sweep.planar.hits())
+        away, _ = walls.query(hits)
+        # half a cell's diagonal, and five times the noise
+        assert away.max() < 0.5 * np.sqrt(2.0) * 0.05 + 5 * 0.01
+        assert len(hits) > 100
+
+
+def test_exact_odometry_is_the_true_motion(flat: GridMap) -> None:
+    sweeps = list(simulate_sweeps(flat, brief(**EXACT, odometry_rate_hz=1000)))
+    odometry = np.array([sweep.odom_from_base for sweep, _ in sweeps], dtype=np.float64)
+    truth = np.array([pose for _, pose in sweeps])
+    moved = compose(invert(odometry[:-1]), odometry[1:])
+    np.testing.assert_allclose(moved, compose(invert(truth[:-1]), truth[1:]), atol=1e-4)
+    assert np.hypot(*(truth[-1] - truth[0])[:2]) > 0.5
+
+
+def test_stamps_are_whole_microseconds_at_the_rate(flat: GridMap) -> None:
+    sweeps = [sweep for sweep, _ in simulate_sweeps(flat, brief(rate_hz=3))]
+    assert [sweep.index for sweep in sweeps] == list(range(16))
+    assert sweeps[0].stamp_ns == START_NS == stamp_of(0.0)
+    for before, after in pairwise(sweep.stamp_ns for sweep in sweeps):
+        assert after % 1000 == 0
+        assert abs(after - before - 10**9 / 3) <= 1000
+
+
+@pytest.mark.parametrize(("longest", "scans"), [(0.01, 1), (0.25, 2), (3.0, 13)])
+def test_a_longest_duration_ends_the_recording(flat: GridMap, longest: float, scans: int) -> None:
+    tour = simulated_tour(flat, brief(max_duration_s=longest))
+    assert len(list(tour.scans())) == len(tour.scan_times_s) == scans
+    assert tour.duration_s == (scans - 1) / 4
+
+
+def test_without_a_longest_duration_the_tour_is_recorded_to_its_end(flat: GridMap) -> None:
+    tour = simulated_tour(flat, brief(max_duration_s=None))
+    assert tour.truth.duration_s - 0.25 < tour.duration_s <= tour.truth.duration_s
+    length = np.hypot(*np.diff(tour.truth.poses[:, :2], axis=0).T).sum()
+    assert tour.distance_m == pytest.approx(length, rel=0.02)
+
+
+@pytest.mark.parametrize("rate", [0.5, 7.0, 200.0])
+def test_odometry_begins_before_the_first_scan_and_ends_after_the_last(
+    flat: GridMap, rate: float
+) -> None:
+    tour = simulated_tour(flat, brief(odometry_rate_hz=rate))
+    stamps = [stamp for stamp, _ in tour.odometry_messages()]
+    assert stamps[0] < START_NS
+    assert stamps[-1] >= stamp_of(tour.duration_s)
+    np.testing.assert_allclose(np.diff(stamps), 1e9 / rate, atol=1000)
+
+
+@pytest.mark.parametrize(("sweep_s", "timed"), [(0.0, False), (0.2, True)])
+def test_beams_have_times_of_their_own_when_a_sweep_takes_time(
+    flat: GridMap, sweep_s: float, timed: bool
+) -> None:
+    sweep, _ = next(simulate_sweeps(flat, brief(sweep_s=sweep_s)))
+    times = sweep.planar.beam_times_s
+    assert (times is not None) is timed
+    if times is not None:
+        assert (times[0], times[-1], len(times)) == (0.0, 0.2, 30)
+
+
+def test_the_mounting_and_the_range_reach_the_sweeps(flat: GridMap) -> None:
+    options = brief(laser_x_m=0.2, laser_y_m=-0.1, laser_yaw_deg=90.0, range_max_m=3.0)
+    for sweep, _ in simulate_sweeps(flat, options):
+        assert sweep.base_from_laser == Pose2(0.2, -0.1, np.pi / 2)
+        assert sweep.planar.range_max == 3.0
+        finite = sweep.planar.ranges[np.isfinite(sweep.planar.ranges)]
+        assert finite.max(initial=0.0) <= 3.0
+
+
+def test_options_of_the_drive_reach_the_robot(flat: GridMap) -> None:
+    usual = simulated_tour(flat, brief(max_duration_s=None)).truth.duration_s
+    for slower in ({"speed_mps": 0.3}, {"turn_rate_degps": 30.0}, {"acceleration_mps2": 0.1}):
+        assert simulated_tour(flat, brief(max_duration_s=None, **slower)).truth.duration_s > usual
+
+
+def test_the_comfort_changes_the_route(flat: GridMap) -> None:
+    near, far = (simulated_tour(flat, brief(comfort_m=comfort)) for comfort in (0.3, 2.0))
+    clearance = [tour.world.clearance_at(tour.truth.poses[:, :2]).mean() for tour in (near, far)]
+    assert clearance[1] > clearance[0]
+
+
+def test_a_robot_too_wide_for_the_plan_is_refused_before_the_first_scan(flat: GridMap) -> None:
+    with pytest.raises(MapError, match=r"no free space for a robot of radius 2 m"):
+        next(simulate_sweeps(flat, brief(robot_radius_m=2.0)))
+
+
+def test_a_robot_that_just_fits_stands() -> None:
+    cells = np.full((30, 30), OCCUPIED, dtype=np.uint8)
+    cells[9:22, 9:22] = FREE
+    tour = simulated_tour(GridMap(cells, 0.05), SimulationOptions(beams=16))
+    assert (tour.distance_m, tour.duration_s, len(tour.scan_times_s)) == (0.0, 0.0, 1)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"beams": 1}, "beams: .*greater than or equal to 8.*found 1"),
+        ({"speed_mps": float("nan")}, "speed_mps: .*finite"),
+        ({"acceleration_mps2": 0.0}, "acceleration_mps2: .*greater than 0.*found 0.0"),
+        ({"comfort_m": -1.0}, "comfort_m: .*greater than 0.*found -1.0"),
+        ({"dropouts": 1.0}, "dropouts: .*less than 1.*found 1.0"),
+        ({"laps": 1.5}, "laps: .*integer.*found 1.5"),
+        ({"lapse": 3}, "lapse: .*found 3"),
+        ({"sweep_s": 0.3, "rate_hz": 5}, "sweep_s is longer than the 0.2 s between scans"),
+    ],
+)
+def test_options_out_of_range_are_one_line(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message) as caught:
+        simulation_options(**values)
+    assert "\n" not in str(caught.value)
+
+
+def test_options_cannot_be_changed_once_given() -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        BRIEF.seed = 3  # type: ignore[misc]

@@ -1,0 +1,92 @@
+"""What the project stands on: declared, pinned at both ends, documented, and nothing else."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+
+from specmap_cli.core.versions import STANDS_ON
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+RUNTIME = [Requirement(line) for line in PROJECT["dependencies"]]
+DEVELOPMENT = [Requirement(line) for line in PROJECT["optional-dependencies"]["dev"]]
+DECLARED = [*RUNTIME, *DEVELOPMENT]
+
+
+def pins(name: str) -> dict[str, Version]:
+    """The versions that a file of constraints pins."""
+    lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
+    pinned = [line.split("==") for line in lines if not line.startswith("#")]
+    return {canonicalize_name(name): Version(version) for name, version in pinned}
+
+
+def floor(requirement: Requirement) -> Version:
+    """The lowest version that a requirement allows; each has one."""
+    (lowest,) = (each.version for each in requirement.specifier if each.operator == ">=")
+    return Version(lowest)
+
+
+@pytest.mark.parametrize("requirement", DECLARED, ids=lambda found: found.name)
+def test_the_lowest_pins_are_the_floors(requirement: Requirement) -> None:
+    lowest = pins("constraints-lowest.txt")[canonicalize_name(requirement.name)]
+    assert lowest == floor(requirement), "run `make constraints-lowest`"
+
+
+@pytest.mark.parametrize("requirement", DECLARED, ids=lambda found: found.name)
+def test_the_usual_pins_are_allowed(requirement: Requirement) -> None:
+    usual = pins("constraints.txt")[canonicalize_name(requirement.name)]
+    assert usual in requirement.specifier
+    assert usual >= pins("constraints-lowest.txt")[canonicalize_name(requirement.name)]
+
+
+def test_nothing_is_declared_twice() -> None:
+    names = [canonicalize_name(requirement.name) for requirement in DECLARED]
+    assert len(names) == len(set(names))
+
+
+def test_the_version_names_all_that_is_needed_to_run() -> None:
+    assert list(STANDS_ON) == sorted(requirement.name for requirement in RUNTIME)
+
+
+def test_the_package_imports_what_is_declared_and_nothing_else() -> None:
+    imported: set[str] = set()
+    for path in (ROOT / "specmap_cli").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module is not None:
+                imported.add(node.module.split(".")[0])
+    foreign = imported - sys.stdlib_module_names - {"specmap_cli"}
+    distributions = metadata.packages_distributions()
+    declared = {canonicalize_name(requirement.name) for requirement in RUNTIME}
+    undeclared = {
+        name for name in foreign if not {*map(canonicalize_name, distributions[name])} & declared
+    }
+    assert undeclared == set()
+
+
+@pytest.mark.parametrize("requirement", DECLARED, ids=lambda found: found.name)
+def test_the_documents_say_what_it_is_for(requirement: Requirement) -> None:
+    text = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
+    assert re.search(rf"(?<![\w-]){re.escape(requirement.name)}(?![\w-])", text)
+
+
+def test_every_python_promised_is_allowed() -> None:
+    promised = [
+        line.rsplit(" ", 1)[1]
+        for line in PROJECT["classifiers"]
+        if re.search(r"Python :: 3\.\d+$", line)
+    ]
+    lowest, *_ = promised
+    assert promised == ["3.11", "3.12", "3.13"]
+    assert PROJECT["requires-python"] == f">={lowest}"

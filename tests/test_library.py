@@ -1,0 +1,83 @@
+"""What a library user needs: seven names, loaded late, with the example that the page shows."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import specmap_cli
+from specmap_cli.core.settings import Config
+from specmap_cli.pipelines.simulate import SimulationResult
+from tests.conftest import SAMPLE_LOGS
+
+ROOT = Path(__file__).parent.parent
+PAGE = ROOT / "docs" / "library.md"
+EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+def test_every_public_name_is_there_and_on_the_page() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    for name in specmap_cli.__all__:
+        assert getattr(specmap_cli, name).__name__ == name
+        assert getattr(specmap_cli, name).__doc__
+        assert name in dir(specmap_cli)
+        assert f"`{name}" in text
+    with pytest.raises(AttributeError, match="no_such_name"):
+        specmap_cli.no_such_name  # noqa: B018
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    code = "import sys, specmap_cli; print('numpy' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "False\n"
+
+
+def test_the_examples_of_the_page_run(
+    flat_log: SimulationResult,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in ("log.mcap", "other.mcap"):
+        shutil.copy(flat_log.log, tmp_path / name)
+    shutil.copy(SAMPLE_LOGS / "office.png", tmp_path / "plan.png")
+    monkeypatch.chdir(tmp_path)
+    assert len(EXAMPLES) == 4
+    for example in EXAMPLES:
+        exec(compile(example, str(PAGE), "exec"), {})
+    shown = capsys.readouterr().out
+    assert re.search(r"^\d submaps$", shown, flags=re.MULTILINE)
+    assert re.search(r"^0 submap 0 \d+\.\d m2 \d visits$", shown, flags=re.MULTILINE)
+    assert re.search(r"^1700000\d+ \d Pose2\(x=", shown, flags=re.MULTILINE)
+    assert "/scan sensor_msgs/msg/LaserScan" in shown
+    assert re.search(r"^\d+ rooms$", shown, flags=re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: specmap_cli.build_map(3, "out"),  # type: ignore[arg-type]
+        lambda: specmap_cli.build_map("log.mcap", 3),  # type: ignore[arg-type]
+        lambda: specmap_cli.build_map("log.mcap", "out", {"seed": 1}),  # type: ignore[arg-type]
+        lambda: specmap_cli.build_map([], "out", Config(), explain=3),  # type: ignore[arg-type]
+        lambda: specmap_cli.localize_log("log.mcap", 3),  # type: ignore[arg-type]
+        lambda: specmap_cli.localize_log("log.mcap", "out", 3),  # type: ignore[arg-type]
+        lambda: specmap_cli.segment_map(3, "out"),  # type: ignore[arg-type]
+        lambda: specmap_cli.segment_map("m.yaml", "out", "paper"),  # type: ignore[arg-type]
+        lambda: specmap_cli.read_map(None),  # type: ignore[arg-type]
+        lambda: specmap_cli.load_config(3),  # type: ignore[arg-type]
+    ],
+)
+def test_wrong_types_are_refused_before_the_work(
+    call: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert callable(call)
+    with pytest.raises(TypeError, match=r"expected .*, found "):
+        call()
+    assert list(tmp_path.iterdir()) == []
