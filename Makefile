@@ -21,7 +21,7 @@ test: lint
 	$(BIN)/python -m pytest -n 2
 
 test-lowest: $(LOWEST)/installed-dev
-	$(LOWEST)/bin/python -m pytest -n 2
+	$(LOWEST)/bin/python -m pytest -n 2 --ignore tests/fuzz
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

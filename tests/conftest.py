@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
@@ -19,7 +19,13 @@ from tests.house import result
 
 __all__ = ["result"]  # a fixture for all
 
-settings.register_profile("specmap", derandomize=True, deadline=None, max_examples=40)
+settings.register_profile(
+    "specmap",
+    derandomize=True,
+    deadline=None,
+    max_examples=40,
+    suppress_health_check=[HealthCheck.too_slow],  # a busy machine is no failure
+)
 settings.load_profile("specmap")
 
 SAMPLE_LOGS = Path(__file__).parent.parent / "sample_logs"

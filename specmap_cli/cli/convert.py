@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli.options import RECORDING, Common, Overwrite, output
+from specmap_cli.cli.options import RECORDING, Common, Overwrite, Settings, output
 from specmap_cli.cli.targets import check_files
 from specmap_cli.core.errors import UsageError
 
@@ -23,11 +23,19 @@ Paths = Annotated[
 Out = Annotated[Path | None, output("MCAP to write.")]
 
 
-def convert(paths: Paths, common: Common, out: Out = None, overwrite: Overwrite = False) -> None:
+def convert(
+    paths: Paths,
+    out: Out = None,
+    overwrite: Overwrite = False,
+    *,
+    settings: Settings,
+    common: Common,
+) -> None:
     """Convert a recording of another format to MCAP.
 
     A CARMEN log, ROS 1 bag or rosbag2 recording becomes an MCAP of ROS 2 messages. Keeps scans,
-    point clouds, odometry and transforms; says what it left out.
+    point clouds, odometry and transforms; says what it left out. Of the settings, those that bound
+    what is unpacked count, such as log.chunk_max_mb.
 
     \b
     specmap convert log.bag -o log.mcap
@@ -39,6 +47,9 @@ def convert(paths: Paths, common: Common, out: Out = None, overwrite: Overwrite 
     if not logs:
         raise UsageError(f"name the MCAP to write: specmap convert {target} -o OUT.mcap")
     check_files([target], logs, overwrite=overwrite)
+    bounds = settings.load().log
     with common.progress() as progress:
-        conversion = convert_log(logs, target, overwrite=overwrite, progress=progress)
+        conversion = convert_log(
+            logs, target, overwrite=overwrite, progress=progress, config=bounds
+        )
     common.show({**asdict(conversion), "path": str(target)}, conversion.lines())

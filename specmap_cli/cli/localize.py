@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from specmap_cli.cli.options import Common, Logs, LogSettings, Overwrite, output
-from specmap_cli.cli.targets import check_files
+from specmap_cli.cli.targets import check_files, files_of_map
 
 MapDirectory = Annotated[
     Path, typer.Option("--map", "-m", help="Map directory written by `specmap build`.")
@@ -49,18 +49,15 @@ def localize(
     specmap localize other.mcap --map map --offline --metric --json
     """
     from specmap_cli.maps.store import read_map
-    from specmap_cli.pipelines.localization_report import write_csv, write_plot
+    from specmap_cli.pipelines.localization_report import write_report
     from specmap_cli.pipelines.localize import localize_log, settings_for
 
-    check_files([out, plot], logs, overwrite=overwrite)
+    check_files([out, plot], [*logs, *files_of_map(map_directory)], overwrite=overwrite)
     stored = read_map(map_directory)
     effective = settings_for(stored, settings.overrides(), settings.config, settings.preset)
     with common.progress() as progress:
         report = localize_log(
             logs, stored, effective, offline=offline, metric=metric, progress=progress
         )
-    if out is not None:
-        write_csv(out, report, metric)
-    if plot is not None:
-        write_plot(plot, report, stored, metric)
+    write_report(report, stored, metric=metric, csv=out, plot=plot)
     common.show(report.as_dict(), report.lines())

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
-import unicodedata
 from contextlib import suppress
+
+from specmap_cli.core.legible import legible
 
 
 def print_text(text: str) -> None:
@@ -37,10 +38,4 @@ def one_line(text: str) -> str:
 
     That is control characters, which it would obey, and bytes of a file name that are no text.
     """
-    return "".join(_shown(character) for character in " ".join(text.split()))
-
-
-def _shown(character: str) -> str:
-    if unicodedata.category(character) not in {"Cc", "Cs"}:  # control, surrogate
-        return character
-    return character.encode("unicode_escape").decode("ascii")
+    return legible(" ".join(text.split()))

@@ -21,6 +21,8 @@ def check_files(
     for path in wanted:
         if path.is_dir():
             raise UsageError(f"{path}: is a directory: name the file to write")
+        if os.path.lexists(path) and not path.is_file():
+            raise UsageError(f"{path}: is no regular file: choose another place")
         if os.path.lexists(path) and not overwrite:
             raise UsageError(f"{path}: exists already: choose another name or say --overwrite")
         if not path.parent.is_dir():
@@ -30,6 +32,11 @@ def check_files(
     if len({path.resolve() for path in wanted}) < len(wanted):
         raise UsageError(f"{wanted[0]}: given for two outputs: each needs a file of its own")
     keep_inputs(wanted, inputs)
+
+
+def files_of_map(directory: Path) -> list[Path]:
+    """The files in a map directory, which no output may replace."""
+    return [path for path in directory.rglob("*") if path.is_file()] if directory.is_dir() else []
 
 
 def keep_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:

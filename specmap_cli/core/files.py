@@ -5,8 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -41,13 +41,26 @@ def write_bytes(path: Path | str, data: bytes) -> None:
         file.write(data)
 
 
+def write_together(contents: Mapping[Path, bytes]) -> None:
+    """Write several files, replacing those of their names: all of them, or none.
+
+    UsageError when one cannot be written.
+    """
+    with ExitStack() as files:  # each takes its name only when all have been written
+        for path, data in contents.items():
+            files.enter_context(complete_file(path)).write(data)
+
+
 @contextmanager
 def complete_file(path: Path | str) -> Iterator[IO[bytes]]:
     """An open file that takes its name when the block ends well, and vanishes otherwise.
 
-    It replaces one of that name. Raises UsageError when it cannot be written.
+    It replaces one of that name. Raises UsageError when it cannot be written, and for a name that
+    is that of something else than a file: a device or a pipe would be lost.
     """
     target = Path(path)
+    if os.path.lexists(target) and not target.is_file():
+        raise UsageError(f"{target}: is no regular file: choose another place")
     partial = target.with_name(f".{target.name}.partial-{os.getpid()}")
     try:
         with partial.open("wb") as file:

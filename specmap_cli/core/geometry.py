@@ -25,6 +25,14 @@ def wrap_angles(angles: NDArray[Any]) -> FloatArray:
     return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi, dtype=np.float64)
 
 
+def product(a: NDArray[Any], b: NDArray[Any]) -> FloatArray:
+    """The matrix product a (n, k) b (k, m), the same to the last bit on every processor.
+
+    `@` is not: a fused multiplication rounds otherwise, and a point may fall into another cell.
+    """
+    return np.asarray(np.einsum("ij,jk->ik", a, b), dtype=np.float64)
+
+
 class Pose2(NamedTuple):
     """A rigid motion of the plane: metres and radians."""
 
@@ -48,7 +56,13 @@ class Pose2(NamedTuple):
 
     def apply(self, points: NDArray[Any]) -> FloatArray:
         """Points (N, 2) of frame b in frame a."""
-        return np.asarray(points @ self.rotation().T + (self.x, self.y), dtype=np.float64)
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        x, y = points[:, 0], points[:, 1]
+        placed = np.empty((len(points), 2))
+        # not by `@`, see `product`; twice as quick by columns
+        placed[:, 0] = c * x - s * y + self.x
+        placed[:, 1] = s * x + c * y + self.y
+        return placed
 
     def rotation(self) -> FloatArray:
         """The rotation matrix (2, 2)."""

@@ -272,7 +272,7 @@ class RecognitionConfig(_Section):
     )
     min_score: float = Field(0.75, le=1, description="inliers less twice the contradictions")
     min_lead: float = Field(0.1, ge=0, description="over the next best match, or it is ambiguous")
-    min_inliers: int = Field(100, ge=1, description="wall points that agree")
+    min_wall_m: float = Field(5.0, ge=0, description="metres of wall that agree, cell by cell")
     min_overlap: float = Field(0.4, ge=0, le=1, description="shared part of one's walls")
     least_overlap: float = Field(0.15, ge=0, le=1, description="shared part of the other's walls")
     merge_overlap: float = Field(0.4, ge=0, le=1, description="of both tracks, for a merge")

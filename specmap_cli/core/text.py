@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from specmap_cli.core.legible import encodable as encodable
+from specmap_cli.core.legible import legible as legible
+from specmap_cli.core.legible import legible_json
+
 _NS = 1_000_000_000
 _DECIMALS = 6
 # An innermost list of numbers over several lines; no string has a line break in JSON.
 _NUMBERS = re.compile(r"\[\n([-+.\deE,\s]+)\]")
-# Control characters (C0, DEL, C1), line and paragraph separators, marks and overrides of direction.
-_UNSHOWN = re.compile(
-    "[\x00-\x1f\x7f-\x9f\u2028\u2029\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]"
-)
 
 
 def to_json(value: Any) -> str:
@@ -24,7 +24,8 @@ def to_json(value: Any) -> str:
 
     Lists of numbers, such as points, stay on one line.
     """
-    text = json.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+    dumped = json.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+    text = legible_json(dumped)
     return _NUMBERS.sub(lambda match: f"[{' '.join(match[1].split())}]", text)
 
 
@@ -67,26 +68,12 @@ def plain(value: Any) -> Any:
         return rounded(float(value))
     if isinstance(value, np.integer):
         return int(value)
-    return value if value is None or isinstance(value, int) else _encodable(str(value))
+    return value if value is None or isinstance(value, int) else encodable(str(value))
 
 
 def rounded(value: float) -> float | None:
     """`value` to six decimals without a negative zero; None when it is not finite."""
     return round(value, _DECIMALS) + 0.0 if math.isfinite(value) else None
-
-
-def legible(text: str) -> str:
-    """`text` in one line that shows what it holds: a name may be of any bytes.
-
-    Escaped are line breaks and other control characters, which a terminal would obey, those that
-    turn the direction of writing, and what is no Unicode.
-    """
-    return _encodable(_UNSHOWN.sub(lambda match: ascii(match[0])[1:-1], text))
-
-
-def _encodable(text: str) -> str:
-    """`text` with escapes for what is no Unicode."""
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def counted(count: int, noun: str) -> str:

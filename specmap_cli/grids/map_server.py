@@ -51,8 +51,13 @@ def write_png(path: str | Path, image: NDArray[Any]) -> None:
 
     The file appears complete or not at all. UsageError when it cannot be written.
     """
+    write_bytes(path, png_bytes(image))
+
+
+def png_bytes(image: NDArray[Any]) -> bytes:
+    """The PNG of an image, 8 or 16 bit, grey (H, W) or BGR (H, W, 3)."""
     _, encoded = cv2.imencode(".png", image, _PNG_OPTIONS)
-    write_bytes(path, encoded.tobytes())
+    return encoded.tobytes()
 
 
 def write_grid(stem: str | Path, grid: GridMap) -> None:

@@ -10,7 +10,7 @@ from specmap_cli.core.arguments import Paths, path_of, paths_of
 from specmap_cli.core.errors import LogError, UsageError
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, legible
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import TopicInfo
@@ -35,7 +35,7 @@ class Conversion:
         told += [
             f"left out {t.name}: {counted(t.count, 'message')} of {t.type}" for t in self.skipped
         ]
-        return told + [f"damage: {line}" for line in self.damage]
+        return [legible(line) for line in told + [f"damage: {line}" for line in self.damage]]
 
 
 def convert(
@@ -59,7 +59,8 @@ def convert(
         topics = log.topics()
         if not any(_is_wanted(topic) for topic in topics):
             there = ", ".join(f"{t.name} ({t.type})" for t in topics) or "no messages at all"
-            raise LogError(f"{log.name}: no scans, odometry or transforms; it has {there}")
+            nothing = f"{log.name}: no scans, odometry or transforms; it has {there}"
+            raise LogError(legible(nothing))
         return Conversion(
             path=target,
             written=_written(log, target, progress or Silent()),

@@ -23,10 +23,16 @@ _ENOUGH_MESSAGES = 2_000  # some seconds of transforms, in which every frame is 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frames:
-    """The frames of a log; `complete` unless the search for the laser's place was given up."""
+    """The frames of a log; `complete` unless the search for the laser's place was given up.
+
+    `absurd` are (parent, child) of transforms that were left out, as no robot can have them;
+    `unreadable` is the number of messages that hold no transforms at all.
+    """
 
     tree: TransformTree
     complete: bool
+    absurd: tuple[tuple[str, str], ...] = ()
+    unreadable: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,24 +57,33 @@ def read_frames(log: Log, laser_frame: str, bases: Iterable[str], config: LogCon
     tree = TransformTree()
     wanted = list(bases)
     topics = log.topics()
-    given_up = False
+    given_up, unreadable = False, 0
+    absurd: dict[tuple[str, str], None] = {}  # in the order they were met
     for names, dynamic in ((static_topics(topics), False), (dynamic_topics(topics), True)):
         for number, message in enumerate(log.messages(names) if names else ()):
             if number >= config.transform_messages:
                 given_up = True
                 break
-            _take(tree, message, dynamic=dynamic)
+            left_out = _take(tree, message, dynamic=dynamic)
+            unreadable += left_out is None
+            absurd.update(dict.fromkeys(left_out or ()))
             if number >= _ENOUGH_MESSAGES and _any_joined(tree, wanted, laser_frame):
                 break
-    return Frames(tree=tree, complete=not given_up or _any_joined(tree, wanted, laser_frame))
+    complete = not given_up or _any_joined(tree, wanted, laser_frame)
+    return Frames(tree=tree, complete=complete, absurd=tuple(absurd), unreadable=unreadable)
 
 
-def _take(tree: TransformTree, message: Message, *, dynamic: bool) -> None:
+def _take(
+    tree: TransformTree, message: Message, *, dynamic: bool
+) -> tuple[tuple[str, str], ...] | None:
+    """Add the transforms of a message to the tree; those left out, None when it holds none."""
     try:
-        for record in decode_transforms(message):
-            tree.add(record, dynamic=dynamic)
+        transforms = decode_transforms(message)
     except BadMessageError:
-        return  # counted when the message comes by again
+        return None
+    for record in transforms.records:
+        tree.add(record, dynamic=dynamic)
+    return transforms.absurd
 
 
 def _any_joined(tree: TransformTree, bases: Iterable[str], laser_frame: str) -> bool:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.serde import SerdeError
 
 from specmap_cli.core.geometry import FloatArray, rotation_from_quaternion
 from specmap_cli.logs.readers.recording import Message
@@ -18,10 +17,16 @@ from specmap_cli.logs.readers.typestore import (
     POINT_CLOUD,
     SCAN_TYPES,
     TF_MESSAGE,
+    UNFIT,
     typestore,
 )
 
+# What no message of a robot reaches: these bounds are checked here, where values enter, and nowhere
+# else. A damaged or hostile message would otherwise cost gigabytes or overflow further down.
 _FARTHEST_M = 1e8  # twice around the earth: coordinates of any map are smaller
+_MOST_BEAMS = 100_000  # of a planar scan; the densest lasers have some thousands
+_MOST_POINTS = 4_000_000  # of a cloud; the densest lidars have some hundred thousand
+_MOST_BYTES = 2_000_000  # of any message but a cloud
 
 
 class BadMessageError(ValueError):
@@ -80,6 +85,14 @@ class TransformRecord:
     parent_from_child: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class Transforms:
+    """The transforms of a message, and (parent, child) of those no robot can have."""
+
+    records: tuple[TransformRecord, ...]
+    absurd: tuple[tuple[str, str], ...] = ()
+
+
 def decode_scan(message: Message) -> ScanRecord | CloudRecord:
     """The scan in a message of one of SCAN_TYPES; raises BadMessageError."""
     if message.type not in SCAN_TYPES:
@@ -105,8 +118,8 @@ def decode_odometry(message: Message) -> OdometryRecord:
     )
 
 
-def decode_transforms(message: Message) -> list[TransformRecord]:
-    """The possible transforms in a TFMessage; raises BadMessageError."""
+def decode_transforms(message: Message) -> Transforms:
+    """The transforms in a TFMessage; raises BadMessageError."""
     records = [
         TransformRecord(
             _stamp(stamped.header),
@@ -116,7 +129,15 @@ def decode_transforms(message: Message) -> list[TransformRecord]:
         )
         for stamped in _decoded(message, TF_MESSAGE).transforms
     ]
-    return [record for record in records if _possible(record.parent_from_child)]
+    possible = [_possible(record.parent_from_child) for record in records]
+    return Transforms(
+        records=tuple(record for record, good in zip(records, possible, strict=True) if good),
+        absurd=tuple(
+            (record.parent, record.child)
+            for record, good in zip(records, possible, strict=True)
+            if not good
+        ),
+    )
 
 
 def frame_name(frame: str) -> str:
@@ -127,9 +148,11 @@ def frame_name(frame: str) -> str:
 def _decoded(message: Message, expected: str) -> Any:
     if message.type != expected:  # a topic may carry two types
         raise BadMessageError(f"{message.type} instead of {expected}")
+    if expected != POINT_CLOUD and len(message.data) > _MOST_BYTES:
+        raise BadMessageError(f"{len(message.data):,} bytes are no {expected} of a robot")
     try:
         return typestore().deserialize_cdr(message.data, message.type)
-    except (SerdeError, KeyError, IndexError, MemoryError) as error:
+    except UNFIT as error:
         raise BadMessageError(f"not a {message.type}: {error}") from None
 
 
@@ -150,6 +173,8 @@ def _matrix(translation: Any, rotation: Any) -> FloatArray:
 
 
 def _scan(decoded: Any, ranges: NDArray[np.float32]) -> ScanRecord:
+    if len(ranges) > _MOST_BEAMS:
+        raise BadMessageError(f"a scan of {len(ranges):,} beams")
     return ScanRecord(
         stamp_ns=_stamp(decoded.header),
         frame=frame_name(decoded.header.frame_id),
@@ -182,6 +207,13 @@ def _cloud(decoded: Any) -> CloudRecord:
     height, width, step = int(decoded.height), int(decoded.width), int(decoded.point_step)
     row = max(int(decoded.row_step), width * step)
     data = decoded.data
+    for name, field in fields.items():  # numpy lets an offset near 2 ** 31 pass and reads there
+        if int(field.offset) + np.dtype(_DATATYPES[field.datatype]).itemsize > step:
+            raise BadMessageError(
+                f"impossible point layout: {name} is beyond the {step} bytes of a point"
+            )
+    if height * width > _MOST_POINTS:
+        raise BadMessageError(f"a cloud of {height:,} x {width:,} points")
     if min(height, width) == 0:
         height = width = 0
     elif (height - 1) * row + width * step > len(data):

@@ -7,7 +7,7 @@ from bisect import bisect_left
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import nanoseconds
-from specmap_cli.logs.messages import decode_odometry, decode_transforms
+from specmap_cli.logs.messages import BadMessageError, decode_odometry, decode_transforms
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.selection import Selection
 
@@ -106,13 +106,17 @@ class OdometryListener:
     def _take_transforms(self, message: Message) -> None:
         """Follow the chain from the odometry frame to the base; its first link sets the time."""
         odom, base = self.selection.odometry_source.frame or "", self.selection.base_frame
-        for record in decode_transforms(message):
+        transforms = decode_transforms(message)
+        for record in transforms.records:
             if record.child not in self._chain:
                 continue
             self._tree.add(record, dynamic=True)
             if record.parent == odom:
                 pose = self._tree.lookup(odom, base)
                 self._remember(record.stamp_ns, message.time_ns, pose)
+        absurd = [child for _, child in transforms.absurd if child in self._chain]
+        if absurd:
+            raise BadMessageError(f"the transform of {absurd[0]!r} is not finite or absurd")
 
     def _remember(self, stamp_ns: int, time_ns: int, odom_from_base: FloatArray | None) -> None:
         if odom_from_base is None:

@@ -10,7 +10,7 @@ from typing import Literal
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, legible
 from specmap_cli.logs.frames import (
     USUAL_BASES,
     Frames,
@@ -30,6 +30,7 @@ from specmap_cli.logs.readers.recording import Message, TopicInfo
 from specmap_cli.logs.topics import choose_odometry_topic, choose_scan_topic, dynamic_topics
 from specmap_cli.logs.transforms import TransformTree
 
+_ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
 _CLOCK_PEEKED = 3  # a clock may start at zero, but no three stamps of one are zero
 
 OdometryKind = Literal["topic", "tf"]
@@ -126,7 +127,7 @@ class Selection:
         else:
             parts.append("no odometry")
         parts.append(f"base frame {self.base_frame}")
-        return ", ".join(parts)
+        return legible(", ".join(parts))
 
 
 def select(log: Log, config: LogConfig) -> Selection:
@@ -160,6 +161,10 @@ def _assumptions(
 ) -> Iterator[str]:
     """What is taken for granted as the log does not say it."""
     base = placement.base_frame
+    for parent, child in frames.absurd[:_ABSURD_NAMED]:
+        yield f"the transform {parent!r} -> {child!r} is not finite or absurd, and was left out"
+    if frames.unreadable:
+        yield f"messages of transforms that could not be read: {frames.unreadable:,}"
     if not frames.complete:
         yield (
             f"the laser's place was searched in the first {config.transform_messages:,} messages "
@@ -191,7 +196,7 @@ def _scan_source(log: Log, topic: TopicInfo, config: LogConfig) -> ScanSource:
         if len(records) == _CLOCK_PEEKED:
             break
     if not records:
-        raise LogError(f"{log.name}: {topic.name}: no usable scan: {reason}")
+        raise LogError(legible(f"{log.name}: {topic.name}: no usable scan: {reason}"))
     is_cloud = isinstance(records[0], CloudRecord)
     return ScanSource(
         topic=topic,

@@ -14,7 +14,7 @@ import numpy as np
 from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.text import nanoseconds
+from specmap_cli.core.text import legible, nanoseconds
 from specmap_cli.logs.clouds import cloud_points
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import BadMessageError, CloudRecord, ScanRecord, decode_scan
@@ -59,7 +59,8 @@ class SweepStream:
     def warnings(self) -> list[str]:
         """What to know about the input: assumptions, and messages that were not as they should."""
         found = [f"{text}: {self.counts[key]:,}" for key, text in _SAID.items() if self.counts[key]]
-        return [*self.log.damage, *self.selection.warnings, *found]
+        assumed = [legible(line) for line in self.selection.warnings]
+        return [*self.log.damage, *assumed, *found]
 
     def __iter__(self) -> Iterator[Sweep]:
         """The sweeps in the order of the log."""

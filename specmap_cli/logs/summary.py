@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, legible
 
 _EARLIEST_DATE_S = 315_532_800  # 1980: smaller stamps count from somewhere else
 _NAMED_FILES = 3  # of a split recording, in the summary's first line
@@ -98,10 +98,10 @@ class LogSummary:
     def lines(self) -> list[str]:
         """The summary as lines for people."""
         told = [*_extent_lines(self.extent), "topics:"]
-        width = max((len(topic.name) for topic in self.topics), default=0)
+        width = max((len(legible(topic.name)) for topic in self.topics), default=0)
         for topic in self.topics:
             rate = f"  {topic.rate_hz:.1f} Hz" if topic.rate_hz >= _LEAST_RATE_HZ else ""
-            told.append(f"  {topic.name:<{width}}  {topic.count:>8,}  {topic.type}{rate}")
+            told.append(f"  {legible(topic.name):<{width}}  {topic.count:>8,}  {topic.type}{rate}")
         told += _frame_lines(self.frames, self.scan.frame if self.scan else None)
         if self.scan is not None:
             told.append(f"scan: {_scan_text(self.scan)}")
@@ -113,7 +113,7 @@ class LogSummary:
             told.append(f"problem: {self.outlook.problem}")
         if self.outlook.next_command is not None:
             told.append(f"next: {self.outlook.next_command}")
-        return told
+        return [legible(line) for line in told]
 
 
 def _extent_lines(extent: Extent) -> list[str]:

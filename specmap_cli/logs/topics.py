@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from specmap_cli.core.errors import LogError, UsageError
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, legible
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.readers.recording import TopicInfo
 from specmap_cli.logs.readers.typestore import ODOMETRY, SCAN_TYPES, TF_MESSAGE
@@ -29,7 +29,9 @@ def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
     if not found:
         there = ", ".join(f"{t.name} ({t.type})" for t in log.topics()) or "no messages at all"
         raise LogError(
-            f"{log.name}: no LaserScan, MultiEchoLaserScan or PointCloud2 in it; it has {there}"
+            legible(
+                f"{log.name}: no LaserScan, MultiEchoLaserScan or PointCloud2 in it; it has {there}"
+            )
         )
     return _only(log, found, "--scan-topic", "scans")
 
@@ -45,7 +47,8 @@ def choose_odometry_topic(log: Log, asked: str | None) -> TopicInfo | None:
 def _only(log: Log, found: list[TopicInfo], option: str, what: str) -> TopicInfo:
     if len(found) > 1:
         choices = " or ".join(f"`{option} {t.name}` ({_describe(t)})" for t in found)
-        raise UsageError(f"{log.name}: {len(found)} topics carry {what}: choose {choices}")
+        several = f"{log.name}: {len(found)} topics carry {what}: choose {choices}"
+        raise UsageError(legible(several))
     return found[0]
 
 
@@ -54,9 +57,8 @@ def _asked(log: Log, found: list[TopicInfo], asked: str, option: str, what: str)
         if topic.name.lstrip("/") == asked.lstrip("/"):
             return topic
     choices = ", ".join(f"{t.name} ({_describe(t)})" for t in found) or "none"
-    raise UsageError(
-        f"{log.name}: {option} {asked}: no {what} on such a topic; topics with {what}: {choices}"
-    )
+    none = f"{log.name}: {option} {asked}: no {what} on such a topic"
+    raise UsageError(legible(f"{none}; topics with {what}: {choices}"))
 
 
 def _describe(topic: TopicInfo) -> str:

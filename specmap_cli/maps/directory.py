@@ -7,18 +7,37 @@ told at once and not after an hour.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import signal
 import threading
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType, TracebackType
 
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.maps.filenames import TOPOLOGY
+from specmap_cli.maps.leftovers import held, put_right, sibling
+
+_EXCHANGE = 2  # RENAME_EXCHANGE of renameat2
+
+
+def refuse_inside(output: Path | None, directory: Path) -> None:
+    """Refuse an output in a directory that is about to be replaced; None is no output.
+
+    Raises UsageError.
+    """
+    if output is None:
+        return
+    place, target = (Path(os.path.realpath(path)) for path in (output, directory))
+    if place == target or target in place.parents:
+        raise UsageError(
+            f"{output}: is inside {directory}, which is written anew: choose another place"
+        )
 
 
 class OutputDirectory:
@@ -26,25 +45,33 @@ class OutputDirectory:
 
     An exception inside, an interruption included, removes what was written. An existing map is
     replaced only with `overwrite`, and only once its successor is complete; a directory that holds
-    anything but a map is never touched. Raises UsageError, on entering where possible.
+    anything but a map is never touched. What a run that was killed left beside the target is put
+    right on entering, and noted. Raises UsageError, on entering where possible.
     """
 
-    def __init__(self, path: str | Path, overwrite: bool = False) -> None:
+    def __init__(
+        self, path: str | Path, overwrite: bool = False, progress: Progress | None = None
+    ) -> None:
         self.path = Path(path)
         self.overwrite = overwrite
+        self.progress = progress or Silent()
         self._target = Path(os.path.realpath(path))
         self._token = os.urandom(4).hex()
-        self._partial = self._sibling("partial")
+        self._partial = sibling(self._target, "partial", self._token)
         self._parents: list[Path] = []
+        self._lock = ExitStack()
         # Also runs at the exit of the interpreter: an interruption between the lines of the
         # methods below leaves nothing behind either.
         self._clean_up = weakref.finalize(self, _remove, self._partial, self._parents)
 
     def __enter__(self) -> Path:
         try:
+            for line in put_right(self._target):
+                self.progress.note(line)
             self._check_target()
             self._make_parents()
             self._partial.mkdir()
+            self._lock.enter_context(held(self._partial))
         except OSError as error:
             self._clean_up()
             raise UsageError(
@@ -63,11 +90,8 @@ class OutputDirectory:
             if kind is None:
                 self._commit()
         finally:
+            self._lock.close()
             self._clean_up()
-
-    def _sibling(self, role: str) -> Path:
-        """A hidden neighbour of the target: same file system, so that a rename is atomic."""
-        return self._target.parent / f".{self._target.name}.{role}-{self._token}"
 
     def _check_target(self) -> None:
         """Refuse a target that must not be replaced."""
@@ -101,20 +125,24 @@ class OutputDirectory:
 
     def _commit(self) -> None:
         """Put the finished directory in place of the target."""
-        replaced = self._sibling("replaced")
+        replaced = sibling(self._target, "replaced", self._token)
         try:
             self._check_target()
             with _signals_held():
                 self._swap(replaced)
-                shutil.rmtree(replaced, ignore_errors=True)
         except OSError as error:
             raise UsageError(
                 f"{self.path}: cannot put the finished directory in place: {error.strerror}"
             ) from None
 
     def _swap(self, replaced: Path) -> None:
-        """Old away, new in; the old one comes back when the new one cannot take its place."""
+        """Old away, new in: at once where the system can exchange them, otherwise one by one.
+
+        The old one comes back when the new one cannot take its place.
+        """
         present = self._target.exists()
+        if present and exchanged(self._partial, self._target):
+            return  # the old one is the partial directory now, and goes with it
         if present:
             os.rename(self._target, replaced)
         try:
@@ -123,6 +151,8 @@ class OutputDirectory:
             if present:
                 os.rename(replaced, self._target)
             raise
+        if present:  # by that name it may go piece by piece
+            os.rename(replaced, self._partial)
 
 
 def _remove(partial: Path, parents: list[Path]) -> None:
@@ -159,3 +189,13 @@ def _signals_held() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
         for pending in received:
             os.kill(os.getpid(), pending)
+
+
+def exchanged(one: Path, other: Path) -> bool:
+    """Whether two directories could change places in one step: Linux has a call for it."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError, TypeError):  # another system, or an old C library
+        return False
+    here = -100  # AT_FDCWD: the paths are as they stand
+    return bool(rename(here, os.fsencode(one), here, os.fsencode(other), _EXCHANGE) == 0)

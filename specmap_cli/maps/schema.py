@@ -46,6 +46,7 @@ def _within(limit: float) -> AfterValidator:
 
 
 Number = Annotated[float, _within(1e9)]  # metres, square metres, radians: what fits on the earth
+Amount = Annotated[float, Field(ge=0), _within(1e9)]  # as Number, never negative
 Stamp = Annotated[float, _within(9.2e9)]  # seconds: as nanoseconds they fit into 64 bits
 Point = tuple[Number, Number]
 Transform = tuple[Number, Number, Number]
@@ -107,7 +108,7 @@ class NodeRecord(_Record):
     theta: Number
     centroid: Point | None
     polygon: list[Point]
-    area_m2: Number = Field(ge=0)
+    area_m2: Amount
     scans: int = Field(ge=0)
     visits: list[VisitRecord]
     image: InnerPath
@@ -139,8 +140,8 @@ class EdgeRecord(_Record):
     traversals: list[TraversalRecord]
     x: Number | None
     y: Number | None
-    distance_m: Number = Field(ge=0)
-    width_m: Annotated[Number, Field(ge=0)] | None
+    distance_m: Amount
+    width_m: Amount | None
     transform: Transform
 
 

@@ -22,7 +22,7 @@ from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.layout.relaxation import corrected, relax
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.maps.directory import OutputDirectory
+from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.exploration import Exploration, Explored
 from specmap_cli.pipelines.finished_map import FinishedMap
@@ -60,9 +60,10 @@ def build_map(
     config = instance_of(Config() if config is None else config, Config, "config")
     given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
     pictures = None if explain is None else path_of(explain, "explain")
+    refuse_inside(pictures, target)
     with (
         open_log(given, config.log) as log,
-        OutputDirectory(target, overwrite) as partial,
+        OutputDirectory(target, overwrite, progress) as partial,
         KeyframeStore() as store,
     ):
         observer = split_test_pictures(pictures, config.segmentation, overwrite=overwrite)

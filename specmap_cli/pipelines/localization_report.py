@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.files import write_text
+from specmap_cli.core.files import write_together
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.text import counted, stamp_text
 from specmap_cli.core.tracks import step_lengths
+from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.predictions import render_labels
-from specmap_cli.grids.map_server import write_png
+from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.localization.localizer import Label
 
@@ -78,8 +79,28 @@ class LocalizationReport:
         return round(same / len(self.scans), 6)
 
 
-def write_csv(path: Path, report: LocalizationReport, metric: bool) -> None:
-    """One line a scan; an empty submap is unknown. UsageError when it cannot be written."""
+def write_report(
+    report: LocalizationReport,
+    stored: StoredMap,
+    *,
+    metric: bool,
+    csv: Path | None = None,
+    plot: Path | None = None,
+) -> None:
+    """Write the table and the picture that are asked for: both of them, or none.
+
+    Raises UsageError when one cannot be written, MapError when the map is too damaged to be drawn.
+    """
+    contents: dict[Path, bytes] = {}
+    if csv is not None:
+        contents[csv] = csv_text(report, metric).encode("utf-8")
+    if plot is not None:
+        contents[plot] = png_bytes(picture_of(report, stored, metric))
+    write_together(contents)
+
+
+def csv_text(report: LocalizationReport, metric: bool) -> str:
+    """One line a scan; an empty submap is unknown."""
     lines = [HEADER + (METRIC_HEADER if metric else "")]
     for scan in report.scans:
         label = scan.label
@@ -92,10 +113,10 @@ def write_csv(path: Path, report: LocalizationReport, metric: bool) -> None:
             line += ",,,," if pose is None else f",{pose.x:.6f},{pose.y:.6f},{pose.theta:.6f}"
             line += "" if pose is None else f",{scan.score:.6f}"
         lines.append(line)
-    write_text(path, "\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"
 
 
-def write_plot(path: Path, report: LocalizationReport, stored: StoredMap, metric: bool) -> None:
+def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> Image:
     """The predicted submap along the trajectory, over the map where scans were matched in it."""
     submaps = np.array(
         [
@@ -106,12 +127,10 @@ def write_plot(path: Path, report: LocalizationReport, stored: StoredMap, metric
     title = f"{report.log}: predicted submaps"
     if not metric:
         track = np.array([scan.track_from_base[:2] for scan in report.scans])
-        write_png(path, render_labels(track, submaps, title))
-        return
+        return render_labels(track, submaps, title)
     places = _steady(np.array([_place(scan, stored) for scan in report.scans]), report.scans)
     ground = (stored.topology, stored.regions)
-    picture = render_labels(places, submaps, title, map_with_regions=ground)
-    write_png(path, picture)
+    return render_labels(places, submaps, title, map_with_regions=ground)
 
 
 def _steady(places: FloatArray, scans: Sequence[LocalizedScan]) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -52,19 +52,14 @@ def localize_log(
     check_feature_sets(config)
     localizer = localizer_of(stored, config)
     with open_log(given, config.log) as log:
-        stream = SweepStream(log, config.log)
+        stream, front_end = SweepStream(log, config.log), FrontEnd(config.registration)
         progress.note(stream.selection.note)
         progress.start("localising", stream.expected)
-        front_end = FrontEnd(config.registration)
         scans = tuple(_localized(stream, front_end, localizer, metric and not offline, progress))
         if not scans:
             raise LogError(f"{log.name}: no usable scan in it; see `specmap info`")
         if offline:
-            labels = zip(localizer.smoothed(), scans, strict=True)
-            scans = tuple(replace(scan, label=label) for label, scan in labels)
-        if offline and metric:
-            progress.start("matching", stream.expected)
-            scans = tuple(_matched(stream, config, localizer, scans, progress))
+            scans = _smoothed(scans, stream, config, localizer, metric, progress)
         notes = [localizer.note] if localizer.note else []
         warnings = (*stream.warnings, *front_end.warnings, *notes)
         for warning in warnings:
@@ -86,6 +81,23 @@ def _localized(
         scan = LocalizedScan(label=localizer.update(posed), track_from_base=posed.map_from_base)
         yield _in_submap(scan, posed, localizer) if metric else scan
         progress.advance()
+
+
+def _smoothed(
+    scans: Sequence[LocalizedScan],
+    stream: SweepStream,
+    config: Config,
+    localizer: Localizer,
+    metric: bool,
+    progress: Progress,
+) -> tuple[LocalizedScan, ...]:
+    """The scans with the labels that the whole log gives, matched in these when `metric`."""
+    labels = zip(localizer.smoothed(), scans, strict=True)
+    relabelled = [replace(scan, label=label) for label, scan in labels]
+    if not metric:
+        return tuple(relabelled)
+    progress.start("matching", stream.expected)
+    return tuple(_matched(stream, config, localizer, relabelled, progress))
 
 
 def _matched(

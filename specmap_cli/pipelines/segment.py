@@ -17,7 +17,7 @@ from specmap_cli.drawing.overview import render_segmentation
 from specmap_cli.drawing.split_tests import draw_segmentation
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import read_grid, write_png
-from specmap_cli.maps.directory import OutputDirectory
+from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_segmentation
 from specmap_cli.segmentation.floorplan import (
     FloorplanEdge,
@@ -76,6 +76,7 @@ def segment_map(
     path, target = path_of(grid, "grid"), path_of(out, "out")
     config = instance_of(Config() if config is None else config, Config, "config")
     picture = None if explain is None else path_of(explain, "explain")
+    refuse_inside(picture, target)
     whole = _fine_enough(path, read_grid(path, resolution))
     result = segment_floorplan(whole, config.segmentation)
     regions = Regions.of(whole, np.asarray(result.segmentation.labels, dtype=np.int64))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import Pose2, product
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.core.tracks import moved
@@ -83,7 +83,7 @@ class FrontEnd:
         """Where the sweep was taken, and whether that can be believed."""
         self._count(odometry_jumps=expected.jumped, shortened_motions=expected.shortened)
         before = self._track.pose
-        guess = before @ expected.motion.matrix()
+        guess = product(before, expected.motion.matrix())
         if len(view.probe) < self.config.min_points:
             self._count(few_points=1)
             return Verdict(fit=Fit(pose=guess, score=0.0), lost=True)

@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, product
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration.aligner import SensorKind
 
@@ -49,7 +49,7 @@ class KissIcpAligner:
 
     def insert(self, points: FloatArray, map_from_base: FloatArray) -> None:
         """Add a keyframe: points (N, 3) of the base frame seen from a pose (4, 4)."""
-        placed = points @ map_from_base[:3, :3].T + map_from_base[:3, 3]
+        placed = product(points, map_from_base[:3, :3].T) + map_from_base[:3, 3]
         self._clouds.appendleft(placed)
         if self._inserted % self._rebuild_keyframes == 0:
             self._voxels.clear()

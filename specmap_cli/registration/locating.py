@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.matching import Window
 from specmap_cli.registration.expected_motion import ExpectedMotion
@@ -38,10 +38,10 @@ def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> Fl
     The motion before is carried on where odometry puts the sweep visibly off the walls. Stamps of
     wheels and laser may be apart: in turns odometry is then off by many degrees.
     """
-    guess = before @ expected.motion.matrix()
+    guess = product(before, expected.motion.matrix())
     if not expected.measured:
         return guess
-    other = before @ expected.carried.matrix()
+    other = product(before, expected.carried.matrix())
     by_odometry, by_motion = (scene.score(Pose2.from_matrix(pose)) for pose in (guess, other))
     return other if by_motion > by_odometry + scene.config.guess_margin else guess
 
@@ -114,6 +114,6 @@ def _slid(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
         place = here @ Pose2(share * behind, 0.0, 0.0)
         score = scene.score(place)
         if score >= fit.score - _ALIKE:
-            pose = (place @ here.inverse()).matrix() @ fit.pose
+            pose = product((place @ here.inverse()).matrix(), fit.pose)
             return Fit(pose=pose, score=score, refused=fit.refused)
     return fit

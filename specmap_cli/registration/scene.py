@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.matching import Window, search
 from specmap_cli.registration.local_map import LocalMap
@@ -73,7 +73,7 @@ class Scene:
         """The result of a correlative search around a guess (4, 4), aligned."""
         planar = Pose2.from_matrix(guess)
         found = search(self.local.field, self.view.probe, planar, window).pose
-        return self.align((found @ planar.inverse()).matrix() @ guess, kernels)
+        return self.align(product((found @ planar.inverse()).matrix(), guess), kernels)
 
 
 def _within_limits(guess: FloatArray, found: FloatArray, config: RegistrationConfig) -> bool:

@@ -16,16 +16,16 @@ from specmap_cli.cli.options import LogSettings, Settings
 from specmap_cli.core.errors import UsageError
 from tests.cli.conftest import QUICK, Run, standing_log
 
-ALL = {"info", "build", "localize", "segment", "evaluate", "simulate", "convert", "config"}
 READERS = {"info", "build", "localize", "evaluate"}
-WRITERS = {"build", "localize", "segment", "evaluate", "simulate", "convert"}
+WRITERS = {"build", "localize", "segment", "evaluate", "simulate", "convert", "export"}
+ALL = READERS | WRITERS | {"config"}
 HAVE = {
     "--quiet": ALL,
     "-q": ALL,
     "--json": ALL,
-    "--config": READERS | {"segment", "config"},
-    "--set": READERS | {"segment", "config"},
-    "--preset": READERS | {"segment", "config"},
+    "--config": READERS | {"segment", "convert", "config"},
+    "--set": READERS | {"segment", "convert", "config"},
+    "--preset": READERS | {"segment", "convert", "config"},
     "--scan-topic": READERS,
     "--odom-topic": READERS,
     "--base-frame": READERS,
@@ -96,6 +96,15 @@ class TestOut:
         said = run("convert", *parts, "-o", tmp_path / "both.mcap", "--json")
         written = {topic["name"]: topic["count"] for topic in json.loads(said.out)["written"]}
         assert written["/scan"] == 2 * 5
+
+    def test_convert_takes_the_bounds_of_what_is_unpacked(self, tmp_path: Path, run: Run) -> None:
+        log, target = standing_log(tmp_path / "log.mcap", 3.0), tmp_path / "out.mcap"
+        said = run("convert", log, "-o", target, "--set", "log.chunk_max_mb=0.00001")
+        assert said.code == 3
+        assert "beyond log.chunk_max_mb" in said.error
+        assert not target.exists()
+        said = run("convert", log, "-o", target, "--set", "log.chunk_max_mb=1")
+        assert said.code == 0
 
     def test_convert_asks_for_it(self, run: Run) -> None:
         said = run("convert", "log.bag")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.files import write_text
+from specmap_cli.core.files import read_bytes, write_text
 from specmap_cli.grids.map_server import write_png
 
 
@@ -42,3 +42,18 @@ def test_a_failing_replacement_leaves_the_old_file(
         write_text(path, "new")
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["run.json"]
+
+
+def test_a_file_is_read_up_to_its_bound_and_not_beyond(tmp_path: Path) -> None:
+    path = tmp_path / "labels.csv"
+    path.write_bytes(b"12345")
+    assert read_bytes(path, 5) == b"12345"
+    with pytest.raises(OSError, match="larger than"):
+        read_bytes(path, 4)
+
+
+def test_what_may_never_end_is_not_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
+        with pytest.raises(OSError, match=r"not a regular file|Is a directory"):
+            read_bytes(path, 100)

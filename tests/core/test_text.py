@@ -133,3 +133,32 @@ def test_exact_json_is_read_back_to_the_last_bit_however_it_is_laid_out(
 )
 def test_exact_json_has_a_line_an_entry_in_the_outer_levels(levels: int, text: str) -> None:
     assert to_exact_json({"b": {}, "a": [1, {"d": None, "c": 0.1}]}, levels) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("/scan\x1b[31m\x07", "/scan\\x1b[31m\\x07"),
+        ("a\nb\tc\r", "a\\nb\\tc\\r"),
+        ("\x7f\x9b", "\\x7f\\x9b"),
+        ("\u202egnp.\u2066x\u200f\u061c", "\\u202egnp.\\u2066x\\u200f\\u061c"),
+        ("\u2028\u2029", "\\u2028\\u2029"),
+        ("Küche/\u5eca\u4e0b \\n", "Küche/\u5eca\u4e0b \\n"),
+    ],
+)
+def test_what_a_terminal_would_obey_is_escaped(text: str, shown: str) -> None:
+    assert legible(text) == shown
+    assert legible(shown) == shown
+
+
+def test_json_keeps_names_as_they_are() -> None:
+    name = "a\nb\x1b\u202ec"
+    assert json.loads(to_json({"name": name})) == {"name": name}
+
+
+def test_json_shows_a_terminal_nothing_that_it_would_obey() -> None:
+    name = "\x9b31m\x7f\u2028\u202ec\\ü"
+    text = to_json({name: [name]})
+    assert json.loads(text) == {name: [name]}
+    assert legible(text.replace("\n", "")) == text.replace("\n", "")
+    assert '"\\u009b31m\\u007f\\u2028\\u202ec\\\\ü"' in text

@@ -243,7 +243,7 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"gone/m\.png: cannot be written: No such file"):
         write_grid(tmp_path / "gone" / "m", grid)
     (tmp_path / "m.yaml").mkdir()
-    with pytest.raises(UsageError, match=r"m\.yaml: cannot be written: Is a directory"):
+    with pytest.raises(UsageError, match=r"m\.yaml: is no regular file"):
         write_grid(tmp_path / "m", grid)
 
 

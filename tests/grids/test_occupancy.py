@@ -57,7 +57,7 @@ def test_a_cell_is_free_only_where_a_beam_passed(scan: PlanarScan, pose: Pose2) 
     grid = gridded([scan], [pose])
     free = grid.centres_of(np.argwhere(grid.free))
     away, _ = cKDTree(proved_points(scan, pose, CONFIG)).query(free)
-    assert away.max() <= 1.25 * CELL  # a line drawn in whole cells strays by one of them
+    assert away.max() <= 1.5 * CELL  # a line drawn in whole cells strays by one of them
 
 
 @given(planar_scans(reach=6.0), poses)
@@ -160,7 +160,7 @@ def test_all_along_a_beam_the_cells_are_known(scan: PlanarScan, pose: Pose2) -> 
     grid = gridded([scan], [pose])
     cells = grid.centres_of(np.argwhere(grid.cells != UNKNOWN))
     away, _ = cKDTree(cells).query(at_beams(scan, pose, CONFIG))
-    assert away.max() <= 1.25 * CELL  # a line drawn in whole cells strays by one of them
+    assert away.max() <= 1.5 * CELL  # a line drawn in whole cells strays by one of them
 
 
 @given(

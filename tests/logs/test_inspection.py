@@ -15,6 +15,7 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs import open_log
 from specmap_cli.logs.inspection import summarize
+from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.summary import (
     Extent,
     FrameSummary,
@@ -205,3 +206,23 @@ def test_every_line_has_its_place() -> None:
         "problem: none",
         "next: go",
     ]
+
+
+def test_names_that_a_terminal_would_obey_are_shown_escaped(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        log.static_transform("base_link", "las\x1b[31mER", stamp_ns=1)
+        log.odometry("/odom\n/evil\u202e", "odom", "base_link", 1, Pose2(0.0, 0.0, 0.0))
+        log.scan("/scan\x07", "las\x1b[31mER", 1, -1.0, 0.5, [2.0] * 5, range_max=8.0)
+        log.scan("/scan\x9b", "las\x1b[31mER", 2, -1.0, 0.5, [2.0] * 5, range_max=8.0)
+    with open_log(path) as log:
+        both = summarize(log)
+        chosen = summarize(log, LogConfig(scan_topic="/scan\x07"))
+        stream = SweepStream(log, LogConfig(scan_topic="/scan\x07", base_frame="base_link"))
+    lines = both.lines() + chosen.lines() + stream.warnings + [stream.selection.note]
+    assert all(line.isprintable() for line in lines)
+    assert any("/odom\\n/evil\\u202e" in line for line in chosen.lines())
+    assert any("frame las\\x1b[31mER" in line for line in chosen.lines())
+    assert both.outlook.problem is not None
+    assert "`--scan-topic /scan\\x07`" in both.outlook.problem
+    assert {t.name for t in both.topics} >= {"/scan\x07", "/odom\n/evil\u202e"}

@@ -20,12 +20,13 @@ from specmap_cli.logs.messages import (
     CloudRecord,
     ScanLayout,
     ScanRecord,
+    Transforms,
     decode_odometry,
     decode_scan,
     decode_transforms,
     frame_name,
 )
-from specmap_cli.logs.readers.encoding import odometry_cdr, scan_cdr, transform_cdr
+from specmap_cli.logs.readers.encoding import cloud_cdr, odometry_cdr, scan_cdr, transform_cdr
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.readers.typestore import (
     LASER_SCAN,
@@ -194,6 +195,18 @@ def test_impossible_clouds_are_refused(changes: dict[str, Any], said: str) -> No
         decode_scan(cloud_message(table, **changes))
 
 
+@pytest.mark.parametrize("name", ["z", "intensity"])
+@pytest.mark.parametrize("offset", [9, 12, 2**31 - 5, 2**31 - 2, 2**31, 2**32 - 4, 2**32 - 1])
+def test_a_field_beyond_its_point_is_refused(name: str, offset: int) -> None:
+    table = np.ones((1, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+    field = message_class("sensor_msgs/msg/PointField")
+    places = {"x": 0, "y": 4, "z": 8, name: offset}
+    message = cloud_message(table, fields=[field(n, at, 7, 1) for n, at in places.items()])
+    with pytest.raises(BadMessageError) as caught:
+        decode_scan(message)
+    assert str(caught.value) == f"impossible point layout: {name} is beyond the 12 bytes of a point"
+
+
 def test_an_empty_cloud_has_no_points() -> None:
     table = np.ones((0, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
     points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
@@ -230,7 +243,7 @@ def test_odometry_and_transforms_are_matrices() -> None:
     assert Pose2.from_matrix(odometry.frame_from_child) == pytest.approx((1.0, 2.0, 0.5))
     turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.0])
     data = transform_cdr("base", "/laser", STAMP, (1.0, 2.0, 3.0), turn.as_quat())
-    (transform,) = decode_transforms(Message("/tf", TF_MESSAGE, 1, data))
+    (transform,) = decode_transforms(Message("/tf", TF_MESSAGE, 1, data)).records
     assert (transform.parent, transform.child) == ("base", "laser")
     np.testing.assert_allclose(transform.parent_from_child[:3, :3], turn.as_matrix(), atol=1e-12)
     assert transform.parent_from_child[:3, 3].tolist() == [1.0, 2.0, 3.0]
@@ -241,7 +254,9 @@ def test_values_that_are_not_finite_are_refused() -> None:
     with pytest.raises(BadMessageError, match="not finite"):
         decode_odometry(Message("/odom", ODOMETRY, 1, data))
     data = transform_cdr("base", "laser", STAMP, (math.inf, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    assert decode_transforms(Message("/tf", TF_MESSAGE, 1, data)) == []
+    assert decode_transforms(Message("/tf", TF_MESSAGE, 1, data)) == Transforms(
+        records=(), absurd=(("base", "laser"),)
+    )
 
 
 @pytest.mark.parametrize("kind", [LASER_SCAN, MULTI_ECHO, POINT_CLOUD])
@@ -334,7 +349,7 @@ def test_all_transforms_of_a_message_are_read_and_those_not_finite_left_out() ->
         for name, x in (("b", 1.0), ("c", math.nan), ("d", 2.0))
     ]
     data = bytes(typestore().serialize_cdr(message_class(TF_MESSAGE)(sent), TF_MESSAGE))
-    found = decode_transforms(Message("/tf", TF_MESSAGE, 1, data))
+    found = decode_transforms(Message("/tf", TF_MESSAGE, 1, data)).records
     assert [(r.parent, r.child, r.parent_from_child[0, 3]) for r in found] == [
         ("a", "b", 1.0),
         ("a", "d", 2.0),
@@ -360,7 +375,9 @@ def test_places_beyond_the_earth_are_refused(far: float) -> None:
     with pytest.raises(BadMessageError, match="beyond all bounds"):
         decode_odometry(Message("/odom", ODOMETRY, 1, data))
     data = transform_cdr("base", "laser", STAMP, (0.0, 0.0, far), (0.0, 0.0, 0.0, 1.0))
-    assert decode_transforms(Message("/tf", TF_MESSAGE, 1, data)) == []
+    assert decode_transforms(Message("/tf", TF_MESSAGE, 1, data)) == Transforms(
+        records=(), absurd=(("base", "laser"),)
+    )
 
 
 @pytest.mark.parametrize(
@@ -368,3 +385,14 @@ def test_places_beyond_the_earth_are_refused(far: float) -> None:
 )
 def test_frames_lose_the_slash_of_ros_1(recorded: str, name: str) -> None:
     assert frame_name(recorded) == name
+
+
+def test_scans_and_clouds_of_absurd_size_are_refused() -> None:
+    wide = scan_cdr("laser", STAMP, -1.0, 1e-5, np.zeros(100_001), range_max=8.0)
+    with pytest.raises(BadMessageError, match=r"a scan of 100,001 beams"):
+        decode_scan(Message("/scan", LASER_SCAN, 1, wide))
+    with pytest.raises(BadMessageError, match=r"2,000,001 bytes are no .*LaserScan of a robot"):
+        decode_scan(Message("/scan", LASER_SCAN, 1, bytes(2_000_001)))
+    dense = cloud_cdr("laser", STAMP, np.zeros((4_000_001, 3), dtype=np.float32))
+    with pytest.raises(BadMessageError, match=r"a cloud of 1 x 4,000,001 points"):
+        decode_scan(Message("/points", POINT_CLOUD, 1, dense))

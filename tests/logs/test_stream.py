@@ -400,7 +400,11 @@ def test_transforms_of_other_frames_and_rubbish_are_no_odometry(tmp_path: Path) 
         log.raw("/tf", "tf2_msgs/msg/TFMessage", b"rubbish", START + SECOND)
     sweeps, stream = read(path)
     assert [s.odom_from_base and s.odom_from_base.x for s in sweeps] == [0.0, 1.0, 2.0, 3.0, 4.0]
-    assert (stream.counts["odometry"], stream.counts["unusable_odometry"]) == (5, 1)
+    assert (stream.counts["odometry"], stream.counts["unusable_odometry"]) == (5, 6)
+    assert stream.warnings[:2] == [
+        "the transform 'odom' -> 'base_link' is not finite or absurd, and was left out",
+        "messages of transforms that could not be read: 1",
+    ]
 
 
 def test_a_cloud_without_a_usable_point_is_left_out(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +145,11 @@ class TestDamage:
             ({"nodes__0__image": ""}, r"nodes\.0\.image"),
             ({"edges__1__kind": "tunnel"}, r"edges\.1\.kind"),
             ({"nodes__0__surprise": 1}, "surprise"),
+            ({"nodes__0__x": 1e308}, r"nodes\.0\.x: .* no larger than 1e\+09"),
+            ({"nodes__0__centroid": [0.0, -1e300]}, r"nodes\.0\.centroid\.1"),
+            ({"nodes__0__visits__0__start": 1e300}, r"nodes\.0\.visits\.0\.start"),
+            ({"edges__0__distance_m": 1e300}, r"edges\.0\.distance_m"),
+            ({"nodes__0__id": 10**30}, r"nodes\.0\.id"),
         ],
     )
     def test_topology(self, stored: Path, changes: dict[str, Any], complaint: str) -> None:
@@ -198,12 +204,40 @@ class TestDamage:
 
     @pytest.mark.parametrize(
         ("line", "complaint"),
-        [("1.0,2,3", "line 2"), ("1.0,a,0,0,0", "line 2"), ("x,0,0,0,0", "line 2")],
+        [
+            ("1.0,2,3", "line 2"),
+            ("1.0,a,0,0,0", "line 2"),
+            ("x,0,0,0,0", "line 2"),
+            ("1.0,nan,0,0,0", "line 2"),
+            ("1.0,0,-9999999999999999999,0,0", "line 2"),
+        ],
     )
     def test_labels(self, stored: Path, line: str, complaint: str) -> None:
         (stored / "labels.csv").write_text("stamp,x,y,theta,submap\n" + line + "\n")
         with pytest.raises(MapError, match=complaint):
             _ = read_map(stored).labels
+
+    @pytest.mark.parametrize("name", ["topology.json", "classifiers.json", "labels.csv"])
+    def test_a_pipe_and_an_endless_device_are_refused_at_once(
+        self, stored: Path, name: str
+    ) -> None:
+        for make in (os.mkfifo, lambda path: os.symlink("/dev/zero", path)):
+            (stored / name).unlink()
+            make(stored / name)
+            with pytest.raises(MapError, match=rf"{name}"):
+                _ = (read_map(stored).classifiers, read_map(stored).labels)
+
+    def test_a_number_of_thousands_of_digits(self, stored: Path) -> None:
+        (stored / "run.json").write_text(f'{{"config": {"9" * 5000}}}')
+        with pytest.raises(MapError, match=r"run\.json: a number of too many digits"):
+            _ = read_map(stored).config
+
+    @pytest.mark.parametrize("resolution", ["1e-9", "1e300", "11"])
+    def test_grids_of_absurd_cells(self, stored: Path, resolution: str) -> None:
+        path = stored / "submaps" / "000.yaml"
+        path.write_text(path.read_text().replace("resolution: 0.1", f"resolution: {resolution}"))
+        with pytest.raises(MapError, match=r"000\.yaml: resolution is "):
+            _ = read_map(stored).grid(0)
 
     def test_configuration(self, stored: Path) -> None:
         edit(stored / "run.json", config__grid__resolution_m=-1)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from specmap_cli import build_map, load_config, localize_log, read_map
-from specmap_cli.core.errors import LogError, MapError
+from specmap_cli.core.errors import LogError, MapError, UsageError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.settings import LogConfig
@@ -23,8 +23,9 @@ from specmap_cli.pipelines.localization_report import (
     METRIC_HEADER,
     LocalizationReport,
     LocalizedScan,
-    write_csv,
-    write_plot,
+    csv_text,
+    picture_of,
+    write_report,
 )
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.simulate import SimulationResult
@@ -172,10 +173,9 @@ class TestReport:
         ]
 
     @pytest.mark.parametrize("with_poses", [False, True])
-    def test_its_csv_has_a_line_a_scan(self, with_poses: bool, tmp_path: Path) -> None:
+    def test_its_csv_has_a_line_a_scan(self, with_poses: bool) -> None:
         report = labelled([4, None], [Pose2(1.0, 2.0, 0.5), None])
-        write_csv(tmp_path / "out.csv", report, with_poses)
-        text = (tmp_path / "out.csv").read_text()
+        text = csv_text(report, with_poses)
         assert text.splitlines()[0] == HEADER + (METRIC_HEADER if with_poses else "")
         first, second = csv.DictReader(text.splitlines())
         assert (first["stamp"], first["submap"]) == ("0.000000000", "4")
@@ -187,28 +187,32 @@ class TestReport:
         assert None not in first
         assert None not in second
 
-    def test_its_picture_leaves_out_places_that_leap_away_and_back(
-        self, stored: StoredMap, tmp_path: Path
-    ) -> None:
+    def test_its_picture_leaves_out_places_that_leap_away_and_back(self, stored: StoredMap) -> None:
         """A few scans matched at the wrong end of a submap draw no line across the map."""
         here, far = Pose2(0.0, 0.0, 0.0), Pose2(60.0, 60.0, 0.0)
         poses = [here @ Pose2(0.1 * k, 0.0, 0.0) for k in range(40)]
         leaping = [*poses[:20], far, far, *poses[22:]]
-        for name, track in (("straight", poses), ("leaping", leaping)):
-            write_plot(tmp_path / f"{name}.png", labelled([0] * 40, track), stored, True)
         straight, other = (
-            cv2.imread(str(tmp_path / f"{name}.png")) for name in ("straight", "leaping")
+            picture_of(labelled([0] * 40, track), stored, True) for track in (poses, leaping)
         )
-        assert straight is not None
-        assert other is not None
         assert straight.shape == other.shape
 
     def test_its_picture_without_a_map_shows_the_track(
         self, stored: StoredMap, tmp_path: Path
     ) -> None:
-        write_plot(
-            tmp_path / "track.png", labelled([0] * 20 + [1] * 20, [None] * 40), stored, False
-        )
+        report = labelled([0] * 20 + [1] * 20, [None] * 40)
+        write_report(report, stored, metric=False, plot=tmp_path / "track.png")
         picture = cv2.imread(str(tmp_path / "track.png"))
         assert picture is not None
         assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 3
+
+    def test_the_table_and_the_picture_are_written_together(
+        self, stored: StoredMap, tmp_path: Path
+    ) -> None:
+        """When the second one cannot be written there is no first one, and nothing half-written."""
+        report = labelled([0] * 20, [None] * 20)
+        (tmp_path / "pictures").mkdir()
+        for plot in (tmp_path / "gone" / "plot.png", tmp_path / "pictures"):
+            with pytest.raises(UsageError, match="choose another place"):
+                write_report(report, stored, metric=False, csv=tmp_path / "labels.csv", plot=plot)
+            assert [path.name for path in tmp_path.iterdir()] == ["pictures"]

@@ -172,7 +172,7 @@ def test_every_module_of_registration_can_be_imported_without_kiss_icp() -> None
         import importlib, pkgutil
         import numpy as np
         from specmap_cli import registration
-        from specmap_cli.core.config import RegistrationConfig
+        from specmap_cli.core.settings import RegistrationConfig
         from specmap_cli.core.errors import UsageError
         from specmap_cli.core.geometry import IDENTITY
         from specmap_cli.core.records import PlanarScan, Sweep

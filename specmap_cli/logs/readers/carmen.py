@@ -24,6 +24,7 @@ from specmap_cli.logs.readers.carmen_lines import (
     LaserReading,
     damaged_keyword,
     keyword_of,
+    lost_laser,
     parse_line,
     swallowed_keywords,
     topic_of,
@@ -45,6 +46,7 @@ ODOM_FRAME, BASE_FRAME, TF_STATIC = "odom", "base_link", "/tf_static"
 
 _SEARCH_BYTES = 1 << 22  # comments and PARAM lines come first: some hundred kilobytes at the most
 _MAX_LINE_BYTES = 1 << 20  # a line of 1,081 beams has 10 kB: a longer one is damaged
+_SOME_LASER = "laser line"  # its keyword is lost, so that nothing says which laser it was
 _SAME_MOUNT_M, _SAME_MOUNT_RAD = 0.01, 0.01  # poses are written with rounded digits
 
 
@@ -137,30 +139,36 @@ class CarmenFile(Recording):
                 return
             offset += len(text)
             number += 1
-            keyword = keyword_of(text)
-            lost = swallowed_keywords(text)
-            line = None
-            if keyword is not None:
-                try:
-                    line = parse_line(keyword, text.split())
-                except (ValueError, IndexError):
-                    lost.append(keyword)
-            elif (damaged := damaged_keyword(text)) is not None:
-                lost.append(damaged)
-            for keyword in lost:
+            line, lost = _read(text)
+            for what in lost:
                 self.report(
                     f"line {number} (byte {offset - len(text)}) is damaged: "
-                    f"one {keyword} after {time_text(last)} is lost",
-                    {topic_of(keyword): 1},
+                    f"one {what} after {time_text(last)} is lost",
+                    {} if what == _SOME_LASER else {topic_of(what): 1},
                 )
-            if line is None:
-                continue
-            last = line.stamp_ns
-            yield line
+            if line is not None:
+                last = line.stamp_ns
+                yield line
 
     def close(self) -> None:
         """Release the file."""
         self._lines_of.close()
+
+
+def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
+    """What a line holds, None for nothing, and what of it is lost."""
+    keyword, words = keyword_of(text), text.split()
+    lost = swallowed_keywords(text)
+    if (damaged := None if keyword else damaged_keyword(text)) is not None:
+        return None, [*lost, damaged]
+    if lost_laser(words):
+        return None, [*lost, _SOME_LASER]
+    if keyword is None:
+        return None, lost
+    try:
+        return parse_line(keyword, words), lost
+    except (ValueError, IndexError):
+        return None, [*lost, keyword]
 
 
 def _wanted(topic: str, topics: Collection[str] | None) -> bool:

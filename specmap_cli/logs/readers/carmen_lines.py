@@ -18,6 +18,10 @@ _KEYWORDS = frozenset({b"FLASER", b"RLASER", b"ROBOTLASER1", b"ODOM"})
 _INSIDE = re.compile(rb"(?:[FR]LASER|ROBOTLASER1|ODOM)(?= [-0-9])")
 _KEYWORD_BYTES = 12  # of the longest keyword and what ends it
 _FLASER_RANGE_MAX_M = 80.0  # lines do not say: the SICK LMS of these logs gives 81.83 for no return
+_SENSORS = (b"LASER", b"SONAR", b"BUMPER")  # in the keywords of lines that tell of a sensor
+_FLASER_TAIL = 9  # words behind the ranges: two poses, a stamp, the host, a stamp
+_ROBOTLASER_HEAD, _ROBOTLASER_TAIL = 8, 14  # words up to the ranges and behind the remissions
+_COUNT_DIGITS = 7  # no line has a million ranges
 _STAMP_LIMIT_NS = 1 << 63  # messages have their times in 64 bits,
 _FLOAT_LIMIT = 1e30  # and angles and ranges in 32: what still fits when multiplied by the beams
 
@@ -55,15 +59,41 @@ class CarmenLine:
 def damaged_keyword(line: bytes) -> str | None:
     """The keyword that a line started with before a byte of it was damaged; None for another line.
 
-    A digit in the place of another is no damage: there are more lasers than those read.
+    Another digit at the end is no damage: there are more lasers than those read.
     """
     for keyword in sorted(_KEYWORDS):
         word = line[: len(keyword)]
-        wrong = [new for old, new in zip(keyword, word, strict=False) if old != new]
+        wrong = [old for old, new in zip(keyword, word, strict=False) if old != new]
         if len(word) == len(keyword) and len(wrong) <= 1 and not bytes(wrong).isdigit():
             other = not wrong and not line[len(keyword) + 1 : len(keyword) + 2].isdigit()
             return None if other else keyword.decode("ascii")
     return None
+
+
+def lost_laser(words: list[bytes]) -> bool:
+    """Whether the words of a line are those of a laser, but for the first, or without it.
+
+    Comments do not count, nor do lines of other lasers, sonars and bumpers, which may look alike.
+    """
+    if not words or words[0].startswith(b"#") or any(name in words[0] for name in _SENSORS):
+        return False
+    return _is_laser_length(words[1:]) or (words[0][:1].isdigit() and _is_laser_length(words))
+
+
+def _is_laser_length(words: list[bytes]) -> bool:
+    """Whether the counts among the words behind a keyword fit the number of words."""
+    beams = _count(words, 0)
+    if beams > 1 and len(words) == 1 + beams + _FLASER_TAIL:
+        return True
+    beams = _count(words, _ROBOTLASER_HEAD - 1)
+    end = _ROBOTLASER_HEAD + beams
+    return beams > 1 and len(words) == end + 1 + _count(words, end) + _ROBOTLASER_TAIL
+
+
+def _count(words: list[bytes], place: int) -> int:
+    """The count at a place, 0 when there is none."""
+    word = words[place] if place < len(words) else b""
+    return int(word) if word.isdigit() and len(word) < _COUNT_DIGITS else 0
 
 
 def swallowed_keywords(line: bytes) -> list[str]:

@@ -123,7 +123,11 @@ class ChunkedFile(Recording):
         for message in self._merged(self._index, topics):
             found[message.topic] += 1
             yield message
-        self._compare(self._index.contents, found, topics)
+        listed: Counter[str] = Counter()
+        for topic in self._index.contents.topics:
+            if topics is None or topic.name in topics:
+                listed[topic.name] += topic.count
+        self.compare(listed, found)
 
     def _merged(self, index: Index, topics: Collection[str] | None) -> Iterator[Message]:
         """The messages of all chunks in time order, or chunk by chunk when too many overlap."""
@@ -142,14 +146,8 @@ class ChunkedFile(Recording):
         listed = {} if index.checked else self._listing(ref).counts
         return not index.checked and (not listed or not wanted.isdisjoint(listed))
 
-    def _compare(
-        self, contents: Contents, found: Counter[str], topics: Collection[str] | None
-    ) -> None:
-        """After a pass to the end: say what the index lists and what no chunk was short of."""
-        listed: Counter[str] = Counter()
-        for topic in contents.topics:
-            if topics is None or topic.name in topics:
-                listed[topic.name] += topic.count
+    def compare(self, listed: Counter[str], found: Counter[str]) -> None:
+        """After a pass to the end: say what is listed by topic and what no chunk was short of."""
         lost = listed - found - self.missing
         if lost:
             self.report(f"{lost_text(lost, listed)} of the index are not in the file", lost)

@@ -7,8 +7,8 @@ messages either among them or inside chunk records, a summary at the end.
 from __future__ import annotations
 
 import zlib
+from collections import Counter
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 from mcap.records import Channel as ChannelRecord
@@ -24,8 +24,10 @@ from specmap_cli.logs.readers.chunks import (
     Listing,
     OpenedChunk,
     Spot,
+    by_topic,
 )
-from specmap_cli.logs.readers.compression import Unpacked, decompress
+from specmap_cli.logs.readers.compression import Unpacked
+from specmap_cli.logs.readers.mcap_chunks import agree, chunk_refs, listing_at, records_of
 from specmap_cli.logs.readers.mcap_records import (
     BAD_BODY,
     CHANNEL,
@@ -35,15 +37,13 @@ from specmap_cli.logs.readers.mcap_records import (
     DATA_END,
     FIRST_PRIVATE,
     FOOTER,
-    INDEX_ENTRY,
-    INDEX_HEAD,
     MAGIC,
     MESSAGE,
     MESSAGE_HEAD,
-    MESSAGE_INDEX,
     RECORD_HEAD,
     SCHEMA,
     STATISTICS,
+    counts_in,
     fits,
     records_in,
     seen_bytes,
@@ -65,6 +65,7 @@ class McapFile(ChunkedFile):
         self, file: Path, path: Path | None = None, config: LogConfig | None = None
     ) -> None:
         self._schemas: dict[int, str] = {}
+        self._told: dict[int, int] = {}  # messages by channel, as a statistics record has them
         super().__init__(file, path, config)
 
     def _read_index(self) -> Index | None:
@@ -86,24 +87,14 @@ class McapFile(ChunkedFile):
                     self._define(opcode, body)
         except BAD_BODY:
             return None
-        if statistics is None or not self._agree(statistics, chunks):
+        if statistics is None or not agree(statistics, chunks, self.channels):
             return None
         contents = self.contents_of(
             statistics.channel_message_counts,
             statistics.message_start_time,
             statistics.message_end_time,
         )
-        return Index(contents, _chunk_refs(chunks), checked=bool(footer.summary_crc))
-
-    def _agree(self, statistics: Statistics, chunks: list[ChunkIndex]) -> bool:
-        """Whether the parts of the summary fit one another."""
-        counts = statistics.channel_message_counts
-        return (
-            bool(chunks)
-            and len({chunk.chunk_start_offset for chunk in chunks}) == statistics.chunk_count
-            and sum(counts.values()) == statistics.message_count
-            and set(counts) <= set(self.channels)
-        )
+        return Index(contents, chunk_refs(chunks), checked=bool(footer.summary_crc))
 
     def _footer(self) -> Footer | None:
         """The footer when the file ends in one that names a sound summary."""
@@ -125,46 +116,65 @@ class McapFile(ChunkedFile):
             return OpenedChunk(Unpacked(b"", complete=False, beyond=True))
         record = self.read_at(ref.offset, ref.length)
         sound = record.startswith(RECORD_HEAD.pack(CHUNK, max(ref.length - RECORD_HEAD.size, 0)))
-        return OpenedChunk(_unpacked(record[RECORD_HEAD.size :], self.chunk_max), sound)
+        return OpenedChunk(records_of(record[RECORD_HEAD.size :], self.chunk_max), sound)
 
     def _listing(self, ref: ChunkRef) -> Listing:
-        counts: dict[int, int] = {}
-        places: list[tuple[int, int]] = []  # of the entries: offset and length
-        position = ref.offset + ref.length
-        while len(head := self.read_at(position, INDEX_HEAD.size)) == INDEX_HEAD.size:
-            opcode, length, channel, size = INDEX_HEAD.unpack(head)
-            if opcode != MESSAGE_INDEX or size != length - 6 or size % INDEX_ENTRY.size:
-                break
-            counts[channel] = counts.get(channel, 0) + size // INDEX_ENTRY.size
-            places.append((position + INDEX_HEAD.size, size))
-            position += INDEX_HEAD.size + size
-        return Listing(counts, partial(self._listed_entries, places))
-
-    def _listed_entries(self, places: list[tuple[int, int]]) -> list[tuple[int, int]]:
-        entries: list[tuple[int, int]] = []
-        for offset, length in places:
-            data = self.read_at(offset, length)
-            entries += INDEX_ENTRY.iter_unpack(data[: len(data) // 16 * 16])
-        return sorted(entries)
+        return listing_at(ref.offset + ref.length, self.read_at, self.chunk_max)
 
     def _walk(self) -> Iterator[Entry]:
+        found: Counter[int] = Counter()
+        for entry in self._data():
+            found[entry.channel] += 1
+            yield entry
+        listed = by_topic(self._told, self.channels)
+        self.compare(listed, by_topic(found, self.channels))
+
+    def _data(self) -> Iterator[Entry]:
+        """The messages of all records, and those that stand behind the end of the data."""
         offset, last = len(MAGIC), 0
         while offset + RECORD_HEAD.size <= self.size:
             opcode, length = RECORD_HEAD.unpack(self.read_at(offset, RECORD_HEAD.size))
             end = offset + RECORD_HEAD.size + length
             if self._ends_data(opcode, length, end):
-                if self.read_at(self.size - len(MAGIC), len(MAGIC)) != MAGIC:
-                    self.report(f"cut off in the index after byte {offset}: no message is lost")
+                yield from self._behind(offset)
                 return
             ref = ChunkRef(offset=offset, length=RECORD_HEAD.size + length)
-            if not self._is_of_data(opcode, ref) and not self._passes_over(opcode, ref):
+            if self._is_of_data(opcode, ref):
+                for entry in self._held(opcode, ref):
+                    last = entry.time_ns
+                    yield entry
+            elif not self._passes_over(opcode, ref):
                 self.report_end(offset, last)
                 return
-            for entry in self._held(opcode, ref):
-                last = entry.time_ns
-                yield entry
             offset = end
         self.report_end(self.size, last)
+
+    def _behind(self, start: int) -> Iterator[Entry]:
+        """What stands behind the end of the data: counts, and messages, which are read and told."""
+        if self.read_at(self.size - len(MAGIC), len(MAGIC)) != MAGIC:
+            self.report(f"cut off in the index after byte {start}: no message is lost")
+        offset = start
+        while offset + RECORD_HEAD.size <= self.size:
+            opcode, length = RECORD_HEAD.unpack(self.read_at(offset, RECORD_HEAD.size))
+            ref = ChunkRef(offset=offset, length=RECORD_HEAD.size + length)
+            offset += ref.length
+            if offset > self.size:
+                return
+            if opcode == STATISTICS:
+                body = self.read_at(ref.offset + RECORD_HEAD.size, min(length, self.chunk_max))
+                self._told = counts_in(body)
+            elif opcode in (CHUNK, MESSAGE) and self._is_of_data(opcode, ref):
+                self.report(
+                    f"the record at byte {ref.offset} stands behind the end of the data at byte "
+                    f"{start}: it is read all the same"
+                )
+                yield from self._held(opcode, ref)
+            elif opcode == FOOTER and offset + len(MAGIC) < self.size:
+                more = self.size - offset - len(MAGIC)
+                self.report(
+                    f"{more:,} bytes follow the end of the file at byte {offset + len(MAGIC)}: "
+                    "what they hold is lost"
+                )
 
     def _ends_data(self, opcode: int, length: int, end: int) -> bool:
         """Whether a record is the end of the data, or the footer of a file without such an end."""
@@ -190,8 +200,9 @@ class McapFile(ChunkedFile):
             return False
         body = self.read_at(ref.offset + RECORD_HEAD.size, CHUNK_HEAD.size)
         if opcode < FIRST_PRIVATE or self._may_hold_messages(ref, body):
+            fault = "damaged" if opcode <= DATA_END else "of no known kind"
             self.report(
-                f"the record at byte {ref.offset} is of no known kind (opcode {opcode}): what it "
+                f"the record at byte {ref.offset} is {fault} (opcode {opcode}): what it "
                 f"holds in its {ref.length:,} bytes is lost"
             )
         return True
@@ -275,31 +286,3 @@ class McapFile(ChunkedFile):
         except BAD_BODY:
             return False
         return True
-
-
-def _chunk_refs(chunks: list[ChunkIndex]) -> tuple[ChunkRef, ...]:
-    """What the index says of the chunks, by start."""
-    return tuple(
-        ChunkRef(
-            offset=chunk.chunk_start_offset,
-            length=chunk.chunk_length,
-            size=chunk.uncompressed_size,
-            start_ns=chunk.message_start_time,
-            end_ns=chunk.message_end_time,
-            channels=frozenset(chunk.message_index_offsets) or None,
-        )
-        for chunk in sorted(chunks, key=lambda c: (c.message_start_time, c.chunk_start_offset))
-    )
-
-
-def _unpacked(body: bytes, limit: int) -> Unpacked:
-    """The records inside the body of a chunk, possibly cut off."""
-    if len(body) < CHUNK_HEAD.size:
-        return Unpacked(b"", complete=False)
-    _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(body)
-    start = CHUNK_HEAD.size + name_length + 8
-    compression = body[CHUNK_HEAD.size : start - 8].decode("ascii", errors="replace")
-    found = decompress(body[start:], compression, limit, size)
-    if crc and found.complete and len(found.data) == size and zlib.crc32(found.data) != crc:
-        return Unpacked(b"", complete=False)
-    return found._replace(complete=found.complete and len(found.data) == size)

@@ -8,6 +8,7 @@ from io import BytesIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.records import Statistics
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -46,6 +47,16 @@ def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
         position += RECORD_HEAD.size
         yield opcode, data[position : position + length]
         position += length
+
+
+def counts_in(statistics: bytes) -> dict[int, int]:
+    """The messages of each channel by a statistics record; none when it contradicts itself."""
+    try:
+        told = Statistics.read(stream_of(statistics))
+    except BAD_BODY:
+        return {}
+    counts: dict[int, int] = told.channel_message_counts
+    return counts if sum(counts.values()) == told.message_count else {}
 
 
 def seen_bytes(opcode: int) -> int:

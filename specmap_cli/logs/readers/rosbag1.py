@@ -90,7 +90,7 @@ class Rosbag1File(ChunkedFile):
         connections: set[int] = set()
         while position < self.size:
             record = self._record(position)
-            data = self.read_at(record.start, record.length)
+            data = self.read_at(record.start, min(record.length, self.chunk_max))
             if record.opcode == CONNECTION:
                 self._connect(record.fields, data)
                 connections.add(connection_of(record.fields))
@@ -173,7 +173,7 @@ class Rosbag1File(ChunkedFile):
     def _listed_entries(self, places: list[tuple[int, int]]) -> list[tuple[int, int]]:
         entries: list[tuple[int, int]] = []
         for offset, length in places:
-            data = self.read_at(offset, length)
+            data = self.read_at(offset, min(length, self.chunk_max))
             whole = data[: len(data) // INDEX_ENTRY.size * INDEX_ENTRY.size]
             entries += [
                 (seconds * NS_PER_S + nanoseconds, start)

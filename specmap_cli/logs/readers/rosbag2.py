@@ -86,7 +86,11 @@ class Rosbag2File(Recording):
             return found
         if not self._topics:
             self.report("the list of topics is lost")
-        self._check_numbers(sum(counts.values()))
+        try:
+            self._check_numbers(sum(counts.values()))
+        except sqlite3.Error as error:
+            self._sorted = False
+            self.report(f"{error}: whether messages are missing cannot be checked")
         counted = ((*topic, counts.get(number, 0)) for number, topic in self._topics.items())
         return contents_of(counted, start, end)
 
@@ -100,13 +104,9 @@ class Rosbag2File(Recording):
 
     def _check_numbers(self, there: int) -> None:
         """Compare the messages in the table with what else tells of them; raises sqlite3.Error."""
-        first, last = self._db.execute("SELECT MIN(id), MAX(id) FROM messages").fetchone()
+        first, last = self._db.execute("SELECT MIN(rowid), MAX(rowid) FROM messages").fetchone()
         numbered = last - first + 1 if there else 0
-        listed = there
-        if self._time_index is not None:
-            name = self._time_index.replace('"', '""')
-            rows = self._db.execute(f'SELECT COUNT(*) FROM messages INDEXED BY "{name}"')
-            listed = rows.fetchone()[0]
+        listed = self._count_by_time(there)
         self._sorted = self._sorted and listed == there  # the order of recording misses none
         whole = max(numbered, listed, recorded_messages(self.path) or 0)
         if whole > there:
@@ -117,6 +117,17 @@ class Rosbag2File(Recording):
         unknown = {n: count for n, count in self._counts.items() if n not in self._topics}
         if unknown:
             self.report(f"{counted(sum(unknown.values()), 'message')} on topics without a name")
+
+    def _count_by_time(self, there: int) -> int:
+        """How many messages the time index lists, -1 when it is lost; `there` without one."""
+        if self._time_index is None:
+            return there
+        name = self._time_index.replace('"', '""')
+        try:
+            rows = self._db.execute(f'SELECT COUNT(*) FROM messages INDEXED BY "{name}"')
+            return int(rows.fetchone()[0])
+        except sqlite3.Error:
+            return -1
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics` in time order, or as recorded when the file is damaged."""

@@ -16,7 +16,7 @@ from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, NO_OBSTACLE_M, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.matching import ScoreField
 
-_LEAST_CELLS = 10  # of walls: fewer say nothing about where a grid belongs
+_LEAST_WALL_M = 0.5  # less of it says nothing about where a grid belongs
 _MOST_POINTS = 1200  # of walls that are compared: 60 m of them on cells of 5 cm
 _WALL_BLUR_CELLS = 2.0  # the picture of walls is smoothed by this to tell their direction
 # What the walls of another place earn on a coarse cell: 1 on a wall and no less than 0.6, less
@@ -67,11 +67,13 @@ class KnownArea:
 class PreparedGrid:
     """One grid prepared for matching, in the grid's frame.
 
-    `walls` (N, 2) points of the occupied cells; `direction` of its walls in [0, pi / 2) rad;
-    `field` and `wide` how near walls are, for the refinement and, more tolerant, for ranking.
+    `walls` (N, 2) points of the occupied cells, each for `metres_a_point` of wall; `direction` of
+    its walls in [0, pi / 2) rad; `field` and `wide` how near walls are, for the refinement and,
+    more tolerant, for ranking.
     """
 
     walls: FloatArray
+    metres_a_point: float
     direction: float
     field: ScoreField
     wide: ScoreField
@@ -83,13 +85,16 @@ def prepared(grid: GridMap, config: RecognitionConfig) -> PreparedGrid | None:
     """The grid prepared for matching; None when it shows too little of a wall."""
     grid = cropped(grid)
     occupied = np.argwhere(grid.occupied)
-    if len(occupied) < _LEAST_CELLS:
+    if len(occupied) * grid.resolution < _LEAST_WALL_M:
         return None
+    points = evenly(occupied, _MOST_POINTS)
+    sigma = max(config.match_sigma_m, grid.resolution)
     return PreparedGrid(
-        walls=grid.centres_of(evenly(occupied, _MOST_POINTS)),
+        walls=grid.centres_of(points),
+        metres_a_point=grid.resolution * len(occupied) / len(points),
         direction=wall_direction(grid),
-        field=ScoreField.from_grid(grid, config.match_sigma_m),
-        wide=ScoreField.from_grid(grid, 2.0 * config.match_sigma_m),
+        field=ScoreField.from_grid(grid, sigma),
+        wide=ScoreField.from_grid(grid, 2.0 * sigma),
         area=_known_area(grid, config.inlier_m),
         coarse=_coarse(grid, config.match_cell_m),
     )

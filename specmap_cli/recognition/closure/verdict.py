@@ -27,8 +27,8 @@ def verdict(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig
     """What the best match of two stays' grids is worth; `check` None is no match at all."""
     if check is None or check.score < config.min_score:
         return Verdict(False, False, "the grids do not match")
-    if check.inliers < config.min_inliers:
-        return Verdict(False, False, "too few wall points match")
+    if check.confirmed_m < config.min_wall_m:
+        return Verdict(False, False, "too little wall matches")
     if check.overlap < config.min_overlap or check.least_overlap < config.least_overlap:
         return Verdict(False, False, "the grids overlap too little")
     if check.lead < config.min_lead:

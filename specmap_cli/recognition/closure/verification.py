@@ -23,8 +23,12 @@ from specmap_cli.grids.matching import refine
 from specmap_cli.recognition.closure.prepared import CoarseGrid, KnownArea, PreparedGrid
 
 _CONTRADICTION_WEIGHT = 2.0  # separates right from wrong transforms of fr079 without an error
+# A wall may be drawn one cell beside where it is, or two where a turned grid is laid on another.
+_INLIER_CELLS, _CONTRADICTION_CELLS = 1.0, 2.5
 # How much is tried: more of each takes longer and found nothing more on fr079 and simulated tours.
 _SLACK_RAD = math.radians(3.0)  # the direction of few walls is good to a few degrees
+# Stairs of coarse cells bend that direction: by 22 degrees on simulated rooms in cells of 0.25 m.
+_FINE_CELL_M, _CELL_M_PER_SLACK = 0.05, 0.025
 _PEAKS_PER_ROTATION = 2
 _PEAKS_APART_M = 1.0
 _TRANSFORMS = 8
@@ -42,14 +46,14 @@ class Check:
     """The best transform between two grids and how well they agree under it.
 
     `score` is the smaller share of inliers less twice the larger share of contradictions, at most
-    1; `inliers` the smaller count of wall points confirmed; `overlap` and `least_overlap` the
+    1; `confirmed_m` the smaller length of wall confirmed, metres; `overlap` and `least_overlap` the
     larger and the smaller share of a grid's walls that the other one knows about; `lead` how much
     better it is than the next best transform that is a different one.
     """
 
     old_from_new: Pose2
     score: float
-    inliers: int
+    confirmed_m: float
     overlap: float
     least_overlap: float
     lead: float = 0.0
@@ -61,9 +65,10 @@ def verify(old: PreparedGrid, new: PreparedGrid, config: RecognitionConfig) -> C
     Directions of walls are taken as they are first; when that looks promising but not right, they
     are tried a few degrees off as well.
     """
-    best = _best(old, new, (0.0,), config)
+    steps = _slack_steps(old, new)
+    best = _best(old, new, _slacks(steps), config)
     if best is not None and config.hopeless_score <= best.score < config.sure_score:
-        other = _best(old, new, (0.0, -_SLACK_RAD, _SLACK_RAD), config)
+        other = _best(old, new, _slacks(steps + 1), config)
         best = other if other is not None and _rank(other) > _rank(best) else best
     return best
 
@@ -78,7 +83,7 @@ def judge(
     return Check(
         old_from_new=old_from_new,
         score=min(there.confirmed, back.confirmed) - _CONTRADICTION_WEIGHT * contradicted,
-        inliers=min(there.inliers, back.inliers),
+        confirmed_m=min(there.inliers * new.metres_a_point, back.inliers * old.metres_a_point),
         overlap=max(there.known, back.known),
         least_overlap=min(there.known, back.known),
     )
@@ -118,6 +123,17 @@ def _best(
     final = judge(old, new, match.pose, config)
     lead = _lead(checks, new.coarse.walls.mean(axis=0))
     return replace(final if final.score >= best.score else best, lead=lead)
+
+
+def _slack_steps(old: PreparedGrid, new: PreparedGrid) -> int:
+    """How many steps to either side of aligned walls are tried at once, for the size of cells."""
+    cell_m = max(old.area.resolution, new.area.resolution)
+    return max(0, int((cell_m - _FINE_CELL_M) / _CELL_M_PER_SLACK))
+
+
+def _slacks(steps: int) -> tuple[float, ...]:
+    """Rotations off that of aligned walls, the smallest first, radians."""
+    return (0.0, *(sign * k * _SLACK_RAD for k in range(1, steps + 1) for sign in (-1.0, 1.0)))
 
 
 def _lead(checks: Sequence[Check], centre: FloatArray) -> float:
@@ -162,8 +178,11 @@ def _agreement(area: KnownArea, points: FloatArray, config: RecognitionConfig) -
     if not len(rows):
         return _Agreement(0.0, 0.0, 0.0, 0)
     distance, depth = area.wall_distance[rows, columns], area.depth[rows, columns]
-    inliers = int(np.count_nonzero(distance <= config.inlier_m))
-    contradicted = (distance > config.contradiction_m) & (depth > config.contradiction_depth_m)
+    # distances are of whole cells: no limit is finer than they can tell
+    cell = area.resolution
+    inliers = int(np.count_nonzero(distance <= max(config.inlier_m, _INLIER_CELLS * cell)))
+    off = distance > max(config.contradiction_m, _CONTRADICTION_CELLS * cell)
+    contradicted = off & (depth > max(config.contradiction_depth_m, _INLIER_CELLS * cell))
     return _Agreement(
         len(rows) / len(points),
         inliers / len(rows),
@@ -180,9 +199,12 @@ def _candidates(old: PreparedGrid, new: PreparedGrid, slacks: Sequence[float]) -
     for angle in (aligned + k * math.pi / 2 + slack for k in range(4) for slack in slacks):
         found.extend(_shifts(old.coarse, new.coarse, centre, wrap_angle(angle)))
     found.sort(key=lambda item: -item[0])
+    # of many rotations, neighbours of the best must not crowd out the rivals that `lead` needs
+    many = _slack_steps(old, new) > 0
+    metres, radians = (_RIVAL_M, _RIVAL_RAD) if many else (_DIFFERENT_M, _DIFFERENT_RAD)
     kept: list[Pose2] = []
     for _, pose in found:
-        if all(_apart(pose, other, centre, _DIFFERENT_M, _DIFFERENT_RAD) for other in kept):
+        if all(_apart(pose, other, centre, metres, radians) for other in kept):
             kept.append(pose)
         if len(kept) == _TRANSFORMS:
             break

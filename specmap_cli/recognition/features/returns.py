@@ -55,7 +55,7 @@ class Returns:
         if len(self) < 2:
             return 0.0, 0.0
         x, y = self.points[:, 0], self.points[:, 1]
-        twice = float(x[:-1] @ y[1:] - x[1:] @ y[:-1])
+        twice = float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
         perimeter = float(self.steps.sum())
         if self.closed:
             twice += float(x[-1] * y[0] - x[0] * y[-1])

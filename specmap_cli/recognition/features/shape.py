@@ -61,7 +61,7 @@ def clipped_ranges(returns: Returns) -> list[float]:
     for clip in CLIPS_M:
         cut = np.minimum(returns.ranges, clip)
         mean = float(cut.mean())
-        variance = max(0.0, float(cut @ cut) / len(cut) - mean * mean)
+        variance = max(0.0, float((cut * cut).mean()) - mean * mean)
         below = float(np.count_nonzero(returns.ranges < clip)) / len(cut)
         values += [below, mean, math.sqrt(variance)]
     return values

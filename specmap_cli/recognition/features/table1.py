@@ -133,8 +133,8 @@ def aspect_ratio(returns: Returns) -> list[float]:
     """Group 9: lambda_1 / lambda_2 of the principal components of the points, at most 1e6."""
     if len(returns) < 2:
         return [0.0]
-    centred = returns.points - returns.points.mean(axis=0)
-    (xx, xy), (_, yy) = (centred.T @ centred).tolist()
+    x, y = (returns.points - returns.points.mean(axis=0)).T
+    xx, xy, yy = float((x * x).sum()), float((x * y).sum()), float((y * y).sum())
     half, root = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     larger, smaller = half + root, half - root
     return [larger / smaller if smaller > larger / _LARGEST_RATIO else _LARGEST_RATIO]

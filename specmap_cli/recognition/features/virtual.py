@@ -20,15 +20,19 @@ from specmap_cli.core.tracks import moved
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.ray_casting import cast_ranges
 
+_RANGE_DECIMALS = 6  # of metres: far below the noise of a laser, far above that of a sum
 _NEAREST_M = 0.05  # a return this near to the virtual laser has no bearing to speak of
 
 
 def all_round(ranges: FloatArray, range_max: float, stamp_ns: int = 0) -> PlanarScan:
-    """The full-circle scan of ranges (B,) at the bearings of `circle(B)`."""
+    """The full-circle scan of ranges (B,) at the bearings of `circle(B)`, to the micrometre.
+
+    The poses behind them differ in their last bits from processor to processor.
+    """
     return PlanarScan(
         stamp_ns=stamp_ns,
         bearings=circle(len(ranges)),
-        ranges=ranges,
+        ranges=np.round(ranges, _RANGE_DECIMALS),
         range_max=range_max,
         full_circle=True,
     )

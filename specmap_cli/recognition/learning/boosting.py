@@ -7,6 +7,7 @@ stores, `fit` learns, `margins` is the sum of votes, whose sign is the label.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,11 +17,12 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.learning.json_fields import field, number, objects
-from specmap_cli.recognition.learning.trees import TreeBoost
+from specmap_cli.recognition.learning.trees import TreeBoost, shares
 
 __all__ = ["Booster", "Stump", "StumpBoost", "TreeBoost", "booster_from_dict"]
 
 _SMALLEST_ERROR = 1e-10  # below it a round separates the samples: its votes stay finite
+_VOTE_DECIMALS = 9  # of votes: the last bits of a logarithm are not the same on every processor
 _CHANCE = 0.5 - 1e-12  # the error of a coin, but for rounding
 
 
@@ -56,20 +58,19 @@ class StumpBoost:
         order = np.argsort(X, axis=0, kind="stable").T
         values = np.take_along_axis(X.T, order, axis=1)
         splits = values[:, 1:] > values[:, :-1]  # a threshold stands between different values only
-        weights = np.full(len(y), 1.0 / len(y))
+        weights = shares(np.ones(len(y)))
         self.rounds_ = []
         for _ in range(self.rounds):
             feature, threshold, polarity, error = _best_stump(values, splits, (weights * y)[order])
             if error >= _CHANCE:
                 break
             bounded = max(error, _SMALLEST_ERROR)
-            votes = 0.5 * np.log((1.0 - bounded) / bounded)
-            self.rounds_.append(Stump(feature, threshold, polarity, float(votes)))
+            votes = round(0.5 * math.log((1.0 - bounded) / bounded), _VOTE_DECIMALS)
+            self.rounds_.append(Stump(feature, threshold, polarity, votes))
             if error < _SMALLEST_ERROR:
                 break
             h = np.where(polarity * X[:, feature] < polarity * threshold, 1.0, -1.0)
-            weights = weights * np.exp(-votes * y * h)  # eq. 3
-            weights /= weights.sum()
+            weights = shares(weights * np.exp(-votes * y * h))  # eq. 3
         return self
 
     def margins(self, X: NDArray[Any]) -> FloatArray:

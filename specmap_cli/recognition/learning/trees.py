@@ -24,7 +24,8 @@ CodeArray = NDArray[np.uint8]
 _TRIM_EVERY = 8
 _HEAVY_SHARE = 0.98
 _NO_EDGE = 1e300  # a threshold that no value reaches, as JSON knows no infinity
-_VOTE_DECIMALS = 6  # of votes on disk: they are of the order of one
+_VOTE_DECIMALS = 6  # of votes, which are of the order of one: readable, and safe from rounding
+_SHARE_BITS = 52  # weights are whole multiples of 2^-52: sums of them below 2 are exact
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +122,7 @@ class TreeBoost:
         """The same from features that are cut already: `codes` (F, n) of `quantiser`."""
         positive = np.asarray(y) > 0
         counts = max(1, int(positive.sum())), max(1, int((~positive).sum()))
-        weights = np.where(positive, 0.5 / counts[0], 0.5 / counts[1])
+        weights = shares(np.where(positive, 0.5 / counts[0], 0.5 / counts[1]))
         smooth = 0.5 / len(positive)  # half a sample in each class: no leaf's odds are infinite
         rng = np.random.default_rng(self.seed)
         drawn = max(1, round(self.feature_share * len(codes)))
@@ -136,10 +137,11 @@ class TreeBoost:
             )
             leaf = _leaves(codes, nodes, cuts)
             sums = np.bincount(leaf + 4 * positive, weights, minlength=8)
-            votes = 0.5 * self.shrinkage * np.log((sums[4:] + smooth) / (sums[:4] + smooth))
+            odds = (sums[4:] + smooth) / (sums[:4] + smooth)
+            votes = np.round(0.5 * self.shrinkage * np.log(odds), _VOTE_DECIMALS)
             trees.append((nodes, cuts, votes))
-            weights = weights * np.exp(np.where(positive, -votes[leaf], votes[leaf]))  # eq. 3
-            weights /= weights.sum()
+            grown = weights * np.exp(np.where(positive, -votes[leaf], votes[leaf]))  # eq. 3
+            weights = shares(grown)
         self.forest_ = _forest(trees, quantiser)
         return self
 
@@ -179,6 +181,16 @@ class TreeBoost:
             votes[k] = numbers(entry, "votes", 4, f"round {k}")
         booster.forest_ = Forest(features, thresholds, votes)
         return booster
+
+
+def shares(weights: FloatArray) -> FloatArray:
+    """Weights (n,) scaled to a sum of one, such that any sum of some of them is exact.
+
+    So two splits that part the samples alike are equally good to the last bit, whatever the order
+    of summation, and the first one is taken on every processor.
+    """
+    whole = np.round(np.ldexp(weights, _SHARE_BITS))
+    return np.asarray(np.ldexp(np.round(np.ldexp(whole / whole.sum(), _SHARE_BITS)), -_SHARE_BITS))
 
 
 def _grow(
@@ -242,11 +254,10 @@ def _heavy(weights: FloatArray) -> NDArray[np.intp]:
 def _forest(
     trees: Sequence[tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]], quantiser: Quantiser
 ) -> Forest:
-    """The trees with thresholds in the features' units, votes rounded to be readable."""
+    """The trees with thresholds in the features' units."""
     features = np.array([t[0] for t in trees], dtype=np.intp).reshape(-1, 3)
     cuts = np.array([t[1] for t in trees], dtype=np.intp).reshape(-1, 3)
     thresholds = quantiser.edges[features, cuts]
     # no edge stands there: the feature has fewer distinct values, and nothing lies above
     thresholds = np.where(np.isfinite(thresholds), thresholds, _NO_EDGE)
-    votes = np.round(np.array([t[2] for t in trees]).reshape(-1, 4), _VOTE_DECIMALS)
-    return Forest(features, thresholds, votes)
+    return Forest(features, thresholds, np.array([t[2] for t in trees]).reshape(-1, 4))

@@ -71,7 +71,7 @@ class Localizer:
         self._recent = RecentScans(config)
         self._sampler: BeamSampler | None = None
         self._labels: list[Label] = []
-        self._likelihoods: list[FloatArray] = []
+        self._likelihoods: list[list[FloatArray]] = [[]]  # a list for each unbroken track
 
     @property
     def note(self) -> str:
@@ -83,19 +83,22 @@ class Localizer:
         if posed.restarted:
             self._recent.clear()
             self.filter.reset()
+            self._likelihoods.append([])
         evidence = self._evidence(posed)
         log_likelihoods = self._log_likelihoods(evidence)
         label = self._raw_label(posed.stamp_ns, evidence)
         label = self._filtered(label, self.filter.update(log_likelihoods))
         self._labels.append(label)
-        self._likelihoods.append(log_likelihoods)
+        self._likelihoods[-1].append(log_likelihoods)
         return label
 
     def smoothed(self) -> list[Label]:
-        """All labels so far, the filtered ones given the whole log."""
-        if not self._labels:
-            return []
-        beliefs = self.filter.smooth(np.array(self._likelihoods))
+        """All labels so far, the filtered ones given the whole track that they belong to.
+
+        A loss of tracking ends a track: what comes after it says nothing of what was before.
+        """
+        tracks = [np.array(track) for track in self._likelihoods if track]
+        beliefs = [belief for track in tracks for belief in self.filter.smooth(track)]
         return [self._filtered(a, b) for a, b in zip(self._labels, beliefs, strict=True)]
 
     def _evidence(self, posed: PosedScan) -> _Evidence:

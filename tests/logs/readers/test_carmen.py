@@ -285,3 +285,40 @@ def test_a_mounting_may_differ_by_rounding(tmp_path: Path) -> None:
         with open_log(path) as log:
             assert ("/tf_static" in {t.name for t in log.topics()}) is known
             assert sum(m.topic == "/tf_static" for m in log.messages()) == known
+
+
+@pytest.mark.parametrize("word", ["", "ODOM ", "PARAM ", "1.2.3 ", "word ", "-inf "])
+@pytest.mark.parametrize("line", [flaser(2.0, "1 2 0", "1 2 0"), robotlaser(2.0)])
+def test_a_laser_line_without_its_keyword_is_told(tmp_path: Path, line: str, word: str) -> None:
+    path = tmp_path / "log.clf"
+    first = flaser(1.0, "1.0 2.0 0.0", "1.0 2.0 0.0")
+    path.write_text(first + word + line.partition(" ")[2] + odom("3.0"))
+    with open_log(path) as log:
+        assert [m.topic for m in log.messages()] == ["/tf_static", "/odom", "/flaser", "/odom"]
+        place = f"line 2 (byte {len(first)})"
+        assert log.damage == [f"{path}: {place} is damaged: one laser line after 1.000 s is lost"]
+        assert log.missing == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        robotlaser(2.0).replace("ROBOTLASER1", "ROBOTLASER2"),
+        robotlaser(2.0).replace("ROBOTLASER1", "RAWLASER1"),
+        flaser(2.0, "1 2 0", "1 2 0", "SONAR"),
+        flaser(2.0, "1 2 0", "1 2 0", "#"),
+        "TRUEPOS 1 2 0.5 1 2 0.5 2.0 nohost 2.0\n",
+        "TRUEPOS 0.1 2 0.5 1 2 0.5 2.0 nohost 2.0\n",
+        "PARAM laser_front_laser_resolution 0.5 nohost 0.0\n",
+        "SYNC 3 nohost 0.0\n",
+        "NMEAGGA 1 102030.5 4758.1 N 734.2 E 1 8 0.9 263.0 1 47.9 0.0 2.0 nohost 2.0\n",
+        "2 words\n",
+        "\n",
+    ],
+)
+def test_lines_of_other_kinds_are_no_damage(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "log.clf"
+    path.write_text(flaser(1.0, "1.0 2.0 0.0", "1.0 2.0 0.0") + line + odom("3.0"))
+    with open_log(path) as log:
+        assert [m.topic for m in log.messages()] == ["/tf_static", "/odom", "/flaser", "/odom"]
+        assert log.damage == []

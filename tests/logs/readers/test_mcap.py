@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -203,11 +204,14 @@ def test_an_unknown_record_is_passed_over_and_said(
     data = path.read_bytes()
     place = data.index(drive_messages[40].data) - 9 - 22
     path.write_bytes(data[:place] + b"\x7a" + data[place + 1 :])
+    topic = drive_messages[40].topic
+    total = sum(m.topic == topic for m in drive_messages)
     with open_log(path) as log:
         assert list(log.messages()) == drive_messages[:40] + drive_messages[41:]
         assert log.damage == [
             f"{path}: the record at byte {place} is of no known kind (opcode 122): what it holds "
-            f"in its {31 + len(drive_messages[40].data)} bytes is lost"
+            f"in its {31 + len(drive_messages[40].data)} bytes is lost",
+            f"{path}: 1 of {total} messages on {topic} of the index are not in the file",
         ]
 
 
@@ -325,9 +329,143 @@ def test_a_damaged_record_in_a_chunk_without_checksum_is_told(
     path.write_bytes(data)
     with open_log(path) as log:
         found = list(log.messages())
-        assert len(found) + log.missing.total() >= len(drive_messages) * indexed
+        assert len(found) + log.missing.total() >= len(drive_messages)
         assert [m for m in found if m not in drive_messages] == found[50:51] * (
             place == 1 and value == 0xF0
         )
-        assert len(log.damage) == 1
+        assert len(log.damage) == (1 if indexed else 2)  # the place, and the numbers
         assert "is damaged" in log.damage[0]
+
+
+def records(data: bytes) -> list[bytes]:
+    """The records of an MCAP file between its first and last bytes."""
+    found, place = [], 8
+    while place < len(data) - 8:
+        end = place + 9 + struct.unpack_from("<Q", data, place + 1)[0]
+        found.append(data[place:end])
+        place = end
+    return found
+
+
+def places_of(found: list[bytes], opcode: int) -> list[int]:
+    return [place for place, record in enumerate(found) if record[0] == opcode]
+
+
+def rewrite(path: Path, found: list[bytes]) -> None:
+    magic = path.read_bytes()[:8]
+    path.write_bytes(magic + b"".join(found) + magic)
+
+
+WITHOUT_INDEX: list[dict[str, object]] = [
+    {"use_chunking": False},
+    {"index_types": IndexType.NONE},
+    {"index_types": IndexType.NONE, "compression": CompressionType.LZ4},
+]
+
+
+@pytest.mark.parametrize("style", WITHOUT_INDEX)
+def test_what_was_taken_out_of_a_file_without_index_is_counted(
+    tmp_path: Path, drive_messages: list[Message], style: dict[str, object]
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages, **style)
+    found = records(path.read_bytes())
+    data = places_of(found, 6 if "index_types" in style else 5)
+    del found[data[len(data) // 2]]
+    rewrite(path, found)
+    with open_log(path) as log:
+        read = list(log.messages({"/scan", "/odom"}))
+        lost = Counter(m.topic for m in drive_messages) - Counter(m.topic for m in log.messages())
+        assert lost
+        assert log.missing == lost
+        assert len(log.damage) == 1
+        assert log.damage[0].endswith(" of the index are not in the file")
+        assert len(read) == len(drive_messages) - 1 - lost.total()  # one is on /tf_static
+
+
+def test_a_statistics_record_that_contradicts_itself_tells_nothing(
+    tmp_path: Path, drive_messages: list[Message]
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages, use_chunking=False)
+    found = records(path.read_bytes())
+    (place,) = places_of(found, 0x0B)
+    count = struct.unpack_from("<Q", found[place], 9)[0]
+    found[place] = found[place][:9] + struct.pack("<Q", count + 1) + found[place][17:]
+    rewrite(path, found)
+    with open_log(path) as log:
+        assert list(log.messages()) == drive_messages
+        assert log.damage == []
+
+
+def end_of_data_moved_up(path: Path) -> tuple[int, int]:
+    """The last message or chunk and the end of the data change places; where they are now."""
+    found = records(path.read_bytes())
+    last = max(places_of(found, 5) + places_of(found, 6))
+    (end,) = places_of(found, 0x0F)
+    found[last], found[end] = found[end], found[last]
+    rewrite(path, found)
+    return 8 + sum(map(len, found[:end])), 8 + sum(map(len, found[:last]))
+
+
+@pytest.mark.parametrize("style", WITHOUT_INDEX)
+def test_what_stands_behind_the_end_of_the_data_is_read_and_told(
+    tmp_path: Path, drive_messages: list[Message], style: dict[str, object]
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages, **style)
+    behind, end = end_of_data_moved_up(path)
+    with open_log(path) as log:
+        assert list(log.messages()) == drive_messages
+        assert log.damage == [
+            f"{path}: the record at byte {behind} stands behind the end of the data at byte "
+            f"{end}: it is read all the same"
+        ]
+
+
+@pytest.mark.parametrize("checked", [True, False])
+def test_a_chunk_that_is_not_where_the_index_has_it_is_told(
+    tmp_path: Path, drive_messages: list[Message], checked: bool
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages, enable_crcs=checked)
+    end_of_data_moved_up(path)
+    with open_log(path) as log:
+        read = list(log.messages())
+        assert 0 < log.missing.total() == len(drive_messages) - len(read)
+        assert log.damage
+
+
+def test_a_second_file_behind_the_end_is_told(
+    tmp_path: Path, drive_messages: list[Message]
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages)
+    size = path.stat().st_size
+    path.write_bytes(path.read_bytes() * 2)
+    with open_log(path) as log:
+        assert list(log.messages()) == drive_messages
+        assert log.damage == [
+            f"{path}: {size:,} bytes follow the end of the file at byte {size}: what they hold is "
+            "lost"
+        ]
+
+
+@pytest.mark.parametrize("length", [0, 21])
+def test_a_message_shorter_than_its_head_is_damage(
+    tmp_path: Path, drive_messages: list[Message], length: int
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages, use_chunking=False)
+    found = records(path.read_bytes())
+    place = places_of(found, 5)[40]
+    found[place] = struct.pack("<BQ", 5, length) + bytes(length)
+    rewrite(path, found)
+    start = 8 + sum(map(len, found[:place]))
+    with open_log(path) as log:
+        assert list(log.messages()) == drive_messages[:40] + drive_messages[41:]
+        assert log.damage[0] == (
+            f"{path}: the record at byte {start} is damaged (opcode 5): what it holds in its "
+            f"{9 + length} bytes is lost"
+        )
+        assert log.missing == {drive_messages[40].topic: 1}

@@ -188,7 +188,7 @@ class Oracle:
         return Check(
             old_from_new=Pose2(0.1 * old, 0.0, 0.0),
             score=score,
-            inliers=999,
+            confirmed_m=50.0,
             overlap=1.0,
             least_overlap=1.0,
             lead=1.0,

@@ -20,7 +20,7 @@ from specmap_cli.recognition.closure.verification import Check
 
 CONFIG = RecognitionConfig()
 SURE = Check(
-    old_from_new=IDENTITY, score=0.9, inliers=500, overlap=0.9, least_overlap=0.8, lead=0.5
+    old_from_new=IDENTITY, score=0.9, confirmed_m=25.0, overlap=0.9, least_overlap=0.8, lead=0.5
 )
 LINE = np.column_stack([np.arange(0.0, 8.0, 0.25), np.zeros(32), np.zeros(32)])
 
@@ -37,7 +37,7 @@ def stay(number: int = 0, **known: Any) -> Stay:
         ({}, True, True, "the grids match and the tracks overlap"),
         ({"score": 0.7499}, False, False, "the grids do not match"),
         ({"score": 0.75}, True, True, "the grids match and the tracks overlap"),
-        ({"inliers": 99}, False, False, "too few wall points match"),
+        ({"confirmed_m": 4.95}, False, False, "too little wall matches"),
         ({"overlap": 0.39, "least_overlap": 0.39}, False, False, "the grids overlap too little"),
         ({"least_overlap": 0.14}, False, False, "the grids overlap too little"),
         ({"lead": 0.09}, False, False, "ambiguous: the grids match in more than one way"),
@@ -118,23 +118,25 @@ def test_margins_are_settings() -> None:
 
 @given(
     st.floats(-1.0, 1.0),
-    st.integers(0, 400),
+    st.floats(0.0, 20.0),
     st.floats(0.0, 1.0),
     st.floats(0.0, 1.0),
     st.floats(-1.0, 2.0),
 )
 def test_a_better_match_is_never_worth_less(
-    score: float, inliers: int, overlap: float, least: float, lead: float
+    score: float, confirmed: float, overlap: float, least: float, lead: float
 ) -> None:
     check = Check(
         old_from_new=IDENTITY,
         score=score,
-        inliers=inliers,
+        confirmed_m=confirmed,
         overlap=max(overlap, least),
         least_overlap=min(overlap, least),
         lead=lead,
     )
     found = verdict(stay(), stay(1), check, CONFIG)
-    better = replace(check, score=min(1.0, score + 0.1), inliers=inliers + 50, lead=lead + 0.1)
+    better = replace(
+        check, score=min(1.0, score + 0.1), confirmed_m=confirmed + 2.5, lead=lead + 0.1
+    )
     assert verdict(stay(), stay(1), better, CONFIG).verified >= found.verified
     assert found.merged <= found.verified

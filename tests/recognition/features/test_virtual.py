@@ -60,7 +60,7 @@ def test_the_nearest_return_is_taken_at_each_bearing(seed: int, count: int, beam
             off = math.remainder(math.atan2(y, x) - bearing, 2.0 * math.pi)
             if 0.05 < distance < 4.0 and -half <= off < half:
                 expected[k] = min(expected[k], distance)
-    assert scan.ranges == pytest.approx(expected)
+    assert scan.ranges == pytest.approx(expected, abs=1e-6)
     assert scan.full_circle
     assert (scan.stamp_ns, scan.range_max) == (7, 4.0)
 

@@ -154,3 +154,16 @@ def test_joined_forests_vote_side_by_side() -> None:
     assert votes.shape == (len(X), 12)
     assert votes == pytest.approx(np.hstack([part.tree_votes(X) for part in parts]))
     assert Forest.joined(parts).tree_votes(X[:1]) == pytest.approx(votes[:1])
+
+
+@given(seeds)
+@settings(max_examples=10)
+def test_the_order_of_the_samples_changes_no_bit(seed: int) -> None:
+    """Sums of weights are exact. Equal columns are equally good: the first of them is taken."""
+    X, y = data(seed)
+    X[:, 2] = X[:, 0]
+    order = np.random.default_rng(seed).permutation(len(y))
+    one = TreeBoost(NAMES, 8, feature_share=1.0).fit(X, y).to_dict()
+    assert TreeBoost(NAMES, 8, feature_share=1.0).fit(X[order], y[order]).to_dict() == one
+    asked = {part["feature"] for k in one["rounds"] for part in (k["root"], k["below"], k["above"])}
+    assert "c" not in asked

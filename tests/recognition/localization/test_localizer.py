@@ -298,3 +298,20 @@ def test_neighbours_that_the_map_does_not_hold_are_nobody_s(trained: Trained) ->
     guide = Localizer(trained.classifiers, wide, trained.grids, CONFIG.localization)
     assert guide.filter.ids == [1, 2, 3, 4]
     assert guide.filter.transition.sum(axis=1) == pytest.approx(np.ones(5))
+
+
+def test_what_comes_after_a_restart_does_not_smooth_what_was_before(
+    trained: Trained, again: list[PosedScan]
+) -> None:
+    """Two tracks in one log are smoothed like two logs."""
+    first, second = again[:20], [replace(again[20], restarted=True), *again[21:40]]
+    whole = localizer(trained)
+    for scan in (*first, *second):
+        whole.update(scan)
+    apart = []
+    for part in (first, second):
+        guide = localizer(trained)
+        for scan in part:
+            guide.update(scan)
+        apart += guide.smoothed()
+    assert whole.smoothed() == apart

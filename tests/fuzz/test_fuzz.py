@@ -1,0 +1,249 @@
+"""The fuzzer: some hundred of its cases pass, and it notices every kind of failure."""
+
+from __future__ import annotations
+
+import os
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+
+import pytest
+
+from fuzz.__main__ import main
+from fuzz.cases import LogCase, MapCase, case_of
+from fuzz.judging import Failure, judge
+from fuzz.report import Tally
+from fuzz.seeds import Seeds, make_seeds
+from fuzz.workers import Limits, Outcome, Pool
+from specmap_cli.core.errors import UsageError
+from specmap_cli.logs.readers.chunked import ChunkedFile
+from specmap_cli.logs.readers.recording import Message
+
+SEED, CASES = 2026, 500
+CHUNKED = range(0, 40)  # cases of which most are MCAP files or bags
+
+_intact = ChunkedFile.messages
+
+
+@pytest.fixture(scope="module")
+def seeds() -> Seeds:
+    return make_seeds()
+
+
+def outcomes(
+    seeds: Seeds, numbers: Collection[int], limits: Limits | None = None, jobs: int = 2
+) -> list[Outcome]:
+    return list(Pool(seeds, SEED, limits or Limits(), jobs).run(numbers))
+
+
+def kinds(found: list[Outcome]) -> set[str]:
+    return {failure.kind for outcome in found for failure in outcome.failures}
+
+
+def first_chunked(seeds: Seeds) -> int:
+    """The number of a case whose log is read as a sequence of chunks, with messages in it."""
+    for number in CHUNKED:
+        case = case_of(seeds, SEED, number)
+        if isinstance(case, LogCase) and case.name.startswith("mcap-zstd"):
+            return number
+    raise AssertionError("no such case")
+
+
+def test_cases_pass(seeds: Seeds) -> None:
+    found = outcomes(seeds, range(CASES))
+    failed = {
+        f"python -m fuzz --seed {SEED} --case {outcome.number}": outcome.failures
+        for outcome in found
+        if outcome.failures
+    }
+    assert sorted(outcome.number for outcome in found) == list(range(CASES))
+    assert failed == {}
+
+
+def plant(monkeypatch: pytest.MonkeyPatch, deed: str) -> None:
+    """A reader of chunked files that does something bad at the fifth scan of every reading."""
+
+    def messages(self: ChunkedFile, topics: Collection[str] | None = None) -> Iterator[Message]:
+        scans = 0
+        for message in _intact(self, topics):
+            scans += message.topic == "/scan"
+            if scans == 5 and message.topic == "/scan":
+                if deed == "drop":
+                    continue
+                _DEEDS[deed]()
+            yield message
+
+    monkeypatch.setattr(ChunkedFile, "messages", messages)
+
+
+def raise_a_bug() -> None:
+    raise ValueError("planted")
+
+
+def sleep_long() -> None:
+    time.sleep(60)
+
+
+def eat_memory() -> None:
+    bytearray(2 << 30)
+
+
+def crash() -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def write_raw() -> None:
+    os.write(2, b"a library speaks\n")
+
+
+def leave_a_file() -> None:
+    tempfile.mkstemp()
+
+
+_DEEDS: dict[str, Callable[[], None]] = {
+    "raise": raise_a_bug,
+    "sleep": sleep_long,
+    "eat": eat_memory,
+    "crash": crash,
+    "write": write_raw,
+    "leave": leave_a_file,
+}
+
+
+@pytest.mark.parametrize(
+    ("deed", "kind", "what"),
+    [
+        ("drop", "silent loss", "scans"),
+        ("raise", "traceback", "ValueError at logs/readers/"),
+        ("sleep", "hang", "more than 1 s"),
+        ("eat", "memory", ""),
+        ("crash", "died", "SIGSEGV"),
+        ("write", "error line", "a library speaks"),
+        ("leave", "half-written", "left behind: tmp"),
+    ],
+)
+def test_a_planted_fault_is_noticed(
+    seeds: Seeds, monkeypatch: pytest.MonkeyPatch, deed: str, kind: str, what: str
+) -> None:
+    number = first_chunked(seeds)
+    limits = Limits(time_s=1.0) if deed == "sleep" else Limits()
+    before = outcomes(seeds, [number], limits)
+    plant(monkeypatch, deed)
+    after = outcomes(seeds, [number], limits)
+    assert kind not in kinds(before)
+    assert kind in kinds(after)
+    said = [failure.what for failure in after[0].failures if failure.kind == kind]
+    assert any(what in text for text in said), said
+
+
+def test_a_worker_that_dies_is_replaced(seeds: Seeds, monkeypatch: pytest.MonkeyPatch) -> None:
+    plant(monkeypatch, "crash")
+    found = outcomes(seeds, CHUNKED, jobs=1)
+    assert sorted(outcome.number for outcome in found) == list(CHUNKED)
+    died = [outcome for outcome in found if "died" in kinds([outcome])]
+    assert 1 < len(died) < len(CHUNKED)
+
+
+def test_an_output_beside_an_error_is_noticed(
+    seeds: Seeds, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A plot that fails after the table was written leaves half of a result."""
+    report = "specmap_cli.pipelines.localization_report.write_together"
+    monkeypatch.setattr(report, refuse_to_plot)
+    number = next(n for n in range(1, 4000, 20) if plots(case_of(seeds, SEED, n)))
+    found = outcomes(seeds, [number])
+    assert "half-written" in kinds(found)
+
+
+def refuse_to_plot(contents: dict[Path, bytes]) -> None:
+    """Write the table, and fail at the picture."""
+    first, *others = contents
+    first.write_bytes(contents[first])
+    if others:
+        raise UsageError(f"{others[0]}: planted")
+
+
+def plots(case: LogCase | MapCase) -> bool:
+    """Whether a case draws a plot, of a map that is damaged where `localize` does not look."""
+    return isinstance(case, MapCase) and case.plot and case.notes[0].startswith("overview.png")
+
+
+def test_a_case_is_the_same_every_time(seeds: Seeds) -> None:
+    again = make_seeds()
+    for number in range(60):
+        one, other = case_of(seeds, SEED, number), case_of(again, SEED, number)
+        if isinstance(one, LogCase):
+            assert one == other
+        else:
+            assert one.notes == other.notes
+    assert case_of(seeds, SEED, 3) != case_of(seeds, SEED + 1, 3)
+
+
+def test_intact_inputs_pass(seeds: Seeds, tmp_path: Path) -> None:
+    """What fails is the damage, never the intact file: the fuzzer cries no wolf."""
+    for (variant, drive), data in seeds.files.items():
+        case = LogCase(
+            number=0,
+            name=f"{variant} {drive}",
+            notes=(),
+            data=data,
+            stamps_ns=seeds.drives[drive].stamps_ns,
+            excused=0,
+            must_tell=False,
+            build=False,
+            convert=True,
+        )
+        folder = tmp_path / case.name
+        folder.mkdir()
+        assert judge(case, folder, (), tmp_path / "none") == [], case.name
+
+
+def test_an_intact_map_passes(seeds: Seeds, tmp_path: Path) -> None:
+    (tmp_path / "localized").write_bytes(seeds.localized)
+    files = dict(seeds.map_files)
+    case = MapCase(number=0, name="map", notes=(), files=files, deeds=(), plot=True)
+    (tmp_path / "case").mkdir()
+    assert judge(case, tmp_path / "case", (), tmp_path / "localized") == []
+    assert (tmp_path / "case" / "out.png").exists()
+
+
+def test_only_damage_without_a_trace_is_excused(seeds: Seeds) -> None:
+    cut = [
+        case
+        for case in (case_of(seeds, SEED, number) for number in range(3000))
+        if isinstance(case, LogCase) and len(case.notes) == 1 and "taken out" in case.notes[0]
+    ]
+    excused = {case.name.split()[0] for case in cut if case.excused}
+    held = {case.name.split()[0] for case in cut if not case.excused}
+    assert excused == {"mcap-bare", "mcap-unindexed"}
+    assert held >= {"mcap-zstd", "mcap-plain", "mcap-unchunked", "bag", "bag-active"}
+
+
+def test_a_case_can_be_kept_and_is_told(
+    seeds: Seeds, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    number = first_chunked(seeds)
+    main(["--seed", str(SEED), "--case", str(number), "--keep", str(tmp_path / "kept")])
+    told = capsys.readouterr().out
+    case = case_of(seeds, SEED, number)
+    assert isinstance(case, LogCase)
+    assert (tmp_path / "kept" / "log").read_bytes() == case.data
+    assert f"case {number}, {case.name}: {'; '.join(case.notes)}" in told
+    assert f"specmap info {tmp_path}/kept/log --json" in told
+
+
+def test_failures_are_grouped_and_can_be_repeated() -> None:
+    tally = Tally(7)
+    for number in (12, 5, 30):
+        failure = Failure("traceback", f"ValueError: {number} is too much (info)")
+        failures = (failure,) if number != 30 else ()
+        tally.add(Outcome(number=number, name="bag", notes=("cut",), failures=failures, cpu_s=0.02))
+    assert tally.kinds() == {"traceback": 2}
+    assert tally.lines(1.0) == [
+        "3 cases of seed 7: 2 failed; 1 s, 20 ms of processor time a case",
+        "traceback: 2 x ValueError: N is too much (info)",
+        "    bag: cut",
+        "    python -m fuzz --seed 7 --case 5",
+    ]

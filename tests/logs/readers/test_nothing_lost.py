@@ -1,0 +1,212 @@
+"""One damaged byte anywhere in a recording: no scan goes missing without a word."""
+
+from __future__ import annotations
+
+import random
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.rosbag1 import Writer as Rosbag1Writer
+
+from specmap_cli.core.errors import InputError, UsageError
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.readers.recording import Message, lost_text
+from specmap_cli.logs.stream import SweepStream
+
+PLACES = 60  # of a byte that is damaged, a file and kind of damage
+PLAIN = CompressionType.NONE
+
+MCAP_STYLES: dict[str, dict[str, object]] = {
+    "whole": {"compression": PLAIN},
+    "no checksums": {"compression": PLAIN, "enable_crcs": False},
+    "no checksums, zstd": {"enable_crcs": False},
+    "no checksums, lz4": {"enable_crcs": False, "compression": CompressionType.LZ4},
+    "no list of messages": {"compression": PLAIN, "enable_crcs": False}
+    | {"index_types": IndexType.CHUNK},
+    "no index": {"compression": PLAIN, "enable_crcs": False, "index_types": IndexType.NONE}
+    | {"use_statistics": False, "repeat_channels": False},
+    "no chunks": {"use_chunking": False, "enable_crcs": False},
+}
+BAG_STYLES = [None, *Rosbag1Writer.CompressionFormat]
+
+
+def write_mcap(path: Path, messages: list[Message], **style: object) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file, **{"chunk_size": 1500, **style})  # type: ignore[arg-type]
+        writer.start(profile="ros2")
+        channels: dict[str, int] = {}
+        for m in messages:
+            if m.topic not in channels:
+                schema = writer.register_schema(m.type, "ros2msg", b"")
+                channels[m.topic] = writer.register_channel(m.topic, "cdr", schema)
+            writer.add_message(channels[m.topic], m.time_ns, m.data, m.time_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def without_index(bag: Path) -> None:
+    """As a recorder leaves a bag that was killed."""
+    data = bytearray(bag.read_bytes())
+    place = data.index(b"index_pos=") + len(b"index_pos=")
+    data[place : place + 8] = bytes(8)
+    bag.write_bytes(data)
+
+
+def scans_read(path: Path) -> tuple[int, int, list[str]]:
+    """The scans that `build` would get, those said to be missing, and everything that is said."""
+    try:
+        with open_log(path) as log:
+            stream = SweepStream(log, LogConfig())
+            found = sum(1 for _ in stream)
+            missing = log.missing["/scan"] + stream.counts["unusable_scans"]
+            return found, missing, stream.warnings
+    except (InputError, UsageError) as error:
+        return 0, 0, [str(error)]
+
+
+def damage_everywhere(path: Path, scans: int) -> None:
+    whole, rng = path.read_bytes(), random.Random(7)
+    assert scans_read(path) == (scans, 0, [])
+    damaged = path.with_name(f"damaged{path.suffix}")
+    for number in range(PLACES):
+        place = (number * len(whole) + rng.randrange(len(whole))) // PLACES
+        for byte in (whole[place] ^ 1 << rng.randrange(8), rng.randrange(256)):
+            damaged.write_bytes(whole[:place] + bytes([byte]) + whole[place + 1 :])
+            found, missing, said = scans_read(damaged)
+            case = f"byte {place} {whole[place]:#04x} -> {byte:#04x}: {found} scans, {said}"
+            assert said or found + missing >= scans, case
+            assert found <= scans, case
+            assert all("\n" not in line for line in said), case
+
+
+@pytest.fixture
+def few(drive_messages: list[Message]) -> list[Message]:
+    """A third of the drive: ten scans."""
+    return drive_messages[:31]
+
+
+@pytest.mark.parametrize("style", MCAP_STYLES)
+def test_a_byte_of_an_mcap(tmp_path: Path, few: list[Message], style: str) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, few, **MCAP_STYLES[style])
+    damage_everywhere(path, 10)
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize("compression", BAG_STYLES)
+def test_a_byte_of_a_bag(
+    tmp_path: Path,
+    few: list[Message],
+    write_bag: Callable[..., None],
+    compression: Rosbag1Writer.CompressionFormat | None,
+    indexed: bool,
+) -> None:
+    path = tmp_path / "log.bag"
+    write_bag(path, few, compression)
+    if not indexed:
+        without_index(path)
+    damage_everywhere(path, 10)
+
+
+def test_a_byte_of_a_database(
+    tmp_path: Path, few: list[Message], write_db3: Callable[..., None]
+) -> None:
+    path = tmp_path / "log.db3"
+    write_db3(path, few)
+    damage_everywhere(path, 10)
+
+
+def test_a_byte_of_a_carmen_log(tmp_path: Path) -> None:
+    path = tmp_path / "log.clf"
+    ranges = " ".join(f"{2 + n / 7:.2f}" for n in range(20))
+    path.write_text(
+        "".join(
+            f"ODOM {n / 10} 0.0 0.1 0 0 0 {n}.1 host {n}.1\n"
+            f"FLASER 20 {ranges} {n / 10} 0.0 0.1 {n / 10} 0.0 0.1 {n}.2 host {n}.2\n"
+            for n in range(1, 11)
+        )
+    )
+    damage_everywhere(path, 10)
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_what_is_lost_of_a_chunk_is_told_with_number_topic_and_place(
+    tmp_path: Path, drive_messages: list[Message], write_bag: Callable[..., None], indexed: bool
+) -> None:
+    path = tmp_path / "log.bag"
+    write_bag(path, drive_messages)
+    if not indexed:
+        without_index(path)
+    data = bytearray(path.read_bytes())
+    chunk = data.index(b"compression=none", data.index(b"compression=none") + 1)
+    place = data.index(b"op=\x02", chunk)
+    data[place : place + 4] = b"op=\x42"
+    path.write_bytes(data)
+    with open_log(path) as log:
+        found = list(log.messages())
+        lost = [m for m in drive_messages if m not in found]
+        assert len(lost) == 1, "all others of its chunk are read"
+        (line,) = log.damage
+        assert log.missing == {lost[0].topic: 1}
+    head, said = line.split(" is damaged: ")
+    start = data.index(b"op=\x05", data.index(b"op=\x05") + 1)
+    assert 0 < start - int(head.rsplit(" ", 1)[1]) < 200
+    assert said.startswith("1 of ")
+    assert f" on {lost[0].topic}, between 100." in said
+
+
+def test_a_message_moved_to_another_topic_is_missed_on_its_own(
+    tmp_path: Path, few: list[Message]
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, few, compression=PLAIN, enable_crcs=False, index_types=IndexType.CHUNK)
+    data = bytearray(path.read_bytes())
+    number = next(n for n, m in enumerate(few) if m.topic == "/scan" and n > 10)
+    place = data.index(few[number].data) - 22  # of the channel, which comes first
+    others = [data[data.index(m.data) - 22] for m in few if m.topic == "/odom"]
+    data[place] = others[0]
+    path.write_bytes(data)
+    with open_log(path) as log:
+        list(log.messages())
+        assert log.damage == [f"{path}: 1 of 10 messages on /scan of the index are not in the file"]
+        assert log.missing == {"/scan": 1}
+
+
+def test_rows_of_a_database_that_are_gone_are_counted(
+    tmp_path: Path, few: list[Message], write_db3: Callable[..., None]
+) -> None:
+    path = tmp_path / "log.db3"
+    write_db3(path, few)
+    with sqlite3.connect(path) as db:
+        db.execute("DELETE FROM messages WHERE id IN (4, 9)")
+    db.close()
+    (tmp_path / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  message_count: 99\n  files:\n    - path: other.db3\n"
+        "      message_count: 7\n    - path: log.db3\n      message_count: 33\n"
+    )
+    with open_log(path) as log:
+        assert len(list(log.messages())) == 29
+        assert log.damage == [
+            f"{path}: 4 of 33 messages are not in its table: the numbers of the messages, the "
+            "index or metadata.yaml tell of them"
+        ]
+
+
+@pytest.mark.parametrize(
+    ("lost", "of", "said"),
+    [
+        ({"/scan": 1}, None, "1 message on /scan"),
+        ({"/scan": 1}, {"/scan": 5}, "1 of 5 messages on /scan"),
+        ({"/scan": 2000, "/odom": 1}, None, "1 message on /odom and 2,000 on /scan"),
+        (
+            {"/c": 1, "/b": 2, "/a": 3},
+            {"/a": 3, "/b": 3, "/c": 3},
+            "3 of 3 messages on /a, 2 of 3 on /b and 1 of 3 on /c",
+        ),
+    ],
+)
+def test_losses_in_words(lost: dict[str, int], of: dict[str, int] | None, said: str) -> None:
+    assert lost_text(lost, of) == said

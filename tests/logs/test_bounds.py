@@ -1,0 +1,222 @@
+"""Files that swell, wait or lead nowhere: one line, little memory, a small temporary file."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import os
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import lz4.frame
+import pytest
+import zstandard
+
+from specmap_cli.core.errors import LogError
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.readers import unpacking
+from specmap_cli.logs.readers.recording import Message
+
+PACK: dict[str, Callable[[bytes], bytes]] = {
+    "zstd": zstandard.compress,
+    "lz4": lz4.frame.compress,
+    "bz2": bz2.compress,
+    "gzip": gzip.compress,
+}
+MEMORY_MB = 600
+CARMEN = b"# a log\nODOM 1.0 2.0 0.1 0 0 0 5.0 host 5.0\n"
+
+READ = """
+import resource, sys
+from pathlib import Path
+resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000,) * 2)
+from specmap_cli.core.errors import SpecmapError
+from specmap_cli.logs import open_log
+try:
+    with open_log(sys.argv[1]) as log:
+        print(sum(1 for _ in log.messages()), *log.damage)
+except SpecmapError as error:
+    print(error)
+# Not ru_maxrss: there the peak of the process that started this one counts as well.
+peak = Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]
+print(int(peak) // 1024)
+"""
+
+
+def read_in_a_process(path: Path) -> tuple[str, int]:
+    """What reading a file says, and its peak memory in MB."""
+    command = [sys.executable, "-c", READ, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    said, megabytes = done.stdout.splitlines()
+    return said, int(megabytes)
+
+
+def zeros_in_zstd(count: int) -> bytes:
+    packer = zstandard.ZstdCompressor().compressobj()
+    piece = bytes(1 << 20)
+    return b"".join(packer.compress(piece) for _ in range(count >> 20)) + packer.flush()
+
+
+def mcap_with_chunk(compression: bytes, data: bytes, size: int) -> bytes:
+    body = struct.pack("<QQQII", 5, 9, size, 0, len(compression)) + compression
+    body += struct.pack("<Q", len(data)) + data
+    record = struct.pack("<BQ", 6, len(body)) + body
+    end = struct.pack("<BQI", 0x0F, 4, 0)
+    return b"\x89MCAP0\r\n" + record + end + b"\x89MCAP0\r\n"
+
+
+def bag_with_chunk(compression: bytes, data: bytes, size: int) -> bytes:
+    def record(data: bytes, **fields: bytes) -> bytes:
+        header = b"".join(
+            struct.pack("<I", len(name) + 1 + len(value)) + name.encode() + b"=" + value
+            for name, value in fields.items()
+        )
+        return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
+
+    counts = {"index_pos": bytes(8), "conn_count": bytes(4), "chunk_count": bytes(4)}
+    head = record(b"", op=b"\x03", **counts)
+    size_field = struct.pack("<I", size)
+    return (
+        b"#ROSBAG V2.0\n"
+        + head
+        + record(data, op=b"\x05", compression=compression, size=size_field)
+    )
+
+
+GIGABYTE = 1 << 30
+
+
+@pytest.mark.parametrize("claimed", [GIGABYTE, 1000])
+def test_a_chunk_that_swells_costs_little_memory(tmp_path: Path, claimed: int) -> None:
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(mcap_with_chunk(b"zstd", zeros_in_zstd(GIGABYTE), claimed))
+    said, megabytes = read_in_a_process(path)
+    assert said == (
+        f"{path}: chunk at byte 8 is beyond log.chunk_max_mb: messages between 0.000 s and 0.000 s "
+        "are lost; no message can be read"
+    )
+    assert megabytes < MEMORY_MB
+
+
+def test_a_chunk_of_a_bag_that_swells_costs_little_memory(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.bag"
+    packer = bz2.BZ2Compressor()
+    packed = b"".join(packer.compress(bytes(1 << 20)) for _ in range(200)) + packer.flush()
+    path.write_bytes(bag_with_chunk(b"bz2", packed, 1 << 20))
+    said, megabytes = read_in_a_process(path)
+    assert said.startswith(f"{path}: chunk at byte 90 is beyond log.chunk_max_mb: some of its mess")
+    assert megabytes < MEMORY_MB
+
+
+def test_a_whole_file_that_swells_costs_little_memory(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.log.zst"
+    path.write_bytes(zstandard.compress(CARMEN) + zeros_in_zstd(GIGABYTE))
+    said, megabytes = read_in_a_process(path)
+    assert said == (
+        f"{path}: unpacks to more than 500 times its size: see log.unpacked_ratio_max; "
+        "if it is a log, raise the setting"
+    )
+    assert megabytes < 300
+
+
+@pytest.mark.parametrize("name", sorted(PACK))
+def test_what_is_no_log_is_not_unpacked(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unpacking, "LOOKED_AT_BYTES", 5000)
+    path = tmp_path / "zeros"
+    path.write_bytes(PACK[name](bytes(80_000_000)) + b"garbage that would be told otherwise")
+    written: list[int] = []
+    monkeypatch.setattr(unpacking, "_refuse_swelling", lambda n, *_: written.append(n))
+    with pytest.raises(LogError, match=f"of an unknown format.*inside {name} compression"):
+        open_log(path)
+    assert max(written) < 80_000_000
+
+
+@pytest.mark.parametrize("name", sorted(PACK))
+def test_the_copy_of_a_compressed_file_is_bounded(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(PACK[name](CARMEN + CARMEN[8:] * 50_000))
+    with open_log(path) as log:
+        assert log.contents.messages == 50_001
+    config = LogConfig(unpacked_max_gb=0.001)
+    with pytest.raises(LogError) as caught:
+        open_log(path, config)
+    assert str(caught.value) == (
+        f"{path}: unpacks to more than 0.001 GB, which log.unpacked_max_gb allows; "
+        "if it is a log, raise the setting"
+    )
+
+
+def test_a_chunk_and_a_message_have_their_bound(
+    tmp_path: Path, drive: Path, write_db3: Callable[..., None], drive_messages: list[Message]
+) -> None:
+    small = LogConfig(chunk_max_mb=0.0003)  # a scan has 240 bytes, an odometry message 700
+    with pytest.raises(LogError, match=r"beyond log\.chunk_max_mb|no message can be read"):
+        open_log(drive, small)
+    path = tmp_path / "log.db3"
+    write_db3(path, [m._replace(data=zstandard.compress(m.data)) for m in drive_messages])
+    with open_log(path, small) as log:
+        assert {m.topic for m in log.messages()} == {"/scan", "/tf_static"}
+        assert "is beyond log.chunk_max_mb: one on /odom is lost" in log.damage[0]
+        assert log.missing == {"/odom": 60}
+        assert len(log.damage) == 21
+        assert log.damage[-1] == (
+            f"{path}: damaged at 40 more places; in all, 60 messages on /odom are lost"
+        )
+
+
+def test_settings_of_another_kind_are_refused(drive: Path) -> None:
+    wrong: Any = {"chunk_max_mb": 5}
+    with pytest.raises(TypeError, match=r"^config: expected LogConfig, found"):
+        open_log(drive, wrong)
+
+
+def test_what_would_wait_for_ever_is_refused_at_once(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(LogError) as caught:
+        open_log(pipe)
+    assert str(caught.value) == (
+        f"{pipe}: is a pipe; a log must be a file or a directory: copy it to one"
+    )
+    with pytest.raises(LogError, match="is a device; a log must be"):
+        open_log("/dev/zero")
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "s"))
+        with pytest.raises(LogError, match="is a socket; a log must be"):
+            open_log(tmp_path / "s")
+
+
+def test_pipes_in_a_directory_are_passed_over(tmp_path: Path, drive: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with open_log(tmp_path) as log:
+        assert log.paths == [drive]
+
+
+def test_a_link_to_itself_is_one_line(tmp_path: Path) -> None:
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    for path in (loop, loop / "log.mcap"):
+        with pytest.raises(LogError) as caught:
+            open_log(path)
+        assert str(caught.value) == (f"{path}: cannot read: Too many levels of symbolic links")
+
+
+def test_a_directory_that_cannot_be_searched_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "stat", refuse)
+    with pytest.raises(LogError) as caught:
+        open_log(tmp_path / "locked" / "log.mcap")
+    assert str(caught.value) == f"{tmp_path}/locked/log.mcap: cannot read: Permission denied"

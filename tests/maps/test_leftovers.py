@@ -1,0 +1,154 @@
+"""Runs that are killed, at any moment: the old map or the new one is whole, and the next run well.
+
+A child process writes a map and kills itself at one call of the system that makes, renames, writes
+or removes something: at the first, at the second, and so on to the last.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.progress import Silent
+from specmap_cli.maps import directory as module
+from specmap_cli.maps.directory import OutputDirectory
+from specmap_cli.maps.leftovers import held, put_right
+from specmap_cli.maps.store import read_map
+from specmap_cli.maps.writing import MapResult, write_map
+
+CALLS = ("rename", "replace", "mkdir", "rmdir", "unlink", "open")
+
+
+class Noting(Silent):
+    """A progress that remembers its notes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.notes: list[str] = []
+
+    def note(self, message: str) -> None:
+        self.notes.append(message)
+
+
+def write(out: Path, result: MapResult, frame: str, progress: Silent | None = None) -> None:
+    """Write the small house to `out`, told apart by the name of its frame."""
+    with OutputDirectory(out, True, progress) as partial:
+        write_map(partial, replace(result, frame=frame))
+
+
+def killing(at: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """A stub that counts the calls of all functions it stands for, and kills the process at one."""
+    counted = [0]
+
+    def around(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **named: Any) -> Any:
+            counted[0] += 1
+            if counted[0] == at:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return function(*arguments, **named)
+
+        return call
+
+    return around
+
+
+def killed_at(at: int, out: Path, result: MapResult, *, at_once: bool) -> bool:
+    """Overwrite the map in a child that dies at call number `at`; False when it came to its end."""
+    pid = os.fork()
+    if pid == 0:
+        code = 1
+        try:
+            stub = killing(at)
+            for name in CALLS:
+                setattr(os, name, stub(getattr(os, name)))
+            Path.open = stub(Path.open)  # type: ignore[method-assign]
+            if not at_once:
+                module.exchanged = lambda *_: False
+            write(out, result, "new")
+            code = 0
+        finally:
+            os._exit(code)
+    _, status = os.waitpid(pid, 0)
+    died = os.WIFSIGNALED(status)
+    assert died or os.waitstatus_to_exitcode(status) == 0
+    return died
+
+
+@pytest.mark.parametrize("at_once", [True, False], ids=["exchanged", "one by one"])
+def test_a_run_killed_at_any_call_leaves_a_whole_map(
+    at_once: bool, tmp_path: Path, result: MapResult
+) -> None:
+    out = tmp_path / "map"
+    moments = 0
+    died = True
+    while died:
+        moments += 1
+        shutil.rmtree(out, ignore_errors=True)
+        write(out, result, "old")
+        died = killed_at(moments, out, result, at_once=at_once)
+        if out.exists():  # not between the two renames
+            assert read_map(out).record.graph.frame in ("old", "new")
+            assert len(read_map(out).topology.submaps) == 3
+        write(out, result, "next", Noting())
+        assert read_map(out).record.graph.frame == "next"
+        assert [path.name for path in tmp_path.iterdir()] == ["map"], moments
+    assert moments > 20
+
+
+def test_a_map_that_was_moved_away_comes_back(tmp_path: Path, result: MapResult) -> None:
+    """Killed between two renames: there is no map in its place, and the next run says so."""
+    out = tmp_path / "map"
+    write(out, result, "old")
+    os.rename(out, tmp_path / ".map.replaced-0123abcd")
+    progress = Noting()
+    with pytest.raises(UsageError, match="already holds a map"):
+        OutputDirectory(out, False, progress).__enter__()
+    assert read_map(out).record.graph.frame == "old"
+    (note,) = progress.notes
+    assert note == (
+        f"{out}: an earlier run was killed: restored the map that it had moved away as "
+        ".map.replaced-0123abcd"
+    )
+
+
+def test_what_a_living_run_writes_is_left_alone(tmp_path: Path) -> None:
+    partial = tmp_path / ".map.partial-89abcdef"
+    partial.mkdir()
+    with held(partial):
+        assert put_right(tmp_path / "map") == []
+        assert partial.is_dir()
+    assert len(put_right(tmp_path / "map")) == 1
+    assert not partial.exists()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        ".map.partial-12",
+        ".map.partial-0123456g",
+        ".map.partial-01234567.bak",
+        ".other.partial-01234567",
+        "map.partial-01234567",
+        ".map.replaced-01234567",  # without a map in it
+    ],
+)
+def test_what_is_not_certainly_ours_is_left_alone(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "mine.txt").write_text("mine")
+    assert put_right(tmp_path / "map") == []
+    assert (tmp_path / name / "mine.txt").read_text() == "mine"
+
+
+def test_a_link_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "precious").mkdir()
+    (tmp_path / ".map.partial-01234567").symlink_to(tmp_path / "precious")
+    assert put_right(tmp_path / "map") == []
+    assert (tmp_path / "precious").is_dir()
