@@ -99,6 +99,26 @@ def with_overrides(config: Config, overrides: dict[str, Any], where: str = "") -
     return _validated(_merge(config.model_dump(), overrides), where)
 
 
+def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """The settings that this version has, and the dotted keys of the others.
+
+    For settings that another version wrote down: it may have had more, or called them otherwise.
+    """
+    known: dict[str, Any] = {}
+    others: list[str] = []
+    sections = Config().model_dump()
+    for name, value in settings.items():
+        section = sections.get(name)
+        if isinstance(section, dict) and isinstance(value, Mapping):
+            known[name] = {key: entry for key, entry in value.items() if key in section}
+            others += [f"{name}.{key}" for key in value if key not in section]
+        elif name in sections:
+            known[name] = value
+        else:
+            others.append(name)
+    return known, others
+
+
 def _validated(
     settings: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None
 ) -> Config:

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from specmap_cli.core.arguments import path_of
+from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.records import NO_SUBMAP, Labels
@@ -110,13 +111,24 @@ class StoredMap:
 
     @cached_property
     def config(self) -> Config:
-        """The configuration the map was built with (`config` in run.json)."""
+        """The configuration the map was built with (`config` in run.json).
+
+        Settings that this version does not have are left out: `foreign_settings` names them.
+        """
+        written = self.run.get("config")
         try:
-            return Config.model_validate(self.run.get("config"))
+            known = known_settings(written)[0] if isinstance(written, dict) else written
+            return Config.model_validate(known)
         except ValidationError as error:
             raise MapError(
                 f"{self.path / filenames.RUN}: config: {_first(error)}: build the map again"
             ) from None
+
+    @property
+    def foreign_settings(self) -> list[str]:
+        """The settings, by dotted key, that another version built the map with."""
+        written = self.run.get("config")
+        return known_settings(written)[1] if isinstance(written, dict) else []
 
 
 class _Grids(Mapping[int, GridMap]):

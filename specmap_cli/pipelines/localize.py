@@ -50,6 +50,9 @@ def localize_log(
     stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"))
     config = settings_for(stored, {}) if config is None else config
     check_feature_sets(config)
+    if stored.foreign_settings:
+        foreign = ", ".join(stored.foreign_settings)
+        progress.note(f"{stored.path}: built by another version; its settings left out: {foreign}")
     localizer = localizer_of(stored, config)
     with open_log(given, config.log) as log:
         stream, front_end = SweepStream(log, config.log), FrontEnd(config.registration)

@@ -278,3 +278,19 @@ class TestDamage:
         (stored / "classifiers.json").unlink()
         with pytest.raises(MapError, match=r"has no classifiers\.json: `specmap segment` makes"):
             _ = read_map(stored).classifiers
+
+
+def test_settings_of_another_version_are_left_out_and_named(stored: Path) -> None:
+    """A map that an older version built can still be used."""
+    run = json.loads((stored / "run.json").read_text())
+    run["config"]["recognition"]["min_inliers"] = 100
+    run["config"]["magic"] = {"wand": True}
+    run["config"]["grid"]["resolution_m"] = 0.08
+    (stored / "run.json").write_text(json.dumps(run))
+    read = read_map(stored)
+    assert read.config.grid.resolution_m == 0.08
+    assert sorted(read.foreign_settings) == ["magic", "recognition.min_inliers"]
+    run["config"]["grid"]["resolution_m"] = "wide"
+    (stored / "run.json").write_text(json.dumps(run))
+    with pytest.raises(MapError, match=r"run\.json: config: grid\.resolution_m"):
+        _ = read_map(stored).config
