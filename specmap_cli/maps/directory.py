@@ -56,8 +56,7 @@ class OutputDirectory:
         self.overwrite = overwrite
         self.progress = progress or Silent()
         self._target = Path(os.path.realpath(path))
-        self._token = os.urandom(4).hex()
-        self._partial = sibling(self._target, "partial", self._token)
+        self._partial = sibling(self._target, "partial", os.urandom(4).hex())
         self._parents: list[Path] = []
         self._lock = ExitStack()
         # Also runs at the exit of the interpreter: an interruption between the lines of the
@@ -125,7 +124,7 @@ class OutputDirectory:
 
     def _commit(self) -> None:
         """Put the finished directory in place of the target."""
-        replaced = sibling(self._target, "replaced", self._token)
+        replaced = sibling(self._target, "replaced", self._partial.name[-8:])
         try:
             self._check_target()
             with _signals_held():

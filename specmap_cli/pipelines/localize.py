@@ -47,12 +47,9 @@ def localize_log(
     given = paths_of(logs, "logs")
     if config is not None:
         instance_of(config, Config, "config")
-    stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"))
+    stored = _opened(map_, progress)
     config = settings_for(stored, {}) if config is None else config
     check_feature_sets(config)
-    if stored.foreign_settings:
-        foreign = ", ".join(stored.foreign_settings)
-        progress.note(f"{stored.path}: built by another version; its settings left out: {foreign}")
     localizer = localizer_of(stored, config)
     with open_log(given, config.log) as log:
         stream, front_end = SweepStream(log, config.log), FrontEnd(config.registration)
@@ -69,6 +66,15 @@ def localize_log(
             progress.warn(warning)
         name = legible(Path(log.name).name)
         return LocalizationReport(log=name, scans=scans, warnings=warnings)
+
+
+def _opened(map_: StoredMap | Path | str, progress: Progress) -> StoredMap:
+    """The map; settings that only the version that built it knows are noted."""
+    stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"))
+    if stored.foreign_settings:
+        foreign = ", ".join(stored.foreign_settings)
+        progress.note(f"{stored.path}: built by another version; its settings left out: {foreign}")
+    return stored
 
 
 def _localized(
