@@ -144,7 +144,11 @@ def test_classifiers_edited_into_nonsense(
         ("topology.json", lambda data: data.update(nodes=[], edges=[]), "build the map again"),
         ("topology.json", lambda data: data["graph"].update(schema_version=99), "is 99"),
         ("topology.json", lambda data: data["nodes"][0].update(id="x"), "nodes.0.id"),
-        ("run.json", lambda data: data["config"]["grid"].update(x=1), "config: grid.x"),
+        (
+            "run.json",
+            lambda data: data["config"]["grid"].update(footprint_m=-1),
+            "grid.footprint_m",
+        ),
         ("run.json", lambda data: data.pop("config"), "config: "),
     ],
     ids=range(5),
@@ -161,6 +165,13 @@ def test_a_map_edited_into_nonsense(
     said = run("localize", tiny_log, "--map", own_map, "--metric")
     assert said.code == 3
     assert told in said.error
+
+
+def test_settings_of_another_version_are_named(own_map: Path, tiny_log: Path, run: Run) -> None:
+    edited(own_map / "run.json", lambda data: data["config"]["grid"].update(x=1))
+    said = run("localize", tiny_log, "--map", own_map)
+    assert said.code == 0
+    assert "built by another version; its settings left out: grid.x" in said.err
 
 
 def test_a_missing_grid_is_named_when_it_is_needed(own_map: Path, tiny_log: Path, run: Run) -> None:
