@@ -38,6 +38,8 @@ bench: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.rooms
 	$(BIN)/python -m benchmarks.online
 	$(BIN)/python -m benchmarks.recognition
+	$(BIN)/python -m benchmarks.reading
+	$(BIN)/python -m benchmarks.resolutions
 
 # A mutation fuzzer of our own over logs and maps: see docs/reliability.md.
 CASES ?= 20000

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -42,6 +43,7 @@ from specmap_cli.recognition.closure.verification import tracks_overlap
 from specmap_cli.recognition.features.sets import feature_names, scans_features
 from specmap_cli.recognition.learning.training import train_localizer
 from specmap_cli.recognition.localization.localizer import Localizer
+from specmap_cli.simulation.room_truth import RoomTruth
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
 from specmap_cli.topology.graph import submap_of_regions
 
@@ -174,8 +176,9 @@ def _tour_row(clutter: str, view: float) -> str:
     config = load_config()
     rooms = rooms_of("Freiburg79_scan")
     here, other = plan(f"Freiburg79_scan{clutter}"), plan(f"lab_c_scan{clutter}")
-    first, again = _tour(here, view, 0), _tour(here, view, 11, spacing_m=2.6)
-    localizers = _localizers(first, rooms, config)
+    first, again = tour_of(here, view, 0), tour_of(here, view, 11, spacing_m=2.6)
+    fresh = localizer_of_tour(first, rooms, config)
+    localizers = [fresh() for _ in range(2)]
     labels = [localizers[0].update(scan) for scan in again]
     truth = rooms.at(np.array([scan.map_from_base for scan in again]))
     ids = localizers[0].classifiers.ids
@@ -183,7 +186,7 @@ def _tour_row(clutter: str, view: float) -> str:
     votes = raw.margins(scans_features([s.planar for s in again], raw.raw.feature_set))
     single = classification_scores(truth, np.array(ids)[votes.argmax(axis=1)], ids)
     filtered = classification_scores(truth, [label.filtered_submap for label in labels], ids)
-    foreign = [localizers[1].update(scan) for scan in _tour(other, view, 5)[:1500]]
+    foreign = [localizers[1].update(scan) for scan in tour_of(other, view, 5)[:1500]]
     unknown = [np.mean([x.filtered_submap is None for x in part]) for part in (labels, foreign)]
     return (
         f"{single.recall:.3f} {single.precision:.3f} | {filtered.accuracy:.3f} | "
@@ -191,10 +194,10 @@ def _tour_row(clutter: str, view: float) -> str:
     )
 
 
-def _tour(world: GridMap, view: float, seed: int, **more: Any) -> list[PosedScan]:
-    options = SimulationOptions(
-        field_of_view_deg=view, beams=int(view), rate_hz=5.0, seed=seed, **more
-    )
+def tour_of(world: GridMap, view: float, seed: int, **more: Any) -> list[PosedScan]:
+    """The scans of a tour at their true poses; a beam a degree if nothing else is said."""
+    usual = {"field_of_view_deg": view, "beams": int(view), "rate_hz": 5.0, "seed": seed}
+    options = SimulationOptions(**(usual | more))
     return [
         PosedScan(
             index=s.index,
@@ -207,8 +210,10 @@ def _tour(world: GridMap, view: float, seed: int, **more: Any) -> list[PosedScan
     ]
 
 
-def _localizers(tour: list[PosedScan], rooms: Any, config: Config) -> list[Localizer]:
-    """Two localizers of the same map, whose submaps are the rooms of the plan."""
+def localizer_of_tour(
+    tour: list[PosedScan], rooms: RoomTruth, config: Config
+) -> Callable[[], Localizer]:
+    """What makes localizers of the map of a tour, whose submaps are the rooms of the plan."""
     selector = KeyframeSelector(config.keyframes)
     with KeyframeStore() as store:
         for scan in tour:
@@ -224,7 +229,7 @@ def _localizers(tour: list[PosedScan], rooms: Any, config: Config) -> list[Local
         trained = train_localizer(store, submaps, store.poses, grids, config, rng)
     driven = pairwise(labels.tolist())
     adjacency = neighbours(submaps, [(a, b) for a, b in driven if a in submaps and b in submaps])
-    return [Localizer(trained, adjacency, grids, config.localization) for _ in range(2)]
+    return lambda: Localizer(trained, adjacency, grids, config.localization)
 
 
 def cost(quick: bool) -> None:

@@ -100,16 +100,23 @@ def register(name: str, odometry: bool) -> Run:
     config = Config(log=LogConfig(use_odometry=odometry))
     front_end, recorder = FrontEnd(config.registration), TrajectoryRecorder()
     selector, breaks, busy, scans = KeyframeSelector(config.keyframes), [], 0.0, 0
+
+    def keep(scan: PosedScan) -> None:
+        recorder.append(scan)
+        if scan.restarted:
+            breaks.append(len(store))
+        if selector.accepts(scan):
+            store.append(scan)
+
     with KeyframeStore() as store, open_log([log_file(name)]) as log:
         for sweep in SweepStream(log, config.log):
             start = time.process_time()
-            scan = front_end.register(sweep)
+            settled = front_end.take(sweep)
             busy, scans = busy + time.process_time() - start, scans + 1
-            recorder.append(scan)
-            if scan.restarted:
-                breaks.append(len(store))
-            if selector.accepts(scan):
-                store.append(scan)
+            for scan in settled:
+                keep(scan)
+        for scan in front_end.rest():
+            keep(scan)
         tracked, start = recorder.trajectory(), time.process_time()
         layout = relax(store, [], breaks, config.relaxation)
         relaxed = corrected(tracked, store, layout)

@@ -24,7 +24,14 @@ from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.room_truth import RoomTruth, read_rooms
 from specmap_cli.simulation.simulator import SimulationOptions
 
+SAMPLE_LOG = Path("sample_logs/office.mcap")
+SAMPLE_TRUTH = Path("sample_logs/office.tum")
 PLANS = ("Freiburg79_scan", "Freiburg79_scan_furnitures", "lab_c_scan", "office_h_furnitures")
+
+
+def sample_rooms() -> RoomTruth:
+    """The rooms of the sample log, in the frame of its true poses."""
+    return read_rooms("sample_logs/office_rooms.png", RESOLUTION_M)
 
 
 def score(name: str, log: Path, truth: Path, rooms: RoomTruth, config: Config, out: Path) -> str:
@@ -53,10 +60,9 @@ def main() -> None:
         f"{'doors':>9} {'invented':>8} {'purity':>6} {'merges':>6} {'ATE m':>7}"
     )
     with tempfile.TemporaryDirectory() as name:
-        folder, samples = Path(name), Path("sample_logs")
-        rooms = read_rooms(samples / "office_rooms.png", RESOLUTION_M)
-        sample = samples / "office.mcap", samples / "office.tum"
-        print(score("sample_logs/office", *sample, rooms, config, folder / "office"), flush=True)
+        folder = Path(name)
+        sample = SAMPLE_LOG, SAMPLE_TRUTH, sample_rooms()
+        print(score("sample_logs/office", *sample, config, folder / "office"), flush=True)
         for tour in PLANS if arguments.plans else ():
             log = folder / f"{tour}.mcap"
             options = SimulationOptions(beams=541, speed_mps=0.8, spacing_m=3.0, laps=2, seed=3)

@@ -41,7 +41,8 @@ class Failure:
 class Reading:
     """What came of reading a log to its end: the stamps of its scans, and what was said.
 
-    `damage` are lines that tell of losses, `unusable` the scans that were counted as unusable.
+    `damage` are lines that tell of losses, `unusable` the scans that were counted as unusable
+    or as those of another sensor.
     """
 
     stamps_ns: tuple[int, ...] = ()
@@ -79,6 +80,8 @@ def log_commands(case: LogCase, folder: Path, settings: Sequence[str]) -> Iterat
     yield ["info", log, "--json"]
     if case.number % 4 == 0:  # the same in words, where no control character may come through
         yield ["info", log]
+    elif case.number % 4 == 2:  # every message read, on every topic
+        yield ["info", log, "--check", "--json"]
     if case.convert:
         yield ["convert", log, "-o", str(folder / "converted.mcap")]
     if case.build:
@@ -137,7 +140,7 @@ def _told(stream: SweepStream, stamps: list[int], damage: Sequence[str], error: 
         expected=stream.expected,
         damage=tuple(line for line in damage if not _NO_LOSS.search(line)),
         warnings=tuple(stream.warnings),
-        unusable=stream.counts["unusable_scans"],
+        unusable=stream.counts["unusable_scans"] + stream.counts["other_sensor"],
         error=error,
     )
 

@@ -28,6 +28,7 @@ _STAGES = {
     "recognition/localization",
     "layout",
     "topology",
+    "quality",
     "maps",
     "drawing",
     "simulation",
@@ -47,6 +48,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "layout": _STAGE,
     "topology": _STAGE,
     "simulation": _STAGE,
+    "quality": _STAGE | {"layout"},
     "maps": _STAGE | {"topology"},
     "drawing": _STAGE | {"topology", "segmentation"},
     "exports": _STAGE | {"topology", "maps"},
@@ -146,7 +148,14 @@ def test_imports_go_one_way(path: Path) -> None:
 
 @pytest.mark.parametrize("path", sorted(ROOT.glob("cli/*.py")), ids=relative)
 def test_commands_import_what_is_heavy_only_when_they_run(path: Path) -> None:
-    light = ("cli", "core.errors", "core.legible", "core.progress", "__version__")
+    light = (
+        "cli",
+        "core.errors",
+        "core.legible",
+        "core.progress",
+        "core.shortage",
+        "__version__",
+    )
     for line, name in imports(path, late=False):
         top, _, rest = name.partition(".")
         assert top not in HEAVY, f"{path}:{line} imports {name}"

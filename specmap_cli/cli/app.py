@@ -23,7 +23,8 @@ from specmap_cli.core.errors import UsageError
 
 EXIT_CODES = (
     "Exit codes: 0 done; 1 a bug, with its traceback; 2 wrong usage or an output in the way; "
-    "3 an input that cannot be used; 4 no result; 130 and 143 interrupted by Ctrl-C and SIGTERM."
+    "3 an input that cannot be used; 4 no result; 5 done, but "
+    "a rule such as --fail-on is broken; 130 and 143 interrupted by Ctrl-C and SIGTERM."
 )
 
 # What Typer raises for arguments that make no command: only since 0.29 its root has a public name.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,15 @@ import typer
 
 from specmap_cli.cli.options import Common, Logs, LogSettings, Overwrite, output
 from specmap_cli.cli.targets import keep_inputs
+from specmap_cli.core.errors import BROKEN_RULE
+
+
+class Doubt(StrEnum):
+    """The verdicts that a build can be asked to fail on."""
+
+    doubtful = "doubtful"
+    poor = "poor"
+
 
 Out = Annotated[Path, output("Map directory to write.")]
 NoRelax = Annotated[
@@ -17,6 +27,10 @@ NoRelax = Annotated[
 Explain = Annotated[
     Path | None,
     typer.Option(help="Directory for a picture of every test that may split a submap."),
+]
+FailOn = Annotated[
+    Doubt | None,
+    typer.Option(help="Exit with code 5 when the map is doubtful, or poor. It is written anyway."),
 ]
 Seed = Annotated[int | None, typer.Option(help="Seed of everything random.")]
 
@@ -28,6 +42,7 @@ def build(
     explain: Explain = None,
     seed: Seed = None,
     overwrite: Overwrite = False,
+    fail_on: FailOn = None,
     *,
     settings: LogSettings,
     common: Common,
@@ -41,6 +56,7 @@ def build(
     specmap build log.mcap
     specmap build log.bag -o map --scan-topic /scan --set grid.resolution_m=0.1
     """
+    from specmap_cli.core.findings import at_least_as_bad
     from specmap_cli.pipelines.build import build_map
 
     effective = settings.load({"relaxation.enabled": False if no_relax else None, "seed": seed})
@@ -50,3 +66,5 @@ def build(
             logs, out, effective, overwrite=overwrite, progress=progress, explain=explain
         )
     common.show(report.as_dict(), report.lines())
+    if fail_on is not None and at_least_as_bad(report.quality.verdict, fail_on.value):
+        raise typer.Exit(BROKEN_RULE)

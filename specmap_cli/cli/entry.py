@@ -5,7 +5,6 @@ It imports nothing that takes time, so that a signal is heeded from the first mo
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import sys
@@ -15,11 +14,12 @@ from contextlib import suppress
 from specmap_cli.cli.interruption import Interruption, interruptible
 from specmap_cli.cli.streams import discard_stdout, one_line, print_text
 from specmap_cli.core.errors import InputError, SpecmapError, UsageError
+from specmap_cli.core.shortage import is_of_the_machine, is_of_the_place, reason
 
 # The matrices here are small: threads of BLAS would wait for each other, and burn time doing so.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-# What a machine runs out of; no fault of the program, and no trace of it would help.
-_EXHAUSTED = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.EMFILE}
+_NO_TEMPORARY = "No usable temporary directory"  # how Python's own error begins
+_OPENCV_NO_MEMORY = -4  # its code StsNoMem
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,18 +69,44 @@ def _told(error: Exception) -> tuple[str, int] | None:
     """What to say of an error that is no bug, and its exit code."""
     if isinstance(error, SpecmapError):
         return str(error), error.exit_code
-    if isinstance(error, OSError) and error.errno in _EXHAUSTED:
-        what = error.filename or "the output"
+    if isinstance(error, OSError):
+        told = _told_of_system(error)
+        return None if told is None else (told, UsageError.exit_code)
+    if isinstance(error, MemoryError) or _is_want_of_memory(error):
+        what = f": {error}" if str(error) else ""
         return (
-            f"{what}: cannot be written: {error.strerror}; make room or write elsewhere",
-            UsageError.exit_code,
-        )
-    if isinstance(error, MemoryError):
-        return (
-            f"not enough memory: {error}; a coarser grid (--set grid.resolution_m) needs less",
+            f"not enough memory{what}; a shorter log or a coarser grid "
+            "(--set grid.resolution_m) needs less",
             InputError.exit_code,
         )
     return None
+
+
+def _told_of_system(error: OSError) -> str | None:
+    """What to say of what a machine runs out of: no bug, and no trace of it would help."""
+    if (error.strerror or "").startswith(_NO_TEMPORARY):
+        return f"{error.strerror}: free some space there, or set TMPDIR to another directory"
+    if is_of_the_machine(error):
+        return f"{error.filename}: {reason(error)}" if error.filename else reason(error)
+    if is_of_the_place(error):
+        advice = "write elsewhere"
+        if _is_temporary(error.filename):
+            advice = "set TMPDIR to another directory"
+        return f"{error.filename or 'the output'}: cannot be written: {reason(error, advice)}"
+    return None
+
+
+def _is_temporary(name: object) -> bool:
+    """Whether a file is in the directory for temporary files."""
+    from tempfile import gettempdir
+
+    return isinstance(name, str) and name.startswith(os.path.join(gettempdir(), ""))
+
+
+def _is_want_of_memory(error: Exception) -> bool:
+    """Whether OpenCV ran out of memory; it has an error of its own for it."""
+    of_opencv = type(error).__module__ == "cv2"
+    return of_opencv and getattr(error, "code", None) == _OPENCV_NO_MEMORY
 
 
 def _fail(message: str, code: int, as_json: bool) -> int:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, Overwrite, output
+from specmap_cli.cli.options import Common, Overwrite, Settings, output
 from specmap_cli.cli.targets import check_files
 
 Map = Annotated[
@@ -20,12 +20,19 @@ Out = Annotated[Path, output("File to write.")]
 
 
 def export(
-    map_: Map, format_: Format, out: Out, overwrite: Overwrite = False, *, common: Common
+    map_: Map,
+    format_: Format,
+    out: Out,
+    overwrite: Overwrite = False,
+    *,
+    settings: Settings,
+    common: Common,
 ) -> None:
     """Write a map in the format of another tool.
 
     graphml: the graph alone, for yEd, Gephi and networkx. geojson: outlines and links in metres of
-    the map, for QGIS. Installed packages may add formats.
+    the map, for QGIS. Installed packages may add formats. Of the settings only the section `limits`
+    counts: how large a file of the map may be.
 
     \b
     specmap export map --format graphml -o map.graphml
@@ -34,7 +41,7 @@ def export(
     from specmap_cli.maps.store import read_map
 
     check_files([out], [map_], overwrite=overwrite)
-    stored = read_map(map_)
+    stored = read_map(map_, settings.load().limits)
     export_map(stored, format_, out, overwrite=overwrite)
     result = {
         "map": str(map_),

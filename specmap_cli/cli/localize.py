@@ -53,7 +53,7 @@ def localize(
     from specmap_cli.pipelines.localize import localize_log, settings_for
 
     check_files([out, plot], [*logs, *files_of_map(map_directory)], overwrite=overwrite)
-    stored = read_map(map_directory)
+    stored = read_map(map_directory, settings.load().limits)
     effective = settings_for(stored, settings.overrides(), settings.config, settings.preset)
     with common.progress() as progress:
         report = localize_log(

@@ -114,6 +114,9 @@ class LogSettings(Settings):
     scan_topic: Annotated[
         str | None, typer.Option(help="Topic of the scans, when several fit.")
     ] = None
+    scan_frame: Annotated[
+        str | None, typer.Option(help="Frame of the scans, when several lasers share a topic.")
+    ] = None
     odom_topic: Annotated[
         str | None, typer.Option(help="Topic of the odometry, when several fit.")
     ] = None
@@ -124,6 +127,7 @@ class LogSettings(Settings):
         """The settings of section `log` that have options of their own."""
         return {
             "log.scan_topic": self.scan_topic,
+            "log.scan_frame": self.scan_frame,
             "log.odom_topic": self.odom_topic,
             "log.base_frame": self.base_frame,
             "log.use_odometry": False if self.no_odometry else None,

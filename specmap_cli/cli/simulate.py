@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, Overwrite, Resolution, output
+from specmap_cli.cli.options import Common, Overwrite, Resolution, Settings, output
 from specmap_cli.cli.targets import check_files
 
 Plan = Annotated[
@@ -64,12 +64,14 @@ def simulate(
     *,
     laser: Laser,
     tour: Tour,
+    settings: Settings,
     common: Common,
 ) -> None:
     """Record a simulated robot that tours a floor plan.
 
     A robot with a planar laser drives through all space it can reach. Writes an MCAP with /scan,
-    /odom and /tf_static, and the true poses beside it as .tum.
+    /odom and /tf_static, and the true poses beside it as .tum. Of the settings only the section
+    `limits` counts: how large the picture of the plan may be.
 
     \b
     specmap simulate plan.yaml -o tour.mcap --laps 2
@@ -79,9 +81,10 @@ def simulate(
     from specmap_cli.pipelines.simulate import simulate as record
     from specmap_cli.simulation.simulator import simulation_options
 
+    limits = settings.load().limits
     options = simulation_options(**asdict(laser), **asdict(tour))
     truth = out.parent / f"{out.stem}.tum"
     check_files([out, truth], [plan], overwrite=overwrite)
     with common.progress() as progress:
-        made = record(read_grid(plan, resolution), options, out, truth, progress)
+        made = record(read_grid(plan, resolution, limits), options, out, truth, progress)
     common.show(made.as_dict(), made.lines())

@@ -13,6 +13,9 @@ Nothing in the packages prints or exits: `specmap_cli.cli` holds the one handler
 
 from __future__ import annotations
 
+# The exit code of a run that finished, but whose result breaks a rule that was asked for.
+BROKEN_RULE = 5
+
 
 class SpecmapError(Exception):
     """Base of every error meant for the user; `exit_code` is the process's exit status."""

@@ -4,29 +4,37 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.locks import is_nobody_s, lock
+from specmap_cli.core.shortage import reason
 
 # A pipe does not keep the opening waiting for a writer. Not every system has such pipes.
 _AT_ONCE = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
+_BYTES_PER_MB = 1_000_000
 
-def read_bytes(path: Path | str, most: int) -> bytes:
-    """The bytes of a regular file of `most` bytes or fewer.
+
+def read_bytes(path: Path | str, most_mb: float, setting: str | None = None) -> bytes:
+    """The bytes of a regular file of `most_mb` megabytes or fewer; `setting` says how many.
 
     Raises OSError for a file that is larger, and for a pipe or a device, which may never end.
     """
+    most = round(most_mb * _BYTES_PER_MB)
     with os.fdopen(os.open(path, _AT_ONCE), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
         data = file.read(most + 1)
     if len(data) > most:
-        raise OSError(errno.EFBIG, f"larger than {most / 1e6:g} MB", str(path))
+        more = f"; if it is meant, raise {setting}" if setting is not None else ""
+        raise OSError(errno.EFBIG, f"larger than {most_mb:g} MB{more}", str(path))
     return data
 
 
@@ -52,6 +60,17 @@ def write_together(contents: Mapping[Path, bytes]) -> None:
 
 
 @contextmanager
+def temporary_files() -> Iterator[None]:
+    """A block in which temporary files are made or written: UsageError when they cannot be."""
+    try:
+        yield
+    except OSError as error:
+        where = tempfile.tempdir or "the temporary directory"
+        why = reason(error, "set TMPDIR to another directory")
+        raise UsageError(f"{where}: temporary files cannot be written: {why}") from None
+
+
+@contextmanager
 def complete_file(path: Path | str) -> Iterator[IO[bytes]]:
     """An open file that takes its name when the block ends well, and vanishes otherwise.
 
@@ -61,15 +80,34 @@ def complete_file(path: Path | str) -> Iterator[IO[bytes]]:
     target = Path(path)
     if os.path.lexists(target) and not target.is_file():
         raise UsageError(f"{target}: is no regular file: choose another place")
-    partial = target.with_name(f".{target.name}.partial-{os.getpid()}")
+    partial = partial_of(target)
     try:
+        remove_leftovers(target)
         with partial.open("wb") as file:
+            lock(file.fileno())
             yield file
         os.replace(partial, target)
     except OSError as error:
         raise UsageError(
-            f"{target}: cannot be written: {error.strerror}; choose another place"
+            f"{target}: cannot be written: {reason(error, 'choose another place')}"
         ) from None
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def partial_of(target: Path) -> Path:
+    """The hidden neighbour of a file in which this process writes it."""
+    return target.with_name(f".{target.name}.partial-{os.getpid()}")
+
+
+def remove_leftovers(target: Path) -> None:
+    """Remove what runs that were killed had begun to write in the place of a file.
+
+    It has the name that `partial_of` gives, and no living run holds a lock on it. Raises OSError.
+    """
+    ours = re.compile(re.escape(f".{target.name}.partial-") + r"\d+")
+    for path in target.parent.iterdir():
+        left = ours.fullmatch(path.name) and path.is_file() and not path.is_symlink()
+        if left and is_nobody_s(path):
+            path.unlink(missing_ok=True)

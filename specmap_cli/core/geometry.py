@@ -26,11 +26,23 @@ def wrap_angles(angles: NDArray[Any]) -> FloatArray:
 
 
 def product(a: NDArray[Any], b: NDArray[Any]) -> FloatArray:
-    """The matrix product a (n, k) b (k, m), the same to the last bit on every processor.
+    """The matrix product a (..., n, k) b (..., k, m), the same to the last bit on every processor.
 
     `@` is not: a fused multiplication rounds otherwise, and a point may fall into another cell.
     """
-    return np.asarray(np.einsum("ij,jk->ik", a, b), dtype=np.float64)
+    return np.asarray(np.einsum("...ij,...jk->...ik", a, b), dtype=np.float64)
+
+
+def inverse3(matrices: NDArray[Any]) -> FloatArray:
+    """The inverses of matrices (..., 3, 3), by cofactors, the same bits on every processor.
+
+    Good for matrices that are far from singular, as covariances with a floor are.
+    """
+    rows = np.asarray(matrices, dtype=np.float64)
+    a, b, c = (rows[..., k, :] for k in range(3))
+    columns = [np.cross(b, c), np.cross(c, a), np.cross(a, b)]
+    determinant = (a * columns[0]).sum(axis=-1)
+    return np.asarray(np.stack(columns, axis=-1) / determinant[..., None, None])
 
 
 class Pose2(NamedTuple):

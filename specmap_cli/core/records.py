@@ -15,6 +15,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.tracks import path_length
 
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 NO_SUBMAP = -1
 
@@ -65,8 +66,11 @@ class PosedScan:
 
     `score` is in [0, 1]; `agrees` says whether the result agrees with odometry (or with the motion
     before); `lost` marks a scan that could not be registered and must not enter a map; `restarted`
-    marks the first scan after a run of lost ones, joined to what came before by a guess only.
-    `planar` is de-skewed. `map_from_base_3d` (4, 4) keeps z, roll and pitch of a 3D lidar.
+    marks the first scan after a run of lost ones, joined to what came before by a guess only;
+    `bridge` is how far that guess may be off, metres and radians, None where nothing measured it.
+    `planar` is de-skewed. `blind`: neither walls nor odometry fix its place along some direction.
+    `odom_from_base` is the odometry at its stamp, None where there is none.
+    `map_from_base_3d` (4, 4) keeps z, roll and pitch of a 3D lidar.
     """
 
     index: int
@@ -78,6 +82,9 @@ class PosedScan:
     agrees: bool = True
     lost: bool = False
     restarted: bool = False
+    bridge: tuple[float, float] | None = None
+    blind: bool = False
+    odom_from_base: Pose2 | None = None
     map_from_base_3d: FloatArray | None = None
 
     @property
@@ -109,14 +116,20 @@ class Closure:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """The base at every registered scan: `stamps_ns` (n,) int64 and `poses` (n, 3) in the map.
+    """The base at every scan: `stamps_ns` (n,) int64 and `poses` (n, 3) in the map.
 
-    `tilt` (n, 3) holds z, roll and pitch for a 3D lidar, None for planar logs.
+    `tilt` (n, 3) holds z, roll and pitch for a 3D lidar, None for planar logs. `lost` (n,) marks
+    the scans that could not be registered: their poses are guesses. `odometry` (n, 3) are the poses
+    by odometry, NaN where there is none. `blind` (n,) marks scans whose place along some direction
+    neither walls nor odometry fix. Each is None where nothing is known of it.
     """
 
     stamps_ns: IntArray
     poses: FloatArray
     tilt: FloatArray | None = None
+    lost: BoolArray | None = None
+    odometry: FloatArray | None = None
+    blind: BoolArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,6 +19,9 @@ class LogConfig(_Section):
     """Which messages are read, how long one waits for another, how a cloud becomes planar."""
 
     scan_topic: str | None = Field(None, description="topic of the scans, where several fit")
+    scan_frame: str | None = Field(
+        None, description="frame of the scans, where several lasers share a topic"
+    )
     odom_topic: str | None = Field(None, description="topic of the odometry, where several fit")
     base_frame: str | None = Field(None, description="the robot's base, where it is not found")
     use_odometry: bool = Field(True, description="false: read no odometry at all")
@@ -31,8 +34,43 @@ class LogConfig(_Section):
     chunk_max_mb: float = Field(
         128.0, gt=0, description="one chunk or message; several may be in memory at once"
     )
+    pause_intervals: float = Field(
+        5.0, gt=1, description="info --check tells of pauses of so many usual intervals: the median"
+    )
+    gap_s: float = Field(
+        1.0, gt=0, description="info tells of gaps between scans beyond this and pause_intervals"
+    )
+    sparse_step_m: float = Field(
+        0.25, gt=0, description="info calls scans this far apart sparse: views change much between"
+    )
     tried_messages: int = Field(
         50, ge=1, description="of a topic, in search of one that can be read; then it is refused"
+    )
+    look_scans: int = Field(
+        100, ge=3, description="first scans: which sensors share the topic, what stamps are worth"
+    )
+    sensor_share: float = Field(
+        0.1, ge=0, le=0.5, description="of them; a rarer sensor is left out without a question"
+    )
+    sensor_angle_rad: float = Field(
+        0.0873,
+        gt=0,
+        le=3.2,
+        description="scans of one frame that begin or end this much apart by turns: two lasers",
+    )
+    ascending_share: float = Field(
+        0.25, gt=0, le=1, description="of stamps follow the one ahead, or they are of no use"
+    )
+    order_interval_s: float = Field(
+        0.1, gt=0, description="between scans stamped by order: a usual laser's 10 Hz"
+    )
+    order_speed_mps: float = Field(
+        0.5, gt=0, description="and at least so long that a robot this fast drives the first steps"
+    )
+    clocks_apart_s: float = Field(
+        2.0,
+        gt=0,
+        description="odometry stamped this far from scans recorded beside it has another clock",
     )
     transform_messages: int = Field(
         50_000, ge=1, description="of each kind, in search of the laser's place on the base"
@@ -118,7 +156,7 @@ class RegistrationConfig(_Section):
         0.05, ge=0, le=1, description="score by which steady motion must beat odometry as the guess"
     )
     carried_forward_m: float = Field(
-        0.5, ge=0, description="longest motion carried on from the scan before, which may be wrong"
+        0.5, ge=0, description="longest motion carried on until walls have confirmed longer ones"
     )
     carried_sideways_m: float = Field(0.2, ge=0, description="its longest part to the side")
     carried_rad: float = Field(0.8, ge=0, description="its largest turn")
@@ -166,10 +204,6 @@ class RegistrationConfig(_Section):
         0.7, ge=0, le=1, description="needed against odometry once a search was made, or it is lost"
     )
     fair_score: float = Field(0.6, ge=0, le=1, description="as sure_score, without odometry")
-    believed_step_m: float = Field(
-        0.5, gt=0, description="from this motion between scans on, it proves no result right"
-    )
-    believed_step_rad: float = Field(0.5, gt=0, description="from this turn on likewise")
     lost_limit: int = Field(5, ge=1, description="lost scans in a row that end a local map")
 
 
@@ -309,8 +343,20 @@ class RelaxationConfig(_Section):
     loop_score: float = Field(0.6, ge=0, le=1, description="a match below this is no edge")
     loop_search_m: float = Field(0.3, gt=0, description="a pass is searched this far at the least")
     loop_search_max_m: float = Field(2.0, gt=0, description="and this far at the most")
+    wide_every_m: float = Field(
+        10.0, gt=0, description="path between searches as far as its error reaches"
+    )
+    wide_search_max_m: float = Field(
+        15.0, gt=0, description="such a search reaches this far at the most"
+    )
     drift_share: float = Field(
         0.04, ge=0, description="metres per metre driven by which a layout with passes may be off"
+    )
+    part_votes: int = Field(
+        2, ge=1, description="closures that must agree on where a piece after a break lies"
+    )
+    drift_rad_per_m: float = Field(
+        0.001, ge=0, description="radians per metre by which tracking may turn on and on"
     )
     stray_tries: int = Field(
         30, ge=0, description="searches to rejoin a piece of the path after tracking was lost"
@@ -319,6 +365,9 @@ class RelaxationConfig(_Section):
     stray_cells: int = Field(
         512, ge=16, description="cells a side in such a search: a larger map is searched coarser"
     )
+    search_blocks: int = Field(
+        400_000, ge=1000, description="places followed at once in that search, at the most"
+    )
     closure_sigma_m: float = Field(
         0.04, gt=0, description="spread of matched grids' transforms about the truth, x and y"
     )
@@ -326,6 +375,31 @@ class RelaxationConfig(_Section):
     closure_slack_m: float = Field(0.5, ge=0, description="what any closure may mend")
     closure_drift_share: float = Field(
         0.15, ge=0, description="and per metre driven between its ends, where no pass cuts it short"
+    )
+    closure_votes: int = Field(
+        3, ge=2, description="independent closures that agree may mend more than drift explains"
+    )
+    closure_apart_m: float = Field(
+        5.0, ge=0, description="closures nearer than this along both passes are one evidence"
+    )
+    mend_sigmas: float = Field(
+        5.0, gt=0, description="sigmas of the path's error that closures which agree may mend"
+    )
+    agree_m: float = Field(
+        0.15, gt=0, description="error of a closure that is right, where closures are compared"
+    )
+    agree_rad: float = Field(0.03, gt=0, description="the same of its heading")
+    agree_chi2: float = Field(
+        16.3, gt=0, description="below it two closures agree: one right pair of 1,000 is above"
+    )
+    clique_steps: int = Field(
+        100_000, ge=1, description="of the search for the largest set that agrees, at the most"
+    )
+    suspects_most: int = Field(
+        6, ge=0, description="groups of closures the layout is tried without, when walls contradict"
+    )
+    judge_rounds: int = Field(
+        6, ge=1, description="closures are judged, and passes searched, this often at the most"
     )
     kernel_sigmas: float = Field(
         2.0, gt=0, description="closures and passes farther off than this pull less and less"
@@ -341,6 +415,59 @@ class RelaxationConfig(_Section):
         if self.loop_search_m > self.loop_search_max_m:
             raise ValueError("loop_search_m must not be above loop_search_max_m")
         return self
+
+
+class AuditConfig(_Section):
+    """The audit of the finished layout: passes through one place must agree on its walls."""
+
+    cell_m: float = Field(0.1, ge=0.02, le=0.5, description="cells in which passes are compared")
+    range_m: float = Field(12.0, gt=0, description="farther returns are not compared")
+    pass_m: float = Field(6.0, gt=0, description="path of one pass: its own drift is small")
+    near_m: float = Field(6.0, gt=0, description="passes this near to each other are compared")
+    apart_m: float = Field(
+        12.0, gt=0, description="when so much path lies between that they may have drifted apart"
+    )
+    passes_compared: int = Field(8, ge=1, description="of them, the nearest, for each pass")
+    depth_m: float = Field(
+        0.2, gt=0, description="a wall this deep in free space contradicts; less is noise"
+    )
+    wall_m: float = Field(1.2, gt=0, description="shorter ones may be doors, people or chairs")
+    share: float = Field(
+        0.15, gt=0, le=1, description="of the walls that both saw, when passes disagree"
+    )
+    search_m: float = Field(3.0, gt=0, description="walls drawn twice are at most so far apart")
+
+
+class QualityConfig(_Section):
+    """The verdict on a finished map; docs/quality.md lists the findings that it rests on."""
+
+    lost_share: float = Field(
+        0.02, ge=0, le=1, description="of the scans lost, above which a map is doubtful"
+    )
+    lost_share_poor: float = Field(0.2, ge=0, le=1, description="above which it is poor")
+    loose_share_poor: float = Field(
+        0.1, ge=0, le=1, description="of the way that a guess places, above which a map is poor"
+    )
+    walls_share_poor: float = Field(
+        0.1, ge=0, le=1, description="of the passes compared that disagree, above which it is poor"
+    )
+    unmeasured_m: float = Field(
+        2.0, gt=0, description="longest way that nothing measured; a quarter of it may be wrong"
+    )
+    odometry_window_m: float = Field(
+        5.0, gt=0, description="way over which odometry is compared with the map"
+    )
+    odometry_share: float = Field(
+        0.3, gt=0, description="of the way by which they may differ in the median: wheels err less"
+    )
+    odometry_slip_share: float = Field(
+        0.5, gt=0, description="and in a single place, where wheels slip, before it is noted"
+    )
+    moved_m: float = Field(
+        1.0, gt=0, description="a piece that the layout moved farther is told of"
+    )
+    moved_votes: int = Field(3, ge=1, description="and doubtful when fewer matches say so")
+    same_place_m: float = Field(5.0, gt=0, description="disagreements this near are one finding")
 
 
 class LocalizationConfig(_Section):
@@ -370,14 +497,61 @@ class LocalizationConfig(_Section):
     )
     leave: float = Field(1e-4, ge=0, lt=0.5, description="chance to leave the map, or to come back")
     sharpness: float = Field(0.1, gt=0, description="scale of margins in the filter")
+    view_m: float = Field(
+        0.05, ge=0, description="motion to a new view; scans of one view are averaged, not summed"
+    )
+    view_rad: float = Field(0.0524, ge=0, description="or turn to it: a keyframe's, 3 degrees")
     unknown: bool = Field(True, description="allow the label unknown")
+    unknown_prior: float = Field(0.5, gt=0, lt=1, description="chance of unknown at the start")
+    independent_m: float = Field(
+        1.0, gt=0, description="motion to a view that says something new of known or unknown"
+    )
+    independent_rad: float = Field(1.0, gt=0, description="or turn to it; a part of it counts so")
     false_unknown: float = Field(0.05, gt=0, lt=1, description="share of known scans given up")
     exemplars: int = Field(80, ge=1, description="scans kept of a submap, to tell unknown ones by")
     strange_alone: float = Field(
-        1.2, gt=0, description="a single scan is unknown beyond this share of the limit"
+        1.0, gt=0, description="a single scan is unknown beyond this share of the limit"
     )
     strange_from: float = Field(
         0.87, gt=0, description="from this share of the limit on, a scan speaks for unknown"
+    )
+    strange_gain: float = Field(
+        2.0, ge=0, description="log likelihood for unknown, per share of the limit beyond that"
+    )
+    strange_most: float = Field(
+        1.0, ge=0, description="and the most of it: views that are strange come in a row"
+    )
+    fit_range_m: float = Field(
+        8.0, gt=0, description="returns matched with walls: farther ones are seen through doors"
+    )
+    fit_submaps: int = Field(2, ge=0, description="likely submaps that are searched, 0: no walls")
+    fit_search_m: float = Field(
+        1.0, gt=0, description="path between searches while a scan fits no walls"
+    )
+    fit_most: float = Field(4.0, ge=0, description="log likelihood that walls give at the most")
+    held_out_m: float = Field(
+        1.0, gt=0, description="path before and after a view that is held out with it, training"
+    )
+    held_out_reach_m: float = Field(
+        1.5, gt=0, description="and the rest of the map comes so near, or it is a new place"
+    )
+    usual_misfit: float = Field(
+        0.1, gt=0, le=1, description="mean share of returns off the walls, for a map that has none"
+    )
+    usual_misfit_views: int = Field(
+        5, ge=1, description="weight of that, in views that the map held out"
+    )
+    least_misfit: float = Field(
+        0.05, gt=0, le=1, description="of known places: people pass, and doors move"
+    )
+    unseen_weight: float = Field(
+        0.5, ge=0, le=1, description="of returns off the walls where the map saw nothing"
+    )
+    foreign_misfit: float = Field(
+        0.32, gt=0, le=1, description="of other places where they fit best, on average"
+    )
+    foreign_misfit_spread: float = Field(
+        0.13, gt=0, le=1, description="and its standard deviation, seen on plans and logs"
     )
     view_slack_rad: float = Field(
         0.0873, ge=0, description="a laser is refused that sees by more than this less"
@@ -392,6 +566,20 @@ class LocalizationConfig(_Section):
     lost_score: float = Field(0.55, ge=0, le=1, description="below it the whole submap is searched")
 
 
+class LimitsConfig(_Section):
+    """How large a file of a map may be: a small one may swell, a wrong one may never end."""
+
+    text_max_mb: float = Field(
+        268.0, gt=0, description="JSON or CSV of a map: a hundred submaps take a tenth"
+    )
+    picture_max_mb: float = Field(
+        268.0, gt=0, description="picture of a map or a plan, even one without compression"
+    )
+    picture_max_mpixel: float = Field(
+        100.0, gt=0, description="its millions of pixels: 500 m by 500 m at 0.05 m; 4 bytes each"
+    )
+
+
 class Config(_Section):
     """All settings of a run."""
 
@@ -404,4 +592,7 @@ class Config(_Section):
     segmentation: SegmentationConfig = SegmentationConfig()
     recognition: RecognitionConfig = RecognitionConfig()
     relaxation: RelaxationConfig = RelaxationConfig()
+    audit: AuditConfig = AuditConfig()
+    quality: QualityConfig = QualityConfig()
     localization: LocalizationConfig = LocalizationConfig()
+    limits: LimitsConfig = LimitsConfig()

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.core.text import counted
@@ -19,18 +20,31 @@ from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 
 _STRAY_M = 2.0  # a centroid farther from the robot's way lies behind glass, not in the room
 _UNREACHED = 0.005  # share of the free cells that must be nobody's to be worth a word
+_BESIDE_M = 0.3  # of paper on the other side of a way that leads out of the grid
 _ROUNDS = 100  # of moving badges apart; a dense map settles within a dozen
 
 
 def render_overview(
-    topology: TopologicalMap, regions: Regions, trajectory: Trajectory, labels: Labels, log: LogInfo
+    topology: TopologicalMap,
+    regions: Regions,
+    trajectory: Trajectory,
+    labels: Labels,
+    log: LogInfo,
+    quality: Quality = UNDOUBTED,
 ) -> Image:
-    """The map of a build: regions, walls, trajectory, and the graph over them; BGR (H, W, 3)."""
+    """The map of a build: regions, walls, trajectory, and the graph over them; BGR (H, W, 3).
+
+    Where it may be wrong, a mark says so, and the title what it is.
+    """
     fills = colours_of(topology, regions)
     places = trajectory.poses[:, :2]
     kinds = {edge.kind for edge in topology.edges.values()}
-    low, high = extent_of(regions)
-    sheet = Sheet(low, high, symbols.overview_legend(kinds, _much_unreached(regions)))
+    low, high = _extent_with(regions, places)
+    doubts = [finding.place for finding in quality.worst if finding.place is not None]
+    legend = symbols.overview_legend(
+        kinds, with_unreached=_much_unreached(regions), with_doubts=bool(doubts)
+    )
+    sheet = Sheet(low, high, legend)
     sheet.ground(regions, fills)
     _draw_path(sheet, places)
     nodes = {
@@ -42,8 +56,11 @@ def render_overview(
         first, last = sheet.pixels(places[[0, -1]])
         symbols.start(sheet.canvas, first)
         symbols.end(sheet.canvas, last)
+    for doubt in sheet.pixels(np.array(doubts).reshape(-1, 2)):
+        symbols.doubt(sheet.canvas, doubt)
     figures = [counted(log.scans, "scan"), f"{labels.path_m:,.0f} m driven", _size(low, high)]
-    sheet.title(_headline(log, topology), ",  ".join(figures))
+    doubtful = [f"{quality.verdict}: {quality.worst[0].message}"] if quality.worst else []
+    sheet.title(_headline(log, topology), ",  ".join([*figures, *doubtful]))
     return sheet.canvas.image
 
 
@@ -58,6 +75,17 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
     area = np.count_nonzero(regions.grid.free) * regions.grid.resolution**2
     sheet.title(_headline(log, topology), f"{area:,.0f} m2 free,  {_size(low, high)}")
     return sheet.canvas.image
+
+
+def _extent_with(regions: Regions, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The corners of what is known and of the way (N, 2), which may lead out of the grid."""
+    low, high = extent_of(regions)
+    if not len(places):
+        return low, high
+    return (
+        np.minimum(low, places.min(axis=0) - _BESIDE_M),
+        np.maximum(high, places.max(axis=0) + _BESIDE_M),
+    )
 
 
 def _much_unreached(regions: Regions) -> bool:

@@ -31,6 +31,7 @@ Legend = tuple[tuple[str, Symbol], ...]
 PATH: Colour = (88, 82, 76)
 # Pixels, chosen by eye for a sheet of some 1800 pixels.
 BADGE_RADIUS = 17.0
+_DOUBT_RADIUS = 14.0
 BADGE_GAP = 2.0 * BADGE_RADIUS + 6.0
 PREDICTED = 6  # width of the line of predictions; the mark of wrong ones shows on both sides
 _LINK, _LINK_HALO = 4, 7  # width of a link, and of the paper under it
@@ -76,9 +77,18 @@ def end(canvas: Canvas, centre: NDArray[Any]) -> None:
     canvas.disc(centre, 8.0, INK, PAPER)
 
 
-def overview_legend(kinds: Collection[EdgeKind], with_unreached: bool) -> Legend:
+def doubt(canvas: Canvas, centre: NDArray[Any]) -> None:
+    """A place where the map may be wrong: a mark in a red ring."""
+    canvas.disc(centre, _DOUBT_RADIUS, PAPER, WRONG)
+    canvas.text(float(centre[0]), float(centre[1]), "!", 13.0, WRONG, "centre", bold=True)
+
+
+def overview_legend(
+    kinds: Collection[EdgeKind], *, with_unreached: bool, with_doubts: bool
+) -> Legend:
     """What the overview of a build shows; of the links only the kinds that occur."""
     unreached: Legend = (("seen, not reached", _unreached),) if with_unreached else ()
+    doubts: Legend = (("the map may be wrong here", _doubt),) if with_doubts else ()
     return (
         ("submap", _badge),
         ("wall", _wall),
@@ -87,6 +97,7 @@ def overview_legend(kinds: Collection[EdgeKind], with_unreached: bool) -> Legend
         ("start", _start),
         ("end", lambda c, x, y: end(c, np.array([x, y]))),
         *links_legend(kinds),
+        *doubts,
     )
 
 
@@ -132,6 +143,10 @@ def _level(x: float, y: float) -> FloatArray:
 
 def _badge(canvas: Canvas, x: float, y: float) -> None:
     badge(canvas, np.array([x, y]), "7", FILLS[0])
+
+
+def _doubt(canvas: Canvas, x: float, y: float) -> None:
+    doubt(canvas, np.array([x, y]))
 
 
 def _start(canvas: Canvas, x: float, y: float) -> None:

@@ -51,7 +51,7 @@ def revisit_logs(
     """
     first, second = Path(first), Path(second)
     if (first / TOPOLOGY).is_file():
-        return _revisit_map(read_map(first), second, references, config, progress)
+        return _revisit_map(read_map(first, config.limits), second, references, config, progress)
     with tempfile.TemporaryDirectory(prefix="specmap-") as folder:
         build_map([first], Path(folder) / "map", config, progress=progress)
         stored = read_map(Path(folder) / "map")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
 from specmap_cli.grids.score_field import ScoreField
 
 _FEWEST_POINTS = 3  # as many as unknowns
@@ -55,9 +55,25 @@ def descend(
 def _step(field: ScoreField, points: NDArray[Any], pose: Pose2) -> FloatArray:
     """The Gauss-Newton step (3,) from a pose, cut to the longest allowed."""
     values, jacobian = interpolated(field, points, pose)
-    normal = jacobian.T @ jacobian + _DAMPING * len(points) * np.eye(3)
-    step = np.linalg.solve(normal, jacobian.T @ (1.0 - values))
+    normal = product(jacobian.T, jacobian) + _DAMPING * len(points) * np.eye(3)
+    step = _solved(normal, product(jacobian.T, (1.0 - values)[:, None])[:, 0])
     return np.asarray(step * min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), _TINY)))
+
+
+def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
+    """The solution (3,) of a symmetric, positive definite (3, 3) system with side `right` (3,).
+
+    L D L^T step by step: LAPACK rounds otherwise on another processor.
+    """
+    (a, _, _), (b, c, _), (d, e, f) = normal.tolist()
+    x, y, z = right.tolist()
+    low, last = b / a, d / a
+    middle = c - low * b
+    side = (e - last * b) / middle
+    y -= low * x
+    z = (z - last * x - side * y) / (f - last * d - side * side * middle)
+    y = y / middle - side * z
+    return np.array([x / a - low * y - last * z, y, z])
 
 
 def _cost(field: ScoreField, points: NDArray[Any], pose: Pose2) -> float:

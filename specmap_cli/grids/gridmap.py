@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import BoolArray as BoolArray
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 NO_OBSTACLE_M = 1e3  # the distance to an obstacle where there is none: beyond any laser's range
 CellArray = NDArray[np.uint8]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,12 +10,14 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import IO
 
 import numpy as np
 
+from specmap_cli.core.files import temporary_files
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, KeyframeConfig
@@ -85,18 +87,20 @@ class KeyframeStore:
     """
 
     def __init__(self) -> None:
-        self._file = tempfile.TemporaryFile(prefix="specmap-")  # noqa: SIM115 (closed by close)
+        with temporary_files():
+            self._file = tempfile.TemporaryFile(prefix="specmap-")  # noqa: SIM115 (closed by close)
         self._keyframes: list[_Keyframe] = []
         self._lasers: dict[_Laser, _Laser] = {}  # one object for all scans of a laser
         self._end = 0
 
     def append(self, scan: PosedScan) -> int:
-        """Store one keyframe and return its number."""
+        """Store one keyframe and return its number. UsageError when there is no room for it."""
         planar = scan.planar
         laser = _Laser(planar.range_max, planar.full_circle, scan.base_from_laser)
         readings = np.stack([planar.bearings, planar.ranges]).astype(_READING)
-        self._file.write(readings.tobytes())
-        self._file.flush()  # a process forked from this one must not write it again
+        with temporary_files():
+            self._file.write(readings.tobytes())
+            self._file.flush()  # a process forked from this one must not write it again
         self._keyframes.append(
             _Keyframe(
                 stamp_ns=scan.stamp_ns,
@@ -150,7 +154,8 @@ class KeyframeStore:
 
     def close(self) -> None:
         """Delete the file."""
-        self._file.close()
+        with suppress(OSError):  # a full disk refuses the last bytes
+            self._file.close()
 
     def __enter__(self) -> KeyframeStore:
         return self

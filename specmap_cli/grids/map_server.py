@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.files import read_bytes, write_bytes, write_text
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.shortage import reason
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
 from specmap_cli.grids.pictures import read_picture
 
@@ -32,7 +34,7 @@ PICTURE_FREE_THRESHOLD = 0.0196
 
 _QUOTED, _COMMENT = re.compile(r"(['\"])(.*?)\1"), re.compile(r"\s#")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_LARGEST_YAML = 1 << 16  # bytes; such a file has some hundred: anything larger is something else
+_LARGEST_YAML_MB = 0.066  # such a file has some hundred: anything larger is something else
 _DECIMALS = 6  # of lengths written: a micrometre
 _FARTHEST_M = 1e8  # twice around the earth: no place of a map is farther off
 _LARGEST_TURN = 1e-9  # rad; more than rounding, so meant
@@ -86,24 +88,27 @@ def _number(value: float) -> str:
     return np.format_float_positional(round(float(value), _DECIMALS) + 0.0, trim="0")
 
 
-def read_grid(path: str | Path, resolution: float | None = None) -> GridMap:
+def read_grid(
+    path: str | Path, resolution: float | None = None, limits: LimitsConfig | None = None
+) -> GridMap:
     """The grid of a map_server YAML file, or of a picture of `resolution` metres a pixel.
 
     The modes, thresholds and `negate` of map_server count, so that maps of other tools read right;
     cells that are transparent are unknown. Of a bare picture, white is free and dark is occupied,
     and its lower left corner is at (0, 0). Given with a YAML file, `resolution` overrides the
-    file's. Raises MapError naming the file and the key at fault.
+    file's. `limits` bound the size of the picture. Raises MapError naming the file and the key at
+    fault.
     """
     path = Path(path)
     if path.suffix.lower() in (".yaml", ".yml"):
-        return _read_map_server(path, resolution)
+        return _read_map_server(path, resolution, limits)
     if resolution is None:
         raise MapError(f"{path}: a picture has no scale: give metres a pixel with --resolution")
     reading = _Reading("trinary", False, OCCUPIED_THRESHOLD, PICTURE_FREE_THRESHOLD)
-    return GridMap(reading.cells(read_picture(path)), _length(path, resolution))
+    return GridMap(reading.cells(read_picture(path, limits)), _length(path, resolution))
 
 
-def _read_map_server(path: Path, resolution: float | None) -> GridMap:
+def _read_map_server(path: Path, resolution: float | None, limits: LimitsConfig | None) -> GridMap:
     entries = _read_entries(path)
     image = entries.get("image")
     if not image:
@@ -119,7 +124,7 @@ def _read_map_server(path: Path, resolution: float | None) -> GridMap:
     origin = _origin(path, entries)
     negate = entries.get("negate", "0").lower() in ("1", "true", "yes")
     reading = _Reading(mode, negate, occupied, free)
-    return GridMap(reading.cells(read_picture(path.parent / image)), scale, origin)
+    return GridMap(reading.cells(read_picture(path.parent / image, limits)), scale, origin)
 
 
 class _Reading(NamedTuple):
@@ -164,12 +169,14 @@ def _percent(picture: FloatArray) -> FloatArray:
 def _read_entries(path: Path) -> Entries:
     """The entries of a YAML without nesting, as text; a list is the text of its lines."""
     try:
-        text = read_bytes(path, _LARGEST_YAML).decode("utf-8")
+        text = read_bytes(path, _LARGEST_YAML_MB).decode("utf-8")
     except OSError as error:
         if error.errno == errno.EFBIG:
             expected = "expected a map_server YAML"
-            raise MapError(f"{path}: larger than {_LARGEST_YAML} bytes: {expected}") from None
-        raise MapError(f"{path}: cannot read the map: {error.strerror}") from None
+            raise MapError(
+                f"{path}: larger than {_LARGEST_YAML_MB * 1000:g} kB: {expected}"
+            ) from None
+        raise MapError(f"{path}: cannot read the map: {reason(error)}") from None
     except UnicodeDecodeError:
         raise MapError(f"{path}: not a text file: expected a map_server YAML") from None
     entries: Entries = {}

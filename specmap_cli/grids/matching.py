@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
 from specmap_cli.grids.correlation import Target, cell_counts, local_maxima, peaks
 from specmap_cli.grids.gauss_newton import descend
 from specmap_cli.grids.score_field import ScoreField, thinned
@@ -180,11 +180,11 @@ def covariance(
     poses = np.concatenate([np.column_stack([shifts, np.full(len(shifts), a)]) for a in angles])
     lattice = _lattice_scores(field, points, pose, shifts, angles)
     scores = np.concatenate([row for _, row in lattice])
-    weights = np.exp((scores - scores.max()) / temperature)
+    below = ((scores - scores.max()) / temperature).tolist()
+    weights = np.array([math.exp(each) for each in below])  # NumPy's exp depends on the processor
     weights /= weights.sum()
-    centred = poses - weights @ poses
-    spread: FloatArray = (centred * weights[:, None]).T @ centred
-    return spread
+    centred = poses - (weights[:, None] * poses).sum(axis=0)
+    return product((centred * weights[:, None]).T, centred)
 
 
 def _lattice(

@@ -17,33 +17,41 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.files import read_bytes
+from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.shortage import reason
 
-_LARGEST_FILE = 1 << 28  # bytes: more than the plan of any building takes, even without compression
-_MOST_PIXELS = 100_000_000  # 500 m by 500 m at 0.05 m a pixel; they take 400 MB with transparency
-
+_PIXELS_PER_MPIXEL = 1_000_000
 # Where width and height stand in the formats that maps come in, by the definition of each.
 _PNG = re.compile(rb"\x89PNG\r\n\x1a\n.{4}IHDR(.{8})", re.DOTALL)
 _BMP = re.compile(rb"BM.{16}(.{8})", re.DOTALL)
 _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(?:#[^\n]*\n\s*)*(\d+)")
 
 
-def read_picture(path: Path) -> NDArray[Any]:
-    """(H, W, C) 8 or 16 bit, lowest row first; raises MapError for what is no such picture."""
+def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]:
+    """(H, W, C) 8 or 16 bit, lowest row first.
+
+    Raises MapError for what is no such picture or beyond the limits, MemoryError for one that does
+    not fit into memory.
+    """
+    limits = LimitsConfig() if limits is None else limits
     try:
-        data = read_bytes(path, _LARGEST_FILE)
+        data = read_bytes(path, limits.picture_max_mb, "limits.picture_max_mb")
     except OSError as error:
-        raise MapError(f"{path}: cannot read the image: {error.strerror}") from None
+        raise MapError(f"{path}: cannot read the image: {reason(error)}") from None
     width, height = _size(data)
-    if width * height > _MOST_PIXELS:
+    if width * height > limits.picture_max_mpixel * _PIXELS_PER_MPIXEL:
         raise MapError(
-            f"{path}: {width} x {height} pixels are more than {_MOST_PIXELS:,}: scale it down"
+            f"{path}: {width} x {height} pixels are more than {limits.picture_max_mpixel:g} "
+            "million: scale it down, or raise limits.picture_max_mpixel"
         )
     try:
         with _silence():
             picture: NDArray[Any] | None = cv2.imdecode(
                 np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED
             )
-    except cv2.error:  # no bytes at all, or more pixels than OpenCV takes
+    except cv2.error as error:  # no bytes at all, or more pixels than OpenCV takes
+        if error.code == cv2.Error.StsNoMem:
+            raise MemoryError(f"for the {width} x {height} pixels of {path}") from None
         picture = None
     if picture is None:
         raise MapError(f"{path}: not an image that can be read: expected PNG, PGM or BMP")

@@ -45,11 +45,12 @@ class ScoreField:
         resolution: float = CELL_M,
         sigma: float = SIGMA_M,
         max_side: float = LARGEST_SIDE_M,
+        middle: tuple[float, float] | None = None,
     ) -> ScoreField:
         """The field of obstacle points (N, 2), metres.
 
         The grid covers all points if they spread over no more than `max_side` metres in x and in y,
-        else those within half of that from their median, and a little more. So a stray point
+        else those within half of that from `middle`, or from their median. So a stray point
         kilometres away costs neither time nor memory. But walls beyond do not count either: what
         is matched there scores 0. `left_out` of the result says how many points that were.
         """
@@ -57,7 +58,9 @@ class ScoreField:
         if not len(points):
             return cls(np.zeros((1, 1), dtype=np.float32), resolution, (0.0, 0.0))
         x, y = np.ascontiguousarray(points.T)
-        (left, right), (below, above) = (_extent(c, max_side) for c in (x, y))
+        middles = middle or (None, None)
+        left, right = _extent(x, max_side, middles[0])
+        below, above = _extent(y, max_side, middles[1])
         margin = math.ceil(_REACH_SIGMAS * sigma / resolution)
         corner = (math.floor(left / resolution) - margin, math.floor(below / resolution) - margin)
         columns = np.floor(x / resolution).astype(np.intp) - corner[0]
@@ -117,12 +120,16 @@ def thinned(points: FloatArray, cell_m: float) -> FloatArray:
     return points[np.sort(first)]
 
 
-def _extent(values: FloatArray, longest: float) -> tuple[float, float]:
-    """Smallest and largest value, cut to half of `longest` on either side of the median."""
+def _extent(values: FloatArray, longest: float, middle: float | None) -> tuple[float, float]:
+    """Smallest and largest value, cut to half of `longest` on either side of a middle.
+
+    None stands for the median of the values.
+    """
     low, high = float(values.min()), float(values.max())
     if high - low <= longest:
         return low, high
-    middle = float(np.median(values))
+    if middle is None:
+        middle = float(np.median(values))
     return max(low, middle - longest / 2), min(high, middle + longest / 2)
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.core.records import IntArray, Trajectory
+from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angle, wrap_angles
+from specmap_cli.core.labels import runs
+from specmap_cli.core.records import BoolArray, IntArray, Trajectory
+from specmap_cli.core.tracks import travelled
 from specmap_cli.grids.keyframes import KeyframeStore
 
 
@@ -20,6 +22,28 @@ def carried(tracked: FloatArray, anchors: IntArray, relaxed: FloatArray) -> Floa
     last = np.maximum(np.searchsorted(anchors, np.arange(len(tracked)), side="right") - 1, 0)
     motion = compose(invert(tracked[anchors[last]]), tracked)
     return compose(relaxed[last], motion)
+
+
+def bridged(poses: FloatArray, tracked: FloatArray, lost: BoolArray) -> FloatArray:
+    """Poses (n, 3) in which the guesses of lost scans lead from the scan before to the one after.
+
+    `tracked` (n, 3) are the poses before any relaxing, `lost` (n,) marks the guesses. What a chain
+    of guesses misses the next known pose by is spread over the way.
+    """
+    result = np.array(poses)
+    for start, end in runs(lost):
+        if not lost[start] or start == 0 or end == len(poses):
+            continue
+        motions = compose(invert(tracked[start - 1]), tracked[start : end + 1])
+        guesses = compose(poses[start - 1], motions)
+        way = travelled(tracked[start - 1 : end + 1])[1:]
+        share = way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(way) + 1)[1:]
+        missed = poses[end] - guesses[-1]
+        missed[2] = wrap_angle(missed[2])
+        guesses += share[:, None] * missed
+        guesses[:, 2] = wrap_angles(guesses[:, 2])
+        result[start:end] = guesses[:-1]
+    return result
 
 
 def keyframe_rows(trajectory: Trajectory, store: KeyframeStore) -> IntArray:

@@ -18,55 +18,65 @@ from specmap_cli.layout.path_graph import Draft, Graph, lengths_matrix
 from specmap_cli.layout.pose_graph import Link
 
 _LEAST_M = 1e-3  # length of a link between two nodes at one place: csgraph takes 0 for no edge
+_BRIDGE_SIGMAS = 3.0  # of a bridge that are still no surprise
 _CUT_SHORT = 0.9  # a chain below this share of the path goes over a nearby pass
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SortedClosures:
-    """Closures that agree with a layout (`near`), that drift explains (`far`), or nothing does."""
+@dataclass(frozen=True, slots=True)
+class Deviations:
+    """How far a layout is from what closures say, `away_m` (c,), and what drift allows (c,)."""
 
-    near: tuple[Link, ...]
-    far: tuple[Link, ...]
-    refuted: tuple[Link, ...]
+    away_m: FloatArray
+    allowed_m: FloatArray
 
 
-def sort_by_drift(
+def deviations(
     graph: Graph, draft: Draft, closures: Sequence[Link], config: RelaxationConfig
-) -> SortedClosures:
-    """Closures by how far the layout in the making is from what they say, in their order.
+) -> Deviations:
+    """How far the layout in the making is from what each closure says, and may be by drift alone.
 
     Any of them may mend `closure_slack_m`. Along a chain that passes cut short drift is
-    `drift_share` of its length, along another one `closure_drift_share`.
+    `drift_share` of its length, along another one `closure_drift_share`. Over a break of which
+    nothing is known it is the guess that may be off, by three times `guess_m`: parts are moved
+    farther as a whole only, when several links agree where to.
     """
-    near: list[Link] = []
-    far: list[Link] = []
-    refuted: list[Link] = []
-    for closure, chain_m in zip(closures, chain_lengths(graph, draft.loops, closures), strict=True):
-        away_m = _away_m(graph, draft.poses, closure)
+    chains = chain_lengths(graph, draft.loops, closures, config)
+    away, allowed = [], []
+    for closure, chain_m in zip(closures, chains.tolist(), strict=True):
         share = config.closure_drift_share
         if chain_m < _CUT_SHORT * _path_between(graph, closure):
             share = config.drift_share
-        if away_m > config.closure_slack_m + share * chain_m:
-            refuted.append(closure)
-        else:
-            (near if away_m <= config.closure_slack_m else far).append(closure)
-    return SortedClosures(near=tuple(near), far=tuple(far), refuted=tuple(refuted))
+        drift_m = share * chain_m if np.isfinite(chain_m) else _BRIDGE_SIGMAS * config.guess_m
+        away.append(_away_m(graph, draft.poses, closure))
+        allowed.append(config.closure_slack_m + drift_m)
+    return Deviations(np.array(away), np.array(allowed))
 
 
-def chain_lengths(graph: Graph, loops: Sequence[Link], closures: Sequence[Link]) -> FloatArray:
+def chain_lengths(
+    graph: Graph, loops: Sequence[Link], closures: Sequence[Link], config: RelaxationConfig
+) -> FloatArray:
     """(c,) metres along the shortest chain of links between the ends of each closure.
 
-    The chain runs over motions that were tracked and over `loops`, never over a break; inf where
-    there is none. By Dijkstra's algorithm, once for each keyframe from which a closure starts.
+    The chain runs over motions that were tracked and over `loops`; inf where there is none. A break
+    that odometry bridged counts as the way along which tracking drifts as far, another one ends it.
+    By Dijkstra's algorithm, once for each keyframe from which a closure starts.
     """
     if not closures:
         return np.zeros(0)
     links = [link for link in (*graph.odometry, *loops) if link.kind != "loose"]
-    lengths = [max(link.source_from_target.distance, _LEAST_M) for link in links]
+    lengths = [max(_length(link, config), _LEAST_M) for link in links]
     matrix = lengths_matrix(len(graph.nodes), [_rows(graph, link) for link in links], lengths)
     starts, ends = zip(*(_rows(graph, closure) for closure in closures), strict=True)
     unique, which = np.unique(starts, return_inverse=True)
     return np.asarray(dijkstra(matrix, directed=False, indices=unique)[which, list(ends)])
+
+
+def _length(link: Link, config: RelaxationConfig) -> float:
+    """Metres of a link, with what a bridge adds: three sigmas of its place."""
+    if link.kind != "bridge":
+        return link.source_from_target.distance
+    reach_m = _BRIDGE_SIGMAS / float(np.sqrt(link.information[:2, :2].trace() / 2))
+    return link.source_from_target.distance + reach_m / config.closure_drift_share
 
 
 def _rows(graph: Graph, link: Link) -> tuple[int, int]:

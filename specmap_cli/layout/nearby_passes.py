@@ -17,12 +17,14 @@ from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.path_graph import Draft, Graph, Pair
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.solving import solved
+from specmap_cli.layout.stops import stops
 from specmap_cli.layout.strays import Search, rejoin
 from specmap_cli.layout.wall_matching import match_walls, nearby_link
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 
 _NEWER_NODES = 3  # as PLACE_NODES, for the newer pass: its own drift must not blur it
 _METRES_A_RADIAN = 0.7  # of distance that are as bad as a turn, for the overlap of two scans
+_NODES_A_LINK = 150  # a solution of more nodes costs more, and waits for more links
 _NEW_QUESTION_M = 1.0  # a guess that moved this far is worth another match
 
 
@@ -33,6 +35,7 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, config: RelaxationConf
     all older walls first. Pairs that the draft was tried on are matched again only when they moved.
     """
     tried, tied_m, renewed = dict(draft.tried), 0.0, len(draft.loops)
+    renew_after = max(config.solve_every, len(graph.nodes) // _NODES_A_LINK)
     search: Search | None = None
     for node in stops(graph.path, config.loop_every_m):
         part, way_m = int(graph.parts[node]), float(graph.path[node])
@@ -47,19 +50,9 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, config: RelaxationConf
             found = search.finds if search is not None and part in draft.tied else ()
         if found:
             draft, tied_m = replace(draft, loops=(*draft.loops, *found)), way_m
-        if len(draft.loops) - renewed >= config.solve_every:
+        if len(draft.loops) - renewed >= renew_after:
             draft, renewed = solved(graph, draft, config), len(draft.loops)
     return replace(draft, tried=tried)
-
-
-def stops(path: FloatArray, every_m: float) -> list[int]:
-    """Rows of a path (M,) to look around at: each the first that is `every_m` past the last."""
-    chosen, visited_m = [], 0.0
-    for row, way_m in enumerate(path.tolist()):
-        if way_m - visited_m >= every_m:
-            chosen.append(row)
-            visited_m = way_m
-    return chosen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,11 +22,14 @@ from specmap_cli.layout.pose_graph import Link
 _SAME_M, _SAME_RAD = 0.5, 0.15
 
 
-def place_parts(graph: Graph, closures: Sequence[Link]) -> Draft:
-    """The layout as tracked, but each part where most closures with older parts put it."""
+def place_parts(graph: Graph, closures: Sequence[Link], votes: int) -> Draft:
+    """The layout as tracked, but each part where most closures with older parts put it.
+
+    `votes` of them must agree: one may be of a place that looks alike.
+    """
     draft = Draft(poses=graph.poses)
     for part in graph.part_numbers[1:]:
-        draft = place_part(graph, draft, part, closures, votes=1)
+        draft = place_part(graph, draft, part, closures, votes=votes)
     return draft
 
 
@@ -35,9 +38,12 @@ def place_part(
 ) -> Draft:
     """The draft with `part` tied, where the links put it, when `votes` of them agree.
 
-    The later parts, which hang on it, move with it.
+    The guess that placed the part counts as one of them. The later parts, which hang on it, move
+    with it.
     """
     motions = corrections(graph, draft.poses, part, links)
+    if len(motions):
+        motions = np.concatenate([motions, np.zeros((1, 3))])
     best = agreed(motions, draft.poses[graph.parts == part, :2].mean(axis=0))
     if best is None or best[1] < votes:
         return draft

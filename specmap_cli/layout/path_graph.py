@@ -13,10 +13,12 @@ from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.core.tracks import moved, step_lengths
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.motion_edges import motion_links
+from specmap_cli.layout.motion_edges import Bridge, motion_links
 from specmap_cli.layout.pose_graph import Link
 
 Pair = tuple[int, int]
+# Keyframes at which tracking started afresh, and what is known of the motion over each break.
+Breaks = Collection[int] | Mapping[int, Bridge | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,8 +27,9 @@ class Graph:
 
     `nodes` (M,) are keyframe numbers, ascending, `row` their places in it. `tracked` (n, 3) are the
     poses of all keyframes before any relaxing. A part is a piece of the path between breaks of the
-    tracking: `parts` (M,) numbers them from 0. `path` (M,) is the way driven up to each node, where
-    a break counts as a way too long for nodes on either side of it to be successive.
+    tracking that nothing bridged: `parts` (M,) numbers them from 0. `path` (M,) is the way driven
+    up to each node, where a break counts as a way too long for nodes on either side of it to be
+    successive.
     """
 
     nodes: IntArray
@@ -42,6 +45,12 @@ class Graph:
         return self.tracked[self.nodes]
 
     @property
+    def pieces(self) -> IntArray:
+        """(M,) numbers from 0 of the pieces between all breaks, bridged or not."""
+        after = [motion.kind != "odometry" for motion in self.odometry]
+        return np.concatenate([[0], np.cumsum(after)]).astype(np.int64)
+
+    @property
     def part_numbers(self) -> range:
         """The numbers of all parts."""
         return range(int(self.parts[-1]) + 1)
@@ -53,7 +62,8 @@ class Draft:
 
     `tied` are the parts whose poses are better than a guess. `tried` holds, for pairs of rows that
     were matched, the guess that the match began with; `tries` how often a part was searched for
-    without one. `limits` counts by name how often a setting cut the work short, if it did.
+    without one. `hints` are closures, which count as finds in the search for a part. `limits`
+    counts by name how often a setting cut the work short, if it did.
     """
 
     poses: FloatArray
@@ -62,6 +72,7 @@ class Draft:
     tried: Mapping[Pair, Pose2] = field(default_factory=dict)
     tries: Mapping[int, int] = field(default_factory=dict)
     limits: Mapping[str, int] = field(default_factory=dict)
+    hints: tuple[Link, ...] = ()
 
     def counting(self, limit: str, count: int) -> Draft:
         """The draft in which a limit was hit `count` times more."""
@@ -71,20 +82,22 @@ class Draft:
 
 
 def graph_of(
-    store: KeyframeStore, ends: Collection[int], breaks: Collection[int], config: RelaxationConfig
+    store: KeyframeStore, ends: Collection[int], breaks: Breaks, config: RelaxationConfig
 ) -> Graph:
     """The graph of a store's keyframes, with nodes at the `ends` of constraints and at `breaks`."""
-    fresh = set(breaks) - {0}
+    known = breaks if isinstance(breaks, Mapping) else dict.fromkeys(breaks)
+    fresh = {number: bridge for number, bridge in known.items() if number != 0}
     tracked = store.poses
     nodes = chosen_nodes(tracked, {*ends, *fresh}, config)
-    starts = np.isin(nodes, sorted(fresh))
+    after = np.isin(nodes, sorted(fresh))
+    loose = np.isin(nodes, sorted(number for number, bridge in fresh.items() if bridge is None))
     steps = np.concatenate([[0.0], step_lengths(tracked[nodes])])
     return Graph(
         nodes=nodes,
         row={number: row for row, number in enumerate(nodes.tolist())},
         tracked=tracked,
-        parts=np.cumsum(starts).astype(np.int64),
-        path=np.cumsum(np.where(starts, 2 * config.loop_path_m, steps)),
+        parts=np.cumsum(loose).astype(np.int64),
+        path=np.cumsum(np.where(after, 2 * config.loop_path_m, steps)),
         odometry=motion_links(store, nodes, fresh, config),
     )
 

@@ -15,12 +15,13 @@ import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, product, wrap_angles
 from specmap_cli.core.records import IntArray
 
-# odometry: the front end's motion; loose: a motion that is a guess, over a break of the tracking;
-# closure: two submaps recognised as one; nearby: walls of two passes matched.
-LinkKind = Literal["odometry", "loose", "closure", "nearby"]
+# odometry: the front end's motion; bridge: a motion over a break of the tracking that something
+# else measured; loose: one that nothing did, a guess; closure: two submaps recognised as one;
+# nearby: walls of two passes matched.
+LinkKind = Literal["odometry", "bridge", "loose", "closure", "nearby"]
 
 # Levenberg's damping, of a diagonal scaled to 1: none while steps help, then from the first value
 # up by the factor and down again; above the last value a step is too small to matter.
@@ -112,12 +113,14 @@ def solve(poses: FloatArray, edges: LinkArrays, iterations: int = 20) -> Solutio
         step = _step(current, edges, damping)
         trial = _moved_by(current, step)
         trial_cost = _cost(squared(trial, edges), edges.width)
-        if trial_cost < cost:
+        if float(np.abs(step).max()) < _STILL:  # rounding would decide which cost is less
+            converged = True
+        elif trial_cost < cost:
             converged = cost - trial_cost < _SETTLED * (1.0 + cost)
             current, cost = trial, trial_cost
             damping = damping / _DAMPING_FACTOR if damping > _DAMPING_NONE else 0.0
         else:
-            converged = damping > _DAMPING_LAST or float(np.abs(step).max()) < _STILL
+            converged = damping > _DAMPING_LAST
             damping = max(_DAMPING_FIRST, _DAMPING_FACTOR * damping)
     return Solution(
         poses=current,
@@ -150,9 +153,9 @@ def _step(poses: FloatArray, edges: LinkArrays, damping: float) -> FloatArray:
     chi2 = np.einsum("ea,eab,eb->e", e, edges.w, e)
     weight = 1.0 / (1.0 + chi2 / edges.width**2)  # the derivative of Cauchy's kernel by chi2
     w = edges.w * weight[:, None, None]
-    wa, wb = w @ a, w @ b
+    wa, wb = product(w, a), product(w, b)
     at, bt = a.transpose(0, 2, 1), b.transpose(0, 2, 1)
-    blocks = np.concatenate([at @ wa, at @ wb, bt @ wa, bt @ wb])
+    blocks = np.concatenate([product(at, wa), product(at, wb), product(bt, wa), product(bt, wb)])
     rows = np.concatenate([edges.i, edges.i, edges.j, edges.j])
     columns = np.concatenate([edges.i, edges.j, edges.i, edges.j])
     gradient = np.zeros((len(poses), 3))
@@ -184,7 +187,7 @@ def _jacobians(poses: FloatArray, edges: LinkArrays) -> tuple[FloatArray, FloatA
     rz = np.array([[cz, sz], [-sz, cz]]).transpose(2, 0, 1)
     turned = np.stack([-si * d[:, 0] + ci * d[:, 1], -ci * d[:, 0] - si * d[:, 1]], axis=1)
     a, b = np.zeros((len(d), 3, 3)), np.zeros((len(d), 3, 3))
-    b[:, :2, :2] = rz @ ri
+    b[:, :2, :2] = product(rz, ri)
     a[:, :2, :2] = -b[:, :2, :2]
     a[:, :2, 2] = np.einsum("eab,eb->ea", rz, turned)
     a[:, 2, 2], b[:, 2, 2] = -1.0, 1.0

@@ -17,13 +17,21 @@ from specmap_cli.core.records import IntArray, Trajectory
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.carrying import carried, keyframe_rows
-from specmap_cli.layout.drift import sort_by_drift
+from specmap_cli.layout.carrying import bridged, carried, keyframe_rows
+from specmap_cli.layout.closing import Closed, closed
+from specmap_cli.layout.contradictions import Views
+from specmap_cli.layout.evidence import (
+    Choice,
+    Evidence,
+    bends,
+    part_moves,
+    settled_verdicts,
+)
 from specmap_cli.layout.nearby_passes import find_passes
 from specmap_cli.layout.parts import loose_starts, place_parts
-from specmap_cli.layout.path_graph import Draft, Graph, graph_of
+from specmap_cli.layout.path_graph import Breaks, Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.solving import settle, solved, tighten
+from specmap_cli.layout.solving import settle, solved
 from specmap_cli.layout.walls import Walls
 
 
@@ -46,10 +54,11 @@ class Layout:
 
     `nodes` are the keyframe numbers in the graph; `odometry`, `kept` and `dropped` its edges, the
     last two being closures and nearby passes. `loose` are the keyframes at which tracking restarted
-    and whose place, and that of what follows, is a guess. `limits` counts by the name of a setting
-    how often it cut the work short, if it did: passes searched less far than the path may have
-    drifted (`loop_search_max_m`), parts given up (`stray_tries`), searches made coarser
-    (`stray_cells`), solutions stopped before they had settled (`solve_iterations`).
+    and whose place, and that of what follows, is a guess. `evidence` tells what was judged and how
+    far things moved. Its `limits` count passes searched less far than the path may have drifted
+    (`loop_search_max_m`), parts given up (`stray_tries`), searches made coarser (`stray_cells`),
+    sets of closures that may not be the largest (`clique_steps`), solutions stopped before they had
+    settled (`solve_iterations`).
     """
 
     poses: FloatArray
@@ -59,19 +68,26 @@ class Layout:
     dropped: tuple[Link, ...] = ()
     warnings: tuple[str, ...] = ()
     loose: tuple[int, ...] = ()
-    limits: Mapping[str, int] = field(default_factory=dict)
+    evidence: Evidence = field(default_factory=Evidence)
+
+    @property
+    def limits(self) -> Mapping[str, int]:
+        """How often a setting cut the work short, by its name."""
+        return self.evidence.limits
 
 
 def relax(
     store: KeyframeStore,
     constraints: Sequence[Constraint],
-    breaks: Sequence[int],
+    breaks: Breaks,
     config: RelaxationConfig,
 ) -> Layout:
     """The consistent layout of the store's keyframes.
 
     `constraints` come from verified closures and may span any drift; `breaks` are the numbers of
-    keyframes at which tracking started afresh. Scans are read from the store, a few at a time.
+    keyframes at which tracking started afresh, or these with the `Bridge` over each break: how well
+    odometry knows the motion there, None where nothing does. A piece after a break with a bridge
+    moves no farther than that allows. Scans are read from the store, a few at a time.
     With `config.enabled` false the poses stay as they were tracked. Deterministic.
     """
     if not config.enabled or len(store) < 2:
@@ -79,21 +95,55 @@ def relax(
     closures = [_closure(constraint) for constraint in constraints]
     ends = {end for closure in closures for end in (closure.source, closure.target)}
     graph = graph_of(store, ends, breaks, config)
-    walls = Walls(store, graph, config.match_range_m)
-    draft = find_passes(graph, place_parts(graph, closures), walls, config)
-    draft = solved(graph, draft, config)
-    found = sort_by_drift(graph, draft, closures, config)
-    draft = replace(draft, loops=(*draft.loops, *found.near, *found.far))
-    if found.far:  # they may bring passes near each other that were far apart
-        draft = find_passes(graph, tighten(graph, draft, config), walls, config)
-    draft, dropped = settle(graph, draft, config)
-    return _layout(store, graph, draft, (*found.refuted, *dropped), config)
+    walls, views = Walls(store, graph, config.match_range_m), Views.of(store, graph, config)
+    placed = place_parts(graph, closures, config.part_votes)
+    passes = find_passes(graph, replace(placed, hints=tuple(closures)), walls, config)
+    passes = solved(graph, passes, config)
+    found = closed(graph, passes, closures, walls, views, config)
+    draft, dropped = settle(graph, found.draft, config)
+    judged = settled_verdicts(found.judged, dropped)
+    refuted = tuple(one.link for one in found.judged if not one.believed)
+    finished = Finished("relaxed", draft, (*refuted, *dropped))
+    finished = chosen(graph, passes, finished, views, config)
+    return _layout(store, graph, finished, replace(found, judged=judged), views, config)
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """A draft that is settled, the links it was settled without, and what it is made of."""
+
+    choice: Choice
+    draft: Draft
+    dropped: tuple[Link, ...]
+
+
+def chosen(
+    graph: Graph, passes: Draft, finished: Finished, views: Views, config: RelaxationConfig
+) -> Finished:
+    """The finished layout, or one nearer to what was tracked that fewer walls contradict.
+
+    That is the layout of nearby passes alone, or the path as it was tracked.
+    """
+    standing = views.standing(finished.draft.poses, config)
+    links = (*finished.draft.loops, *finished.dropped)
+    closures = tuple(link for link in links if link.kind == "closure")
+    if closures:
+        alone, outliers = settle(graph, passes, config)
+        now = views.standing(alone.poses, config)
+        if standing.is_worse_than(now):
+            finished, standing = Finished("passes", alone, (*closures, *outliers)), now
+    if standing.is_worse_than(views.standing(graph.poses, config)):
+        return Finished("tracked", replace(passes, poses=graph.poses, loops=()), links)
+    return finished
 
 
 def corrected(trajectory: Trajectory, store: KeyframeStore, layout: Layout) -> Trajectory:
     """The trajectory of every registered scan, moved with the keyframes of a layout."""
     anchors = keyframe_rows(trajectory, store)
-    return replace(trajectory, poses=carried(trajectory.poses, anchors, layout.poses))
+    poses = carried(trajectory.poses, anchors, layout.poses)
+    if trajectory.lost is not None:
+        poses = bridged(poses, trajectory.poses, trajectory.lost)
+    return replace(trajectory, poses=poses)
 
 
 def _closure(constraint: Constraint) -> Link:
@@ -109,27 +159,43 @@ def _closure(constraint: Constraint) -> Link:
 def _layout(
     store: KeyframeStore,
     graph: Graph,
-    draft: Draft,
-    dropped: tuple[Link, ...],
+    finished: Finished,
+    found: Closed,
+    views: Views,
     config: RelaxationConfig,
 ) -> Layout:
     """The layout of all keyframes from the settled draft of the nodes."""
+    draft, dropped = finished.draft, finished.dropped
     loose = loose_starts(graph, draft.loops)
     spent = [part for part, tries in draft.tries.items() if tries >= config.stray_tries]
     given_up = sum(part not in draft.tied for part in spent)
+    evidence = Evidence(
+        choice=finished.choice,
+        closures=found.judged,
+        groups=found.groups,
+        parts=part_moves(graph, draft),
+        bends=bends(graph, draft.poses, config),
+        standing_tracked=views.standing(graph.poses, config),
+        standing=views.standing(draft.poses, config),
+        limits=draft.counting("stray_tries", given_up).limits,
+    )
     return Layout(
         poses=carried(graph.tracked, graph.nodes, draft.poses),
         nodes=graph.nodes,
         odometry=graph.odometry,
         kept=draft.loops,
         dropped=dropped,
-        warnings=_warnings(dropped, [store.stamps_ns[keyframe] for keyframe in loose]),
+        warnings=_warnings(
+            finished.choice, dropped, [store.stamps_ns[keyframe] for keyframe in loose]
+        ),
         loose=loose,
-        limits=draft.counting("stray_tries", given_up).limits,
+        evidence=evidence,
     )
 
 
-def _warnings(dropped: Sequence[Link], loose_stamps_ns: Sequence[int]) -> tuple[str, ...]:
+def _warnings(
+    choice: Choice, dropped: Sequence[Link], loose_stamps_ns: Sequence[int]
+) -> tuple[str, ...]:
     """What a user should know about the layout."""
     closures = sum(link.kind == "closure" for link in dropped)
     verb = "contradicts" if closures == 1 else "contradict"
@@ -138,4 +204,9 @@ def _warnings(dropped: Sequence[Link], loose_stamps_ns: Sequence[int]) -> tuple[
         f"layout: a guess only places what follows {stamp_ns * 1e-9:.3f} s"
         for stamp_ns in loose_stamps_ns
     ]
-    return (*(left_out if closures else []), *guessed)
+    as_tracked = ["layout: relaxed, more walls contradict each other: poses stay as tracked"]
+    return (
+        *(as_tracked if choice == "tracked" else []),
+        *(left_out if closures else []),
+        *guessed,
+    )

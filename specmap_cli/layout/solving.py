@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from specmap_cli.core.geometry import Pose2, compose, invert
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import Link, LinkArrays, Solution, solve
 
+_HASTY = 5  # steps at a width that the next one replaces
+_DECIMALS = 9  # of poses solved: a nanometre; libraries differ from the fourteenth on
 _NARROWER = 3.0  # from one width of the kernel to the next: outvoted closures let go one by one
 
 
@@ -24,12 +27,15 @@ def tighten(graph: Graph, draft: Draft, config: RelaxationConfig) -> Draft:
     Graduated non-convexity (Yang et al., RA-L 2020): Cauchy's kernel starts wider than the largest
     error and narrows to its usual width.
     """
+    hasty = config.model_copy(update={"solve_iterations": min(_HASTY, config.solve_iterations)})
     solution = _solution(graph, draft, np.inf, config)
     width = float(np.sqrt(solution.chi2[len(graph.odometry) :].max(initial=0.0)))
     while width > config.kernel_sigmas:
-        solution = _solution(graph, _with(draft, solution), width, config)
+        solution = _solution(
+            graph, replace(draft, poses=np.round(solution.poses, _DECIMALS)), width, hasty
+        )
         width /= _NARROWER
-    return solved(graph, _with(draft, solution), config)
+    return solved(graph, replace(draft, poses=solution.poses), config)
 
 
 def settle(graph: Graph, draft: Draft, config: RelaxationConfig) -> tuple[Draft, tuple[Link, ...]]:
@@ -50,9 +56,29 @@ def settle(graph: Graph, draft: Draft, config: RelaxationConfig) -> tuple[Draft,
 
 def _solution(graph: Graph, draft: Draft, width: float, config: RelaxationConfig) -> Solution:
     """The solution with Cauchy's kernel of `width` sigmas on the loops."""
-    widths = {"closure": width, "nearby": width, "loose": config.kernel_sigmas}
-    links = LinkArrays.of((*graph.odometry, *draft.loops), graph.row, widths)
+    usual = config.kernel_sigmas
+    widths = {"closure": width, "nearby": width, "loose": usual, "bridge": usual}
+    links = LinkArrays.of((*_motions(graph, draft), *draft.loops), graph.row, widths)
     return solve(draft.poses, links, config.solve_iterations)
+
+
+def _motions(graph: Graph, draft: Draft) -> tuple[Link, ...]:
+    """The motions; where a part was placed the guess that led to it says nothing any more.
+
+    It holds the part where it is, so that it does not bend the path that closures tie.
+    """
+    return tuple(
+        _as_placed(graph, draft, motion)
+        if motion.kind == "loose" and int(graph.parts[graph.row[motion.target]]) in draft.tied
+        else motion
+        for motion in graph.odometry
+    )
+
+
+def _as_placed(graph: Graph, draft: Draft, motion: Link) -> Link:
+    source, target = draft.poses[[graph.row[motion.source], graph.row[motion.target]]]
+    placed = compose(invert(source), target)
+    return replace(motion, source_from_target=Pose2(*placed.tolist()))
 
 
 def _with(draft: Draft, solution: Solution) -> Draft:

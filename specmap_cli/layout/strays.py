@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert
 from specmap_cli.core.settings import RelaxationConfig
-from specmap_cli.grids.matching import Match, ScoreField, Window, search, search_everywhere, thinned
+from specmap_cli.grids.matching import Match, ScoreField, Window, search, thinned
 from specmap_cli.layout.parts import place_part
 from specmap_cli.layout.path_graph import Draft, Graph
+from specmap_cli.layout.place_search import Pyramid, Wanted, best_places
 from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.uncertainty import within_ellipse
 from specmap_cli.layout.wall_matching import (
-    COARSE_POINTS_M,
     FINE_POINTS_M,
     WallFit,
     confirmed,
@@ -28,7 +30,32 @@ _STEP_M, _TURN_RAD, _MOST_TURN_RAD = 0.3, 0.04, 0.08  # of the search in a map t
 _RIVALS, _LEAD = 4, 0.05  # places compared, and the score by which the best must lead
 _NEAR_STEPS, _NEAR_RAD, _NEAR_M = 0.75, 0.06, 0.1  # the search about each: its width and its step
 _PINNED_M = 0.1  # largest mean deviation of a place found: more is a corridor's open direction
+_BLOCK_M = 2.4  # side of the blocks that search begins with
+_GUESS_SIGMAS = 3.0  # of a guess that are searched
+_SPARSE_M = 0.4  # between the points of that search: some 100 of them tell a place
+_REACH_RANGES = 1.5  # from a node to the farthest wall seen from the nodes around it
 _NEAR_RANGES = 2.0  # walls this many ranges around a place are those seen from it
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """Where points may be: about `pose`, with an error of this covariance (3, 3) in the map."""
+
+    pose: Pose2
+    covariance: FloatArray
+
+    def angles(self, step_rad: float) -> FloatArray:
+        """(A,) headings within three sigmas, from the guess outwards on either side."""
+        reach = min(np.pi, _GUESS_SIGMAS * float(np.sqrt(self.covariance[2, 2])))
+        count = int(np.ceil(reach / step_rad))
+        steps = step_rad * np.arange(-count, count + 1)
+        return np.asarray(self.pose.theta + steps, dtype=np.float64)
+
+    def reaches(self, places: FloatArray, middle: FloatArray) -> NDArray[np.bool_]:
+        """(B,) whether `middle` (2,), a point of the source, may lie at these places (B, 2)."""
+        away = places - self.pose.apply(middle[None])
+        spread = _GUESS_SIGMAS**2 * self.covariance[:2, :2] + _BLOCK_M**2 * np.eye(2)
+        return within_ellipse(away, spread)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +69,7 @@ class OlderWalls:
     part: int
     points: FloatArray
     field: ScoreField
+    pyramid: Pyramid
     step_m: float
     coarsened: bool
 
@@ -51,21 +79,27 @@ class OlderWalls:
         field = ScoreField.from_points(points, _CELL_M, _BLUR_M, _SIDE * config.match_range_m)
         side_m = float(np.sqrt(field.values.size * field.resolution**2))
         needed_m = side_m / config.stray_cells
+        step_m = max(_STEP_M, needed_m)
+        coarse = field.coarser(max(1, round(step_m / field.resolution)))
+        reach_m = _REACH_RANGES * config.match_range_m
         return cls(
             part=part,
             points=points,
             field=field,
-            step_m=max(_STEP_M, needed_m),
+            pyramid=Pyramid.of(coarse, reach_m),
+            step_m=step_m,
             coarsened=needed_m > _STEP_M,
         )
 
-    def place_of(self, source: FloatArray, config: RelaxationConfig) -> WallFit | None:
-        """The pose of points (N, 2) in the map.
+    def place_of(
+        self, source: FloatArray, config: RelaxationConfig, guess: Guess | None = None
+    ) -> WallFit | None:
+        """The pose of points (N, 2) in the map: anywhere, or as far as a guess may be off.
 
         They must fit well, nowhere else nearly as well, and leave no direction open: in a bare
         corridor nothing is found.
         """
-        best = self._best(source, config)
+        best = self._best(source, config, guess)
         if best is None:
             return None
         away = self.points - (best.pose.x, best.pose.y)
@@ -77,14 +111,20 @@ class OlderWalls:
             return None
         return found
 
-    def _best(self, source: FloatArray, config: RelaxationConfig) -> Match | None:
+    def _best(
+        self, source: FloatArray, config: RelaxationConfig, guess: Guess | None
+    ) -> Match | None:
         """The place that fits best, if it leads clearly."""
         few = thinned(source, FINE_POINTS_M)
         if len(few) < config.match_points:
             return None
         turn = min(_TURN_RAD * self.step_m / _STEP_M, _MOST_TURN_RAD)
-        sparse = thinned(source, COARSE_POINTS_M)
-        rough = search_everywhere(self.field, sparse, _RIVALS, self.step_m, turn)
+        sparse = thinned(source, _SPARSE_M)
+        angles, blocks = np.arange(0.0, 2 * np.pi, turn), self.pyramid.blocks()
+        if guess is not None and len(sparse):
+            angles = guess.angles(turn)
+            blocks = blocks[guess.reaches(self.pyramid.centres_of(blocks), sparse.mean(axis=0))]
+        rough, _ = best_places(self.pyramid, sparse, blocks, angles, _wanted(config), _RIVALS)
         width = _NEAR_STEPS * self.step_m
         window = Window(distance_m=width, angle_rad=_NEAR_RAD, step_m=_NEAR_M)
         fine = [search(self.field, few, match.pose, window) for match in rough]
@@ -92,6 +132,11 @@ class OlderWalls:
         if not fine or (len(fine) > 1 and fine[1].score > fine[0].score - _LEAD):
             return None
         return fine[0]
+
+
+def _wanted(config: RelaxationConfig) -> Wanted:
+    """Places whose pooled score, an upper bound, may still become that of a match."""
+    return Wanted(least=config.loop_score, lead=2 * _LEAD, most=config.search_blocks)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,7 +172,8 @@ def rejoin(
             draft = draft.counting("stray_cells", search.older.coarsened)
         find = _find(node, graph, draft.poses, walls, search.older, config)
         search = replace(search, finds=(*search.finds, *find))
-        draft = place_part(graph, draft, part, search.finds, votes=config.stray_votes)
+        known = (*draft.hints, *search.finds)
+        draft = place_part(graph, draft, part, known, votes=config.stray_votes)
     return draft, search
 
 
@@ -159,4 +205,4 @@ def _find(
 
 def _variance(information: FloatArray) -> float:
     """Of the place, both directions together, from an information matrix (3, 3)."""
-    return float(np.linalg.inv(information)[:2, :2].trace())
+    return float(inverse3(information)[:2, :2].trace())

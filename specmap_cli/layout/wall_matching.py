@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.matching import ScoreField, Window, covariance, refine, search, thinned
 from specmap_cli.layout.path_graph import Graph
@@ -80,8 +80,7 @@ def confirmed(
     spread = covariance(field, few, pose)
     turn = np.eye(3)
     turn[:2, :2] = pose.rotation().T  # errors are weighed in the source's own frame
-    information = np.linalg.inv(turn @ spread @ turn.T + _FLOOR)
-    return WallFit(pose, np.asarray(information, dtype=np.float64))
+    return WallFit(pose, inverse3(product(product(turn, spread), turn.T) + _FLOOR))
 
 
 def nearby_link(graph: Graph, old: int, new: int, fit: WallFit) -> Link:

@@ -23,16 +23,17 @@ class Walls:
 
     def __init__(self, store: KeyframeStore, graph: Graph, range_m: float) -> None:
         self._store, self._graph, self._range_m = store, graph, range_m
+        self._pieces = graph.pieces
         self._points = lru_cache(_REMEMBERED)(self._read)
 
     def around(self, node: int, reach: int, poses: FloatArray) -> FloatArray:
         """Points (N, 2) seen from nodes within `reach` of row `node`, in the frame of `node`.
 
-        `poses` (M, 3) place the nodes; only nodes of the same part are used.
+        `poses` (M, 3) place the nodes; only nodes between the same breaks are used.
         """
-        parts = self._graph.parts
-        low, high = max(0, node - reach), min(len(parts), node + reach + 1)
-        others = [k for k in range(low, high) if parts[k] == parts[node]]
+        pieces = self._pieces
+        low, high = max(0, node - reach), min(len(pieces), node + reach + 1)
+        others = [k for k in range(low, high) if pieces[k] == pieces[node]]
         relative = compose(invert(poses[node]), poses[others])
         clouds = [
             Pose2(*pose.tolist()).apply(self._points(k))

@@ -12,8 +12,23 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.messages import CloudRecord
 from specmap_cli.logs.readers.typestore import NS_PER_S
 
-TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
-_SECONDS_SPAN_MAX = 2.0  # floats that span more count nanoseconds, of which a sweep has millions
+# Velodyne, LSLidar: time; Ouster: t; Hesai, RoboSense, Livox: timestamp; Livox: offset_time;
+# Autoware: time_stamp; Aeva: time_offset_ns; Blickfeld: point_time_offset; Cepton: the last one.
+TIME_FIELDS = (
+    "t",
+    "time",
+    "timestamp",
+    "time_stamp",
+    "offset_time",
+    "time_offset",
+    "time_offset_ns",
+    "point_time_offset",
+    "relative_timestamp",
+)
+_FLOAT_UNITS_NS = (1_000_000_000, 1_000_000, 1_000, 1)  # seconds, and thousandths of the one before
+_INTEGER_UNITS_NS = (1_000, 1)
+_SHORTEST_NS, _LONGEST_NS = 2_000_000, 2_000_000_000  # of a sweep: one unit fits, as each is 1,000
+_ENOUGH_POINTS = 100  # a sweep of fewer may be a sliver, whose span misleads
 
 
 class CloudPoints(NamedTuple):
@@ -27,32 +42,64 @@ class CloudPoints(NamedTuple):
     far_times: bool
 
 
+class PointClock:
+    """What the point times of a lidar are: their unit, and whether its clock is that of the stamps.
+
+    The unit is the one by which a sweep takes between 2 ms and 2 s; the first full sweep settles
+    it. `foreign` counts the sweeps whose times are of another clock than their stamps.
+    """
+
+    def __init__(self) -> None:
+        self.foreign = 0
+        self._unit_ns: int | None = None
+
+    def unit_ns(self, span: float, count: int, *, integers: bool) -> int:
+        """Nanoseconds in one unit of `count` times that span so many units."""
+        if self._unit_ns is not None:
+            return self._unit_ns
+        units = _INTEGER_UNITS_NS if integers else _FLOAT_UNITS_NS
+        fits = [unit for unit in units if _SHORTEST_NS <= span * unit < _LONGEST_NS]
+        if fits and count >= _ENOUGH_POINTS:
+            self._unit_ns = fits[0]
+        brief = not integers and span * NS_PER_S < _LONGEST_NS
+        return fits[0] if fits else NS_PER_S if brief else 1
+
+
 @np.errstate(all="ignore")  # damaged messages hold any bits
-def cloud_points(record: CloudRecord, stamp_ns: int, config: LogConfig) -> CloudPoints:
+def cloud_points(
+    record: CloudRecord, stamp_ns: int, config: LogConfig, clock: PointClock | None = None
+) -> CloudPoints:
     """The points of a cloud, with their times where de-skewing can rely on them.
 
     Points that are not finite, at the very origin (how some drivers say "no return") or beyond
     `cloud_range_max_m` are left out, with their times. Times are None unless they are all finite,
-    differ, and lie within `cloud_time_max_s` of the stamp.
+    differ, and lie within `cloud_time_max_s` of the stamp. Times of another clock, far from the
+    stamp but near to each other, count from the earliest. `clock` keeps what is known of the lidar.
     """
+    clock = PointClock() if clock is None else clock
     table = record.points.reshape(-1)
     points = np.column_stack([table[axis].astype(np.float64) for axis in "xyz"])
     squared = np.einsum("ij,ij->i", points, points)
     kept = (squared > 0.0) & (squared <= config.cloud_range_max_m**2)  # false for NaN as well
-    recorded = _times(record.points.dtype, table, stamp_ns)
+    recorded = _times(record.points.dtype, table, stamp_ns, clock)
     times = recorded[kept] if recorded is not None else np.zeros(0)
-    told = len(times) > 0 and bool(np.isfinite(times).all()) and float(np.ptp(times)) > 0.0
+    span = float(np.ptp(times)) if len(times) and np.isfinite(times).all() else 0.0
+    told = span > 0.0
     far = told and float(np.abs(times).max()) > config.cloud_time_max_s
+    if far and span <= min(config.cloud_time_max_s, _LONGEST_NS / NS_PER_S):
+        clock.foreign += 1
+        times, far = times - times.min(), False
     return CloudPoints(
         points=points[kept], times_s=times if told and not far else None, far_times=far
     )
 
 
-def _times(layout: np.dtype[np.void], table: NDArray[np.void], stamp_ns: int) -> FloatArray | None:
+def _times(
+    layout: np.dtype[np.void], table: NDArray[np.void], stamp_ns: int, clock: PointClock
+) -> FloatArray | None:
     """Seconds (N,) after the stamp as recorded, None without such a field.
 
-    Integers are nanoseconds; other numbers are seconds unless they span too much for it. Times
-    nearer to the stamp than to zero are absolute.
+    Times nearer to the stamp than to zero are absolute.
     """
     name = next((field for field in layout.names or () if field.lower() in TIME_FIELDS), None)
     if name is None or not len(table):
@@ -60,13 +107,16 @@ def _times(layout: np.dtype[np.void], table: NDArray[np.void], stamp_ns: int) ->
     raw = table[name]
     if raw.dtype.kind in "iu":
         counts = raw.astype(np.int64)
+        span = float(counts.max()) - float(counts.min())
+        counts = counts * clock.unit_ns(span, len(counts), integers=True)
         absolute = abs(int(counts[0]) - stamp_ns) < abs(int(counts[0]))
         return np.asarray((counts - stamp_ns if absolute else counts) / NS_PER_S)
     values = raw.astype(np.float64)
     finite = values[np.isfinite(values)]
     if not len(finite):
         return None
-    unit = 1.0 if finite.max() - finite.min() <= _SECONDS_SPAN_MAX else 1.0 / NS_PER_S
+    span = float(finite.max() - finite.min())
+    unit = clock.unit_ns(span, len(values), integers=False) / NS_PER_S
     stamp = stamp_ns / (NS_PER_S * unit)
     absolute = abs(finite[0] - stamp) < abs(finite[0])
     return np.asarray((values - stamp if absolute else values) * unit)

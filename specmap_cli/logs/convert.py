@@ -48,9 +48,10 @@ def convert(
 ) -> Conversion:
     """Write the scans, odometry and transforms of a log to the MCAP file `out`.
 
-    `config` bounds what is unpacked, as in `open_log`. Messages keep their topics, header stamps
-    and log times. Raises UsageError when `out` exists (unless `overwrite`) or cannot be written,
-    LogError when the log holds nothing to convert, TypeError for what is no path.
+    `config` bounds what is unpacked, as in `open_log`. Messages keep their order, their topics and
+    their header stamps; log times that step back become that of the message ahead. Raises
+    UsageError when `out` exists (unless `overwrite`) or cannot be written, LogError when the log
+    holds nothing to convert, TypeError for what is no path.
     """
     given, target = paths_of(paths, "paths"), path_of(out, "out")
     if target.exists() and not overwrite:
@@ -74,14 +75,20 @@ def _is_wanted(topic: TopicInfo) -> bool:
 
 
 def _written(log: Log, target: Path, progress: Progress) -> tuple[TopicInfo, ...]:
-    """Write what specmap reads of a log; the topics written and how much of each."""
+    """Write what specmap reads of a log; the topics written and how much of each.
+
+    Readers of MCAP sort by log time: one that steps back, as in a CARMEN log whose clock was set,
+    would take its message away from its place.
+    """
     wanted = [topic for topic in log.topics() if _is_wanted(topic)]
     counts: Counter[tuple[str, str]] = Counter()
     progress.start("converting", sum(topic.count for topic in wanted))
+    latest_ns = 0
     with LogWriter(target) as writer:
         for message in log.messages({topic.name for topic in wanted}):
             if message.type in SUPPORTED_TYPES:
-                writer.raw(message.topic, message.type, message.data, message.time_ns)
+                latest_ns = max(latest_ns, message.time_ns)
+                writer.raw(message.topic, message.type, message.data, latest_ns)
                 counts[message.topic, message.type] += 1
                 progress.advance()
     return tuple(TopicInfo(*key, counts[key]) for key in sorted(counts))

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.errors import InputError, UsageError
 from specmap_cli.core.geometry import FloatArray, yaw_of
+from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.checking import check
 from specmap_cli.logs.frames import read_frames
 from specmap_cli.logs.log import Log
+from specmap_cli.logs.preview import Preview, preview
 from specmap_cli.logs.readers.recording import Contents, TopicInfo
 from specmap_cli.logs.readers.typestore import LASER_SCAN, NS_PER_S, ODOMETRY, SCAN_TYPES
+from specmap_cli.logs.sensors import SeveralSensorsError
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.summary import (
     Extent,
@@ -29,14 +34,24 @@ from specmap_cli.logs.summary import (
 from specmap_cli.logs.transforms import TransformTree
 
 
-def summarize(log: Log, config: LogConfig | None = None) -> LogSummary:
+def summarize(
+    log: Log,
+    config: LogConfig | None = None,
+    *,
+    complete: bool = False,
+    progress: Progress | None = None,
+) -> LogSummary:
     """Look at a log as `build` would; what `build` would refuse becomes `problem`.
+
+    Messages are counted as the file counts them, and only the first ones are read. With `complete`
+    all of them are read, too, and compared with the counts.
 
     Raises TypeError for what is no `Log` or no `LogConfig`.
     """
     instance_of(log, Log, "log")
     settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
-    scan, tree, outlook = _look(log, settings)
+    scan, tree, outlook, met = _look(log, settings, complete=complete)
+    checked = check(log, settings, progress) if complete else None
     extent = _extent(log)
     return LogSummary(
         extent=extent,
@@ -44,30 +59,49 @@ def summarize(log: Log, config: LogConfig | None = None) -> LogSummary:
         frames=_frames(tree),
         scan=scan,
         outlook=outlook,
+        checked=checked,
+        preview=met,
         damage=tuple(log.damage),
     )
 
 
-def _look(log: Log, config: LogConfig) -> tuple[ScanSummary | None, TransformTree, Outlook]:
+class _Look(NamedTuple):
     """The first scan that `build` would read, the frames, and what would come of it."""
+
+    scan: ScanSummary | None
+    tree: TransformTree
+    outlook: Outlook
+    met: Preview | None = None
+
+
+def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
+    """Read the first scans as `build` would."""
     try:
         stream = SweepStream(log, config)
-        first = next(iter(stream), None)
+        met, first = preview(stream, complete=complete)
     except UsageError as error:
-        command = _command(log, _options(log.contents.topics, config))
-        return None, _frames_alone(log, config), Outlook(problem=str(error), next_command=command)
+        command = _command(log, _likeliest(log, error, config))
+        problem = Outlook(problem=str(error), next_command=command)
+        return _Look(None, _frames_alone(log, config), problem)
     except InputError as error:
-        return None, _frames_alone(log, config), Outlook(problem=str(error))
+        return _Look(None, _frames_alone(log, config), Outlook(problem=str(error)))
     chosen = stream.selection
     nothing = None if first is not None else f"no usable scan on {chosen.scan_topic}"
     outlook = Outlook(
         chosen=chosen.note,
         problem=nothing,
         next_command=_command(log, _given(config)) if nothing is None else None,
-        warnings=chosen.warnings,
+        warnings=(*chosen.warnings, *_lonely(stream)),
     )
     scan = _describe(stream, first) if first is not None else None
-    return scan, chosen.tree, outlook
+    return _Look(scan, chosen.tree, outlook, met)
+
+
+def _lonely(stream: SweepStream) -> Iterator[str]:
+    """That most scans have no odometry, although the log has some."""
+    without, scans = stream.counts["without_odometry"], stream.counts["scans"]
+    if 2 * without > scans:
+        yield f"scans without odometry near their stamp: {without:,} of {scans:,}"
 
 
 def _frames_alone(log: Log, config: LogConfig) -> TransformTree:
@@ -161,10 +195,18 @@ def _options(topics: Iterable[TopicInfo], config: LogConfig) -> str:
     return "".join(chosen)
 
 
+def _likeliest(log: Log, error: UsageError, config: LogConfig) -> str:
+    """The options that make the likeliest choice after an error that asks for one."""
+    if isinstance(error, SeveralSensorsError):
+        return _given(config.model_copy(update={"scan_frame": error.best}))
+    return _options(log.contents.topics, config)
+
+
 def _given(config: LogConfig) -> str:
     """The options that choose the topics and the frame as `config` does."""
     choices = {
         "--scan-topic": config.scan_topic,
+        "--scan-frame": config.scan_frame,
         "--odom-topic": config.odom_topic,
         "--base-frame": config.base_frame,
     }

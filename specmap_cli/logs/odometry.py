@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from typing import NamedTuple
 
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.settings import LogConfig
@@ -74,16 +75,25 @@ class OdometryBuffer:
         return self._poses[nearest] if close else None
 
 
+class Heard(NamedTuple):
+    """Odometry as it was heard: its header stamp, the recorder's time, odom_from_base."""
+
+    stamp_ns: int
+    time_ns: int
+    pose: Pose2
+
+
 class OdometryListener:
     """The odometry of one pass over a log: messages in, the base at the stamps of scans out.
 
-    `poses` is what was heard so far, `heard` how many poses that were.
+    `poses` is what was heard so far, `heard` how many poses that were, `last` the last of them.
     """
 
     def __init__(self, selection: Selection, config: LogConfig) -> None:
         self.selection = selection
         self.poses = OdometryBuffer(config)
         self.heard = 0
+        self.last: Heard | None = None
         self._tree = selection.tree.copy()
         self._chain = frozenset(self._tree.ancestors(selection.base_frame))
 
@@ -93,6 +103,19 @@ class OdometryListener:
             self._take_transforms(message)
         else:
             self._take_pose(message)
+
+    def own(self, stamp_ns: int, time_ns: int) -> Pose2 | None:
+        """odom_from_base of a scan with these header and recorder's times, by the order of the log.
+
+        Odometry with the very times of the scan behind it, such as that of a CARMEN line, belongs
+        to this scan, whatever the stamps are. Scans that are stamped by their order have the
+        odometry heard last.
+        """
+        if self.last is None:
+            return None
+        same = (self.last.stamp_ns, self.last.time_ns) == (stamp_ns, time_ns)
+        by_order = self.selection.scan.clock.source == "order"
+        return self.last.pose if same or by_order else None
 
     def _take_pose(self, message: Message) -> None:
         record = decode_odometry(message)
@@ -122,8 +145,9 @@ class OdometryListener:
         if odom_from_base is None:
             return
         self.heard += 1
-        unstamped = self.selection.scan.use_log_time or stamp_ns == 0
-        self.poses.add(time_ns if unstamped else stamp_ns, Pose2.from_matrix(odom_from_base))
+        self.last = Heard(stamp_ns, time_ns, Pose2.from_matrix(odom_from_base))
+        clock = self.selection.scan.clock
+        self.poses.add(clock.odometry_ns(stamp_ns, time_ns), self.last.pose)
 
 
 def interpolated(a: Pose2, b: Pose2, share: float) -> Pose2:

@@ -90,8 +90,8 @@ def _cleaned(ranges: FloatArray, range_min: float, range_max: float) -> FloatArr
 
 def _beams(layout: ScanLayout, upside_down: bool, longest_s: float) -> _Beams:
     """The bearings of a laser, its beam times and which readings are used, in which order."""
-    count, step = layout.beams, _increment(layout)
-    full_circle = count * abs(step) >= _FULL_CIRCLE - _MISSING_BEAMS * abs(step)
+    count, step = layout.beams, increment(layout)
+    full_circle = covers_circle(count, step)
     if full_circle:  # the last beams may look where the first ones did
         count = min(count, round(_FULL_CIRCLE / abs(step)))
     sign = -1.0 if upside_down else 1.0
@@ -108,7 +108,12 @@ def _beams(layout: ScanLayout, upside_down: bool, longest_s: float) -> _Beams:
     return _Beams(bearings=bearings, times_s=times, used=used, full_circle=full_circle)
 
 
-def _increment(layout: ScanLayout) -> float:
+def covers_circle(beams: int, step: float) -> bool:
+    """Whether so many beams, an angle apart, look all around."""
+    return beams * abs(step) >= _FULL_CIRCLE - _MISSING_BEAMS * abs(step)
+
+
+def increment(layout: ScanLayout) -> float:
     """The angle from beam to beam; raises BadMessageError for a scan without beams or angles."""
     count, step = layout.beams, layout.angle_increment
     if count == 0:

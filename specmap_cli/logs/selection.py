@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import islice
-from typing import Literal
 
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
+from specmap_cli.logs.clocks import (
+    Clock,
+    OdometryKind,
+    OdometrySource,
+    choose_clock,
+    clock_warnings,
+    odometry_beside,
+)
 from specmap_cli.logs.frames import (
     USUAL_BASES,
     Frames,
@@ -22,43 +29,30 @@ from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import (
     BadMessageError,
     CloudRecord,
-    ScanRecord,
     decode_odometry,
     decode_scan,
 )
 from specmap_cli.logs.readers.recording import Message, TopicInfo
+from specmap_cli.logs.sensors import Glimpse, Sensor, choose_sensor, sensors_of
 from specmap_cli.logs.topics import choose_odometry_topic, choose_scan_topic, dynamic_topics
 from specmap_cli.logs.transforms import TransformTree
 
 _ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
-_CLOCK_PEEKED = 3  # a clock may start at zero, but no three stamps of one are zero
-
-OdometryKind = Literal["topic", "tf"]
+_LOOK_BYTES = 32_000_000  # of messages that are looked at: some twenty clouds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanSource:
-    """Where the scans come from.
+    """Where the scans come from: which of the `sensors` on the topic, and what stamps them.
 
     `band_m` is the height band of a 3D cloud in metres above the floor, None for planar scans.
     """
 
     topic: TopicInfo
-    frame: str
-    use_log_time: bool = False
+    sensor: Sensor
+    sensors: tuple[Sensor, ...]
+    clock: Clock = field(default_factory=Clock)
     band_m: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OdometrySource:
-    """Where the odometry comes from.
-
-    `kind` is an Odometry topic, or transforms from `frame` to the base, or None: there is none.
-    """
-
-    kind: OdometryKind | None = None
-    topics: tuple[str, ...] = ()
-    frame: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +78,7 @@ class Selection:
     @property
     def laser_frame(self) -> str:
         """The frame of the scans."""
-        return self.scan.frame
+        return self.scan.sensor.frame
 
     @property
     def band_m(self) -> tuple[float, float] | None:
@@ -116,6 +110,8 @@ class Selection:
         """One line on what was chosen."""
         kind = self.scan_type.rpartition("/")[2]
         parts = [f"scans from {self.scan_topic} ({kind}, {self.scan.topic.count:,})"]
+        if len(self.scan.sensors) > 1:
+            parts[0] += f" of sensor {self.scan.sensor.name}"
         if self.band_m is not None:
             low, high = self.band_m
             parts.append(f"height band {low:g} to {high:g} m above the floor")
@@ -136,17 +132,19 @@ def select(log: Log, config: LogConfig) -> Selection:
     Raises LogError for a log without usable scans, and UsageError, with the choices ready to
     paste, when a topic or frame must be chosen or the chosen one is not there.
     """
-    scan = _scan_source(log, choose_scan_topic(log, config.scan_topic), config)
+    scan, glimpses = _scan_source(log, choose_scan_topic(log, config.scan_topic), config)
     topic = choose_odometry_topic(log, config.odom_topic) if config.use_odometry else None
     child = _odometry_child(log, topic, config)
     usual = [frame for frame in (child, *USUAL_BASES) if frame]
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
-    frames = read_frames(log, scan.frame, bases, config)
-    placement = place_laser(frames.tree, scan.frame, child, config)
+    frames = read_frames(log, scan.sensor.frame, bases, config)
+    placement = place_laser(frames.tree, scan.sensor.frame, child, config)
+    odometry = _odometry_source(log, topic, frames.tree, placement, config)
+    scan = replace(scan, clock=_clock(log, scan, odometry, glimpses, config))
     return Selection(
         scan=scan,
         placement=placement,
-        odometry_source=_odometry_source(log, topic, frames.tree, placement, config),
+        odometry_source=odometry,
         tree=frames.tree,
         warnings=(*placement.warnings, *_assumptions(scan, placement, frames, child, config)),
     )
@@ -175,8 +173,7 @@ def _assumptions(
             f"the odometry moves {odometry_child!r}, which no transform joins to {base!r}: "
             "the two are taken to be the same"
         )
-    if scan.use_log_time:
-        yield f"{scan.topic.name}: header stamps are zero: the recorder's times are used"
+    yield from clock_warnings(scan.clock, scan.topic.name)
     if scan.band_m is not None and placement.floor_m is None:
         yield (
             "the lidar's height above the floor is unknown, as there is no transform from a base "
@@ -184,26 +181,55 @@ def _assumptions(
         )
 
 
-def _scan_source(log: Log, topic: TopicInfo, config: LogConfig) -> ScanSource:
-    """The frame of the first scan that can be decoded, and whether the scans carry no stamps."""
-    records: list[ScanRecord | CloudRecord] = []
-    reason = "it holds no message"
-    for tried, message in enumerate(_first_messages(log, topic, config), start=1):
+def _scan_source(log: Log, topic: TopicInfo, config: LogConfig) -> tuple[ScanSource, list[Glimpse]]:
+    """The sensor to read, and its first scans."""
+    glimpses = first_scans(log, topic, config)
+    sensors = tuple(sensors_of(glimpses, config))
+    sensor = choose_sensor(f"{log.name}: {topic.name}", sensors, config)
+    source = ScanSource(
+        topic=topic,
+        sensor=sensor,
+        sensors=sensors,
+        band_m=(config.band_min_m, config.band_max_m) if sensor.is_cloud else None,
+    )
+    return source, [glimpse for glimpse in glimpses if sensor.made(glimpse)]
+
+
+def first_scans(log: Log, topic: TopicInfo, config: LogConfig) -> list[Glimpse]:
+    """The first scans that can be decoded; raises LogError where none of the first can be."""
+    found: list[Glimpse] = []
+    reason, size = "it holds no message", 0
+    for tried, message in enumerate(log.messages([topic.name]), start=1):
+        size += len(message.data)
         try:
-            records.append(decode_scan(message))
+            found.append(_glimpse(message))
         except BadMessageError as error:
             reason = f"{error}; tried {counted(tried, 'message')}"
-        if len(records) == _CLOCK_PEEKED:
+        if found and (tried >= config.look_scans or size >= _LOOK_BYTES):
             break
-    if not records:
+        if not found and tried >= config.tried_messages:
+            break
+    if not found:
         raise LogError(legible(f"{log.name}: {topic.name}: no usable scan: {reason}"))
-    is_cloud = isinstance(records[0], CloudRecord)
-    return ScanSource(
-        topic=topic,
-        frame=records[0].frame,
-        use_log_time=all(record.stamp_ns == 0 for record in records),
-        band_m=(config.band_min_m, config.band_max_m) if is_cloud else None,
-    )
+    return found
+
+
+def _glimpse(message: Message) -> Glimpse:
+    record = decode_scan(message)
+    layout = None if isinstance(record, CloudRecord) else record.layout
+    return Glimpse(record.stamp_ns, message.time_ns, record.frame, layout)
+
+
+def _clock(
+    log: Log,
+    scan: ScanSource,
+    odometry: OdometrySource,
+    glimpses: Sequence[Glimpse],
+    config: LogConfig,
+) -> Clock:
+    """What stamps the scans, by the first of them and the odometry beside these."""
+    besides = odometry_beside(log, scan.topic.name, scan.sensor, odometry, config)
+    return choose_clock(glimpses, besides, config)
 
 
 def _odometry_child(log: Log, topic: TopicInfo | None, config: LogConfig) -> str | None:

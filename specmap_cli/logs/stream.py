@@ -7,15 +7,17 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of
+from specmap_cli.core.geometry import Pose2, product
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible, nanoseconds
-from specmap_cli.logs.clouds import cloud_points
+from specmap_cli.logs.clouds import PointClock, cloud_points
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import BadMessageError, CloudRecord, ScanRecord, decode_scan
 from specmap_cli.logs.odometry import OdometryBuffer, OdometryListener
@@ -26,11 +28,15 @@ from specmap_cli.logs.selection import Selection, select
 # What is counted beside the sweeps and the odometry, and what to say when it occurs.
 _SAID = {
     "unusable_scans": "scans that could not be read and were left out",
+    "other_sensor": "scans of another sensor on the topic that were left out",
     "blank_scans": "scans without any return",
     "far_times": "scans whose point times reach beyond log.scan_time_max_s or "
     "log.cloud_time_max_s and were not used",
+    "foreign_times": "scans whose point times have another clock than their stamps and were "
+    "counted from the earliest point",
     "without_odometry": "scans without odometry near their stamp",
     "backward_stamps": "scans stamped before the one ahead of them",
+    "unstamped_scans": "scans stamped zero, for which the recorder's times are used",
     "repeated_stamps": "scans that repeat the stamp of the one ahead of them",
     "unusable_odometry": "odometry messages that could not be read and were left out",
 }
@@ -70,7 +76,7 @@ class SweepStream:
         waiting: deque[_Waiting] = deque()
         for message in self.log.messages([self.selection.scan_topic, *self.selection.odom_topics]):
             if message.topic == self.selection.scan_topic:
-                waiting.extend(sweeps.decoded(message))
+                waiting.extend(sweeps.decoded(message, odometry))
             else:
                 self._hear(odometry, message)
             while waiting and self._ready(waiting, odometry.poses, message.time_ns):
@@ -90,16 +96,19 @@ class SweepStream:
         if self.selection.odometry is None or len(waiting) > self.config.odometry_wait_scans:
             return True
         first, latest = waiting[0], odometry.latest_ns
+        if first.own is not None:
+            return True
         heard = latest is not None and latest >= first.stamp_ns
         return heard or now_ns - first.time_ns > nanoseconds(self.config.odometry_wait_s)
 
 
 class _Waiting(NamedTuple):
-    """A decoded scan and when it was recorded."""
+    """A decoded scan, when it was recorded, and odom_from_base where the log ties one to it."""
 
     record: ScanRecord | CloudRecord
     stamp_ns: int
     time_ns: int
+    own: Pose2 | None
 
 
 def _no_counts() -> dict[str, int]:
@@ -116,32 +125,43 @@ class _SweepMaker:
         self.leveller = ScanLeveller(Mount.from_matrix(selection.base_from_laser), config)
         floor = selection.placement.floor_m
         self.flattener = CloudFlattener(selection.base_from_laser, floor, config)
+        self.points_clock = PointClock()
         self._last_stamp: int | None = None
+        self._number = 0  # of the sensor's scans so far
 
-    def decoded(self, message: Message) -> Iterator[_Waiting]:
-        """The scan in a message, nothing when it cannot be read."""
+    def decoded(self, message: Message, odometry: OdometryListener) -> Iterator[_Waiting]:
+        """The scan in a message, nothing when it cannot be read or is of another sensor."""
         try:
             record = decode_scan(message)
         except BadMessageError:
             self.counts["unusable_scans"] += 1
             return
-        stamp = message.time_ns if self.selection.scan.use_log_time else record.stamp_ns
-        yield _Waiting(record, stamp, message.time_ns)
+        scan = self.selection.scan
+        if not scan.sensor.made(record):
+            self.counts["other_sensor"] += 1
+            return
+        self.counts["unstamped_scans"] += scan.clock.unset(record.stamp_ns)
+        stamp = scan.clock.scan_ns(self._number, record.stamp_ns, message.time_ns)
+        self._number += 1
+        own = odometry.own(record.stamp_ns, message.time_ns)
+        yield _Waiting(record, stamp, message.time_ns, own)
 
     def made(self, scan: _Waiting, odometry: OdometryBuffer) -> Iterator[Sweep]:
         """The sweep of a scan, nothing when the scan is unusable."""
         try:
             if isinstance(scan.record, CloudRecord):
-                sweep = self._from_cloud(scan.record, scan.stamp_ns, odometry)
+                sweep = self._from_cloud(scan.record, scan.stamp_ns)
             else:
-                sweep = self._from_scan(scan.record, scan.stamp_ns, odometry)
+                sweep = self._from_scan(scan.record, scan.stamp_ns)
         except BadMessageError:
             self.counts["unusable_scans"] += 1
             return
+        pose = odometry.at(scan.stamp_ns) if scan.own is None else scan.own
+        sweep = replace(sweep, odom_from_base=pose)
         self._count(sweep)
         yield sweep
 
-    def _from_scan(self, record: ScanRecord, stamp_ns: int, odometry: OdometryBuffer) -> Sweep:
+    def _from_scan(self, record: ScanRecord, stamp_ns: int) -> Sweep:
         planar = self.leveller.level(record, stamp_ns)
         self.counts["far_times"] += duration_s(record) > self.config.scan_time_max_s
         return Sweep(
@@ -149,22 +169,21 @@ class _SweepMaker:
             stamp_ns=stamp_ns,
             planar=planar,
             base_from_laser=self.leveller.mount.base_from_laser,
-            odom_from_base=odometry.at(stamp_ns),
         )
 
-    def _from_cloud(self, record: CloudRecord, stamp_ns: int, odometry: OdometryBuffer) -> Sweep:
-        points, times_s, far_times = cloud_points(record, stamp_ns, self.config)
+    def _from_cloud(self, record: CloudRecord, stamp_ns: int) -> Sweep:
+        points, times_s, far_times = cloud_points(record, stamp_ns, self.config, self.points_clock)
         if not len(points):
             raise BadMessageError("a cloud without points")
         self.counts["far_times"] += far_times
+        self.counts["foreign_times"] = self.points_clock.foreign
         base_from_laser = self.selection.base_from_laser
-        cloud = points @ base_from_laser[:3, :3].T + base_from_laser[:3, 3]
+        cloud = product(points, base_from_laser[:3, :3].T) + base_from_laser[:3, 3]
         return Sweep(
             index=self.counts["scans"],
             stamp_ns=stamp_ns,
             planar=self.flattener.flatten(cloud, stamp_ns),
             base_from_laser=self.flattener.mount,
-            odom_from_base=odometry.at(stamp_ns),
             cloud=cloud,
             cloud_times_s=times_s,
         )

@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 from specmap_cli.core.text import counted, legible
+from specmap_cli.logs.checking import TopicCheck
+from specmap_cli.logs.preview import DAY, Preview
 
 _EARLIEST_DATE_S = 315_532_800  # 1980: smaller stamps count from somewhere else
 _NAMED_FILES = 3  # of a split recording, in the summary's first line
@@ -78,13 +80,15 @@ class Outlook:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogSummary:
-    """The answer of `specmap info`."""
+    """The answer of `specmap info`; `checked` is None when only the first messages were read."""
 
     extent: Extent
     topics: tuple[TopicSummary, ...]
     frames: tuple[FrameSummary, ...]
     scan: ScanSummary | None
     outlook: Outlook
+    checked: tuple[TopicCheck, ...] | None = None
+    preview: Preview | None = None
     damage: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -107,6 +111,9 @@ class LogSummary:
             told.append(f"scan: {_scan_text(self.scan)}")
         if self.outlook.chosen is not None:
             told.append(f"build would read: {self.outlook.chosen}")
+        if self.preview is not None and self.scan is not None:
+            told += self.preview.lines(self._scans_on(self.scan.topic))
+        told += _checked_lines(self.checked)
         told += [f"warning: {line}" for line in self.outlook.warnings]
         told += [f"damage: {line}" for line in self.damage]
         if self.outlook.problem is not None:
@@ -114,6 +121,10 @@ class LogSummary:
         if self.outlook.next_command is not None:
             told.append(f"next: {self.outlook.next_command}")
         return [legible(line) for line in told]
+
+    def _scans_on(self, topic: str) -> int:
+        """How many messages a topic holds."""
+        return sum(each.count for each in self.topics if each.name == topic)
 
 
 def _extent_lines(extent: Extent) -> list[str]:
@@ -127,10 +138,21 @@ def _extent_lines(extent: Extent) -> list[str]:
     ]
 
 
+def _checked_lines(checked: Sequence[TopicCheck] | None) -> list[str]:
+    """What came of reading all messages, or that only the first ones were read."""
+    if checked is None:
+        return ["checked: only the beginning; --check reads all messages and compares the counts"]
+    width = max((len(legible(topic.name)) for topic in checked), default=0)
+    lines = [f"  {legible(topic.name):<{width}}  {topic.text()}" for topic in checked]
+    return ["checked: all messages", *lines]
+
+
 def _time(seconds: float) -> str:
     if seconds < _EARLIEST_DATE_S:
         return f"{seconds:.3f} s"
-    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    date = datetime.fromtimestamp(seconds, UTC)
+    future = " (in the future)" if date > datetime.now(UTC) + DAY else ""
+    return date.strftime("%Y-%m-%d %H:%M:%S UTC") + future
 
 
 def _frame_lines(frames: Sequence[FrameSummary], scan_frame: str | None) -> list[str]:

@@ -20,7 +20,10 @@ from numpy.typing import ArrayLike
 from specmap_cli import __version__
 from specmap_cli.core.arguments import path_of
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.files import partial_of, remove_leftovers
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.locks import lock
+from specmap_cli.core.shortage import reason
 from specmap_cli.logs.readers.encoding import (
     cloud_cdr,
     in_space,
@@ -58,7 +61,7 @@ class LogWriter:
         self.path = path_of(path, "path")
         if self.path.is_dir():
             raise UsageError(f"{self.path}: is a directory; name the MCAP file to write")
-        self._part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
+        self._part = partial_of(self.path)
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
         self._file: IO[bytes] | None = self._open()
@@ -181,12 +184,15 @@ class LogWriter:
 
     def _open(self) -> IO[bytes]:
         try:
-            return self._part.open("wb")
+            remove_leftovers(self.path)
+            file = self._part.open("wb")
         except OSError as error:
             raise self._unwritable(error) from None
+        lock(file.fileno())  # by which others see that this run lives
+        return file
 
     def _unwritable(self, error: OSError) -> UsageError:
-        return UsageError(f"{self.path}: cannot write: {error.strerror}; choose another place")
+        return UsageError(f"{self.path}: cannot write: {reason(error, 'choose another place')}")
 
     def _channel(self, topic: str, msgtype: str) -> int:
         key = (topic, msgtype)

@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from specmap_cli.core.findings import Quality
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Closure
-from specmap_cli.core.text import nanoseconds, rounded, seconds
+from specmap_cli.core.text import nanoseconds, plain, rounded, seconds
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.schema import (
     SCHEMA_VERSION,
@@ -19,6 +20,7 @@ from specmap_cli.maps.schema import (
     GraphRecord,
     LogRecord,
     NodeRecord,
+    QualityRecord,
     TopologyRecord,
     TraversalRecord,
     VisitRecord,
@@ -41,7 +43,11 @@ def image_stem(submap: int) -> str:
 
 
 def to_record(
-    topology: TopologicalMap, regions: Regions, log: LogInfo, frame: str = "map"
+    topology: TopologicalMap,
+    regions: Regions,
+    log: LogInfo,
+    frame: str = "map",
+    quality: Quality | None = None,
 ) -> TopologyRecord:
     """The contents of topology.json: submaps and edges by id, closures in the order considered."""
     return TopologyRecord(
@@ -57,6 +63,7 @@ def to_record(
                 scans=log.scans,
             ),
             closures=[_closure_record(closure) for closure in topology.closures],
+            quality=None if quality is None else _quality_record(quality),
         ),
         nodes=[
             _node_record(topology.submaps[id_], regions.outline(id_))
@@ -82,6 +89,10 @@ def from_record(
         edges={(edge.source, edge.target): _edge(edge) for edge in record.edges},
         closures=tuple(_closure(closure) for closure in record.graph.closures),
     )
+
+
+def _quality_record(quality: Quality) -> QualityRecord:
+    return QualityRecord.model_validate(plain(quality.as_dict()))
 
 
 def _numbers(values: Iterable[float]) -> tuple[float, ...]:

@@ -20,6 +20,7 @@ from types import FrameType, TracebackType
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.progress import Progress, Silent
+from specmap_cli.core.shortage import is_of_the_place, reason
 from specmap_cli.maps.filenames import TOPOLOGY
 from specmap_cli.maps.leftovers import held, put_right, sibling
 
@@ -74,8 +75,8 @@ class OutputDirectory:
         except OSError as error:
             self._clean_up()
             raise UsageError(
-                f"{self.path}: cannot write there: {self._target.parent}: {error.strerror}; "
-                "choose another output directory"
+                f"{self.path}: cannot write there: {self._target.parent}: "
+                f"{reason(error, 'choose another output directory')}"
             ) from None
         return self._partial
 
@@ -91,6 +92,14 @@ class OutputDirectory:
         finally:
             self._lock.close()
             self._clean_up()
+        if isinstance(error, OSError) and self._is_of_output(error):
+            why = reason(error, "choose another output directory")
+            raise UsageError(f"{self.path}: cannot be written: {why}") from None
+
+    def _is_of_output(self, error: OSError) -> bool:
+        """Whether the system refused to write what belongs into the directory."""
+        inside = error.filename is None or str(error.filename).startswith(str(self._partial))
+        return inside and is_of_the_place(error)
 
     def _check_target(self) -> None:
         """Refuse a target that must not be replaced."""
@@ -131,7 +140,7 @@ class OutputDirectory:
                 self._swap(replaced)
         except OSError as error:
             raise UsageError(
-                f"{self.path}: cannot put the finished directory in place: {error.strerror}"
+                f"{self.path}: cannot put the finished directory in place: {reason(error)}"
             ) from None
 
     def _swap(self, replaced: Path) -> None:

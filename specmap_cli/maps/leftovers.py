@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from specmap_cli.core.locks import is_nobody_s, lock
 from specmap_cli.maps.filenames import TOPOLOGY
 
 _TOKEN = "[0-9a-f]{8}"  # of the names that OutputDirectory gives
@@ -40,7 +41,7 @@ def put_right(target: Path) -> list[str]:
             os.rename(old, target)
             done.append(f"restored the map that it had moved away as {old.name}")
     for partial in _ours(target, "partial"):
-        if _is_nobody_s(partial):
+        if is_nobody_s(partial):
             shutil.rmtree(partial, ignore_errors=True)
             done.append(f"removed {partial.name}, which it had begun to write")
     return [f"{target}: an earlier run was killed: {what}" for what in done]
@@ -51,7 +52,7 @@ def held(directory: Path) -> Iterator[None]:
     """Hold a lock on a directory, where the system has such locks, while the block runs."""
     descriptor = os.open(directory, os.O_RDONLY)
     try:
-        _lock(descriptor)
+        lock(descriptor)
         yield
     finally:
         os.close(descriptor)
@@ -72,27 +73,3 @@ def _ours(target: Path, role: str) -> list[Path]:
 def _as_partial(old: Path, target: Path) -> Path:
     """The name of a replaced directory as one that was not finished."""
     return sibling(target, "partial", old.name[-8:])
-
-
-def _is_nobody_s(directory: Path) -> bool:
-    """Whether no living run holds the directory; where there are no locks, nobody can say."""
-    with suppress(OSError):
-        descriptor = os.open(directory, os.O_RDONLY)
-        try:
-            return _lock(descriptor)
-        finally:
-            os.close(descriptor)
-    return False
-
-
-def _lock(descriptor: int) -> bool:
-    """Take the lock of an open directory; False when somebody has it or there are no locks."""
-    try:
-        import fcntl  # not on every system
-    except ImportError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True

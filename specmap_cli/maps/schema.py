@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from specmap_cli.core.findings import Severity, Verdict
 from specmap_cli.topology.topological_map import EdgeKind
 
 SCHEMA_VERSION = 1
@@ -82,13 +83,41 @@ class ClosureRecord(_Record):
     transform: Transform | None
 
 
+class WhereRecord(_Record):
+    """When and where something was found; null where it has no stamp or no place."""
+
+    stamp: Stamp | None
+    x: Number | None
+    y: Number | None
+
+
+class FindingRecord(_Record):
+    """Something that was found out about the map; docs/quality.md lists the codes."""
+
+    code: str
+    severity: Severity
+    message: str
+    advice: str
+    value: float | None
+    limit: float | None
+    where: WhereRecord | None
+
+
+class QualityRecord(_Record):
+    """What is thought of the map: the gravest of the findings decides the verdict."""
+
+    verdict: Verdict
+    findings: list[FindingRecord]
+
+
 class GraphRecord(_Record):
-    """What holds for the whole map."""
+    """What holds for the whole map; `quality` is null where the map was not judged."""
 
     schema_version: Literal[1]
     frame: str
     log: LogRecord
     closures: list[ClosureRecord]
+    quality: QualityRecord | None = None
 
 
 class VisitRecord(_Record):

@@ -17,15 +17,15 @@ from pydantic import ValidationError
 from specmap_cli.core.arguments import path_of
 from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.files import read_bytes
 from specmap_cli.core.records import NO_SUBMAP, Labels
-from specmap_cli.core.settings import Config
+from specmap_cli.core.settings import Config, LimitsConfig
+from specmap_cli.core.shortage import reason
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps import filenames
 from specmap_cli.maps.conversion import from_record
 from specmap_cli.maps.schema import SCHEMA_VERSION, TopologyRecord
-from specmap_cli.maps.tables import LARGEST_TEXT, read_labels
+from specmap_cli.maps.tables import read_labels, read_text
 from specmap_cli.topology.regions import Regions, divide
 from specmap_cli.topology.topological_map import TopologicalMap
 
@@ -35,12 +35,16 @@ _FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell of a map; matching scans in finer
 class StoredMap:
     """A map directory: `record` is its topology.json, the other files are read when asked for.
 
-    Every property raises MapError when its file is missing or damaged.
+    `limits` bound the size of these files. Every property raises MapError when its file is missing
+    or damaged.
     """
 
-    def __init__(self, path: Path, record: TopologyRecord) -> None:
+    def __init__(
+        self, path: Path, record: TopologyRecord, limits: LimitsConfig | None = None
+    ) -> None:
         self.path = path
         self.record = record
+        self.limits = LimitsConfig() if limits is None else limits
 
     @property
     def ids(self) -> list[int]:
@@ -54,14 +58,15 @@ class StoredMap:
     @cached_property
     def grids(self) -> Mapping[int, GridMap]:
         """The grids of all submaps in their own frames, each read when asked for."""
-        return _Grids(
-            {node.id: (self.path / node.image).with_suffix(".yaml") for node in self.record.nodes}
-        )
+        paths = {
+            node.id: (self.path / node.image).with_suffix(".yaml") for node in self.record.nodes
+        }
+        return _Grids(paths, self.limits)
 
     @cached_property
     def map_grid(self) -> GridMap:
         """The grid of the whole map."""
-        return read_grid(self.path / f"{filenames.MAP_GRID}.yaml")
+        return read_grid(self.path / f"{filenames.MAP_GRID}.yaml", limits=self.limits)
 
     @cached_property
     def topology(self) -> TopologicalMap:
@@ -81,7 +86,7 @@ class StoredMap:
     def labels(self) -> Labels:
         """The keyframes with their submaps."""
         path = self.path / filenames.LABELS
-        labels = read_labels(path)
+        labels = read_labels(path, self.limits)
         strangers = set(labels.submaps.tolist()) - {NO_SUBMAP, *self.ids}
         if strangers:
             raise MapError(
@@ -99,12 +104,12 @@ class StoredMap:
                 f"{self.path}: has no {path.name}: `specmap segment` makes maps without; "
                 "localising needs one that `specmap build` made of a recording"
             )
-        return _read_text(path)
+        return _read_text(path, self.limits)
 
     @cached_property
     def run(self) -> dict[str, Any]:
         """The contents of run.json."""
-        run = _read_json(self.path / filenames.RUN)
+        run = _read_json(self.path / filenames.RUN, self.limits)
         if not isinstance(run, dict):
             raise MapError(f"{self.path / filenames.RUN}: not a JSON object: build the map again")
         return run
@@ -134,13 +139,14 @@ class StoredMap:
 class _Grids(Mapping[int, GridMap]):
     """Grids by submap id, each read from its file when it is first asked for."""
 
-    def __init__(self, paths: Mapping[int, Path]) -> None:
+    def __init__(self, paths: Mapping[int, Path], limits: LimitsConfig) -> None:
         self._paths = paths
+        self._limits = limits
         self._read: dict[int, GridMap] = {}
 
     def __getitem__(self, submap: int) -> GridMap:
         if submap not in self._read:
-            grid = read_grid(self._paths[submap])
+            grid = read_grid(self._paths[submap], limits=self._limits)
             if not _FINEST_M <= grid.resolution <= _COARSEST_M:
                 raise MapError(
                     f"{self._paths[submap]}: resolution is {grid.resolution:g}: expected "
@@ -159,8 +165,11 @@ class _Grids(Mapping[int, GridMap]):
         return len(self._paths)
 
 
-def read_map(path: str | Path) -> StoredMap:
-    """Open a map directory. Raises MapError in one line when it is none, or damaged."""
+def read_map(path: str | Path, limits: LimitsConfig | None = None) -> StoredMap:
+    """Open a map directory whose files are within `limits`.
+
+    Raises MapError in one line when it is none, or damaged.
+    """
     path = path_of(path, "path")
     if not path.exists():
         raise MapError(f"{path}: no such map directory: make one with `specmap build`")
@@ -173,11 +182,12 @@ def read_map(path: str | Path) -> StoredMap:
             f"{path}: {what}: no {topology.name} in it: "
             "expected a directory written by `specmap build`"
         )
-    return StoredMap(path, _read_record(topology))
+    limits = LimitsConfig() if limits is None else limits
+    return StoredMap(path, _read_record(topology, limits), limits)
 
 
-def _read_record(path: Path) -> TopologyRecord:
-    document = _read_json(path)
+def _read_record(path: Path, limits: LimitsConfig) -> TopologyRecord:
+    document = _read_json(path, limits)
     graph = document.get("graph") if isinstance(document, dict) else None
     version = graph.get("schema_version") if isinstance(graph, dict) else None
     if version != SCHEMA_VERSION:
@@ -206,18 +216,18 @@ def _check_references(path: Path, record: TopologyRecord) -> None:
                 )
 
 
-def _read_text(path: Path) -> str:
+def _read_text(path: Path, limits: LimitsConfig) -> str:
     try:
-        return read_bytes(path, LARGEST_TEXT).decode("utf-8")
+        return read_text(path, limits)
     except OSError as error:
-        raise MapError(f"{path}: cannot be read: {error.strerror}: build the map again") from None
+        raise MapError(f"{path}: cannot be read: {reason(error, 'build the map again')}") from None
     except UnicodeDecodeError:
         raise MapError(f"{path}: not UTF-8 text: build the map again") from None
 
 
-def _read_json(path: Path) -> Any:
+def _read_json(path: Path, limits: LimitsConfig) -> Any:
     try:
-        return json.loads(_read_text(path))
+        return json.loads(_read_text(path, limits))
     except json.JSONDecodeError as error:
         raise MapError(
             f"{path}: damaged JSON at line {error.lineno}: {error.msg}: build the map again"

@@ -9,28 +9,49 @@ import numpy as np
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.geometry import quaternions_from_rpy
+from specmap_cli.core.labels import runs
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
-from specmap_cli.core.text import decimal, stamp_ns, stamp_text
+from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.shortage import reason
+from specmap_cli.core.text import counted, decimal, stamp_ns, stamp_text
 
 LABELS_HEADER = "stamp,x,y,theta,submap"
-LARGEST_TEXT = 1 << 28  # bytes of a file of a map: a hundred submaps take a tenth
 _FARTHEST = 1e8  # metres: twice around the earth, farther than any place in a map
 
 
 def trajectory_text(trajectory: Trajectory) -> str:
-    """TUM lines in space; nine decimals of seconds and quaternions, six of metres."""
+    """TUM lines in space; nine decimals of seconds and quaternions, six of metres.
+
+    A line `# lost: ...` stands before scans whose poses are guesses, `# found` before those after
+    them: readers of the format pass over lines that begin with #.
+    """
     poses = trajectory.poses
     tilt = np.zeros_like(poses) if trajectory.tilt is None else trajectory.tilt
     places = np.column_stack([poses[:, :2], tilt[:, 0]])
     quaternions = quaternions_from_rpy(tilt[:, 1], tilt[:, 2], poses[:, 2])
-    lines = []
-    for stamp, place, quaternion in zip(
-        trajectory.stamps_ns.tolist(), places.tolist(), quaternions.tolist(), strict=True
+    lines, remarks = [], _remarks(trajectory)
+    for row, (stamp, place, quaternion) in enumerate(
+        zip(trajectory.stamps_ns.tolist(), places.tolist(), quaternions.tolist(), strict=True)
     ):
+        lines.append(remarks.get(row, ""))
         position = " ".join(decimal(value) for value in place)
         rotation = " ".join(decimal(value, 9) for value in quaternion)
         lines.append(f"{stamp_text(stamp)} {position} {rotation}\n")
     return "".join(lines)
+
+
+def _remarks(trajectory: Trajectory) -> dict[int, str]:
+    """The lines before some rows of a trajectory that tell of lost scans."""
+    lost = trajectory.lost
+    if lost is None or not lost.any():
+        return {}
+    return {
+        start: f"# lost: the poses of the next {counted(end - start, 'scan')} are guesses\n"
+        if lost[start]
+        else "# found\n"
+        for start, end in runs(lost)
+        if start or lost[start]
+    }
 
 
 def planar_trajectory_text(trajectory: Trajectory) -> str:
@@ -59,13 +80,19 @@ def labels_text(labels: Labels) -> str:
     return "\n".join(rows) + "\n"
 
 
-def read_labels(path: str | Path) -> Labels:
+def read_text(path: Path, limits: LimitsConfig | None = None) -> str:
+    """A text file of a map; OSError as in `read_bytes`, UnicodeDecodeError for no UTF-8."""
+    most_mb = (LimitsConfig() if limits is None else limits).text_max_mb
+    return read_bytes(path, most_mb, "limits.text_max_mb").decode("utf-8")
+
+
+def read_labels(path: str | Path, limits: LimitsConfig | None = None) -> Labels:
     """labels.csv back. Raises MapError naming the line at fault."""
     path = Path(path)
     try:
-        lines = read_bytes(path, LARGEST_TEXT).decode("utf-8").splitlines()
+        lines = read_text(path, limits).splitlines()
     except OSError as error:
-        raise MapError(f"{path}: cannot read the keyframes: {error.strerror}") from None
+        raise MapError(f"{path}: cannot read the keyframes: {reason(error)}") from None
     except UnicodeDecodeError:
         raise MapError(f"{path}: not a text file: build the map again") from None
     if not lines or lines[0] != LABELS_HEADER:

@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.core.text import to_json
 from specmap_cli.grids.map_server import write_grid, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.conversion import image_stem, to_record
+from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.tables import labels_text, trajectory_text
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
@@ -31,7 +33,8 @@ class MapResult:
     """Everything a map directory is written from.
 
     `labels` are all keyframes, row i being keyframe number i; `classifiers` is JSON text; `run` the
-    contents of run.json; `pose_graph` text in g2o's format; `overview` a BGR picture (H, W, 3).
+    contents of run.json; `quality` what is thought of the map; `pose_graph` text in g2o's format;
+    `overview` a BGR picture (H, W, 3).
     """
 
     topology: TopologicalMap
@@ -43,13 +46,15 @@ class MapResult:
     run: Mapping[str, Any]
     pose_graph: str
     overview: PictureArray
+    quality: Quality = UNDOUBTED
     frame: str = "map"
 
 
 def write_map(directory: str | Path, result: MapResult) -> None:
     """Write all files of a map into an existing, empty directory."""
     directory = Path(directory)
-    write_topology(directory, result.topology, result.regions, result.log, result.frame)
+    record = to_record(result.topology, result.regions, result.log, result.frame, result.quality)
+    _write_topology(directory, result.topology, record)
     write_grid(directory / filenames.MAP_GRID, result.regions.grid)
     write_png(directory / filenames.OVERVIEW, result.overview)
     for name, text in (
@@ -75,22 +80,15 @@ def write_segmentation(
     submap id + 1.
     """
     directory = Path(directory)
-    write_topology(directory, topology, regions, log)
+    _write_topology(directory, topology, to_record(topology, regions, log))
     labels = (regions.owner + 1).astype(np.uint16)
     write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
     write_png(directory / filenames.OVERVIEW, overview)
 
 
-def write_topology(
-    directory: str | Path,
-    topology: TopologicalMap,
-    regions: Regions,
-    log: LogInfo,
-    frame: str = "map",
-) -> None:
+def _write_topology(directory: Path, topology: TopologicalMap, record: TopologyRecord) -> None:
     """Write topology.json and the grid of each submap."""
-    directory = Path(directory)
-    text = to_json(to_record(topology, regions, log, frame).model_dump(by_alias=True))
+    text = to_json(record.model_dump(by_alias=True))
     (directory / filenames.TOPOLOGY).write_text(text, encoding="utf-8")
     (directory / filenames.SUBMAPS).mkdir()
     for id_, submap in topology.submaps.items():

@@ -19,6 +19,7 @@ from specmap_cli.core.records import Labels, PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.layout.audit import audit
 from specmap_cli.layout.relaxation import corrected, relax
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
@@ -28,12 +29,14 @@ from specmap_cli.pipelines.exploration import Exploration, Explored
 from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.pipelines.learning import divide, learn, linked, whole_grid
 from specmap_cli.pipelines.refutation import constraints_of, refute
-from specmap_cli.pipelines.run_record import BuildReport, run_record, warnings_of
+from specmap_cli.pipelines.run_record import BuildReport, run_record
 from specmap_cli.pipelines.split_test_pictures import split_test_pictures
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.tracking import Tracking, track
 from specmap_cli.pipelines.trajectory import TrajectoryRecorder
 from specmap_cli.pipelines.worker import ahead
+from specmap_cli.quality.evidence import Evidence
+from specmap_cli.quality.verdict import judged
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.online import Observer
 from specmap_cli.topology.regions import divide as divide_cells
@@ -70,10 +73,10 @@ def build_map(
         stream = SweepStream(log, config.log)
         finished = map_log(stream, config, store, progress, observer=observer)
         run = run_record(log.given, stream.selection, config, finished)
-        for warning in finished.warnings:
+        for warning in run["warnings"]:
             progress.warn(warning)
         write_map(partial, finished.result(log.name, run))
-    return BuildReport(out=target, run=run)
+    return BuildReport(out=target, run=run, quality=finished.quality)
 
 
 def map_log(
@@ -129,12 +132,8 @@ def explore(
     trajectory = TrajectoryRecorder()
     for scan in scans:  # "move forward and gather a new set of laser scan observations"
         trajectory.append(scan)
-        if scan.restarted:
-            progress.warn(
-                f"registration lost the robot before {scan.stamp_ns * 1e-9:.3f} s: "
-                "a new submap begins, linked to the last by odometry only"
-            )
-            exploration.recognise(exploration.break_off())
+        if scan.restarted:  # tracking was lost meanwhile: a new submap begins
+            exploration.recognise(exploration.break_off(scan.bridge))
         if accepts(scan):
             # "add to submap"; "every 50 steps, use spectral clustering to detect a new submap"
             left = exploration.add(scan)
@@ -162,12 +161,23 @@ def finish(
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
         trajectory = corrected(explored.trajectory, store, layout)
     closures = refute(explored.closures, constraints, layout)
+    with clock.stage("audit"):
+        checked = audit(store, layout.poses, explored.breaks, config.audit)
     with clock.stage("grids"):
         whole, beyond = whole_grid(store, layout, config)
     with clock.stage("segmentation"):
         submaps = divide(whole, layout, explored, closures, config)
     grids, classifiers = learn(store, explored, submaps, layout.poses, config, progress, clock)
     stamps = np.array(store.stamps_ns, dtype=np.int64)
+    evidence = Evidence(
+        trajectory=trajectory,
+        keyframes_ns=store.stamps_ns,
+        breaks=tuple(explored.breaks),
+        layout=layout,
+        audit=checked,
+        beyond=beyond,
+        warnings=tracking.warnings,
+    )
     labels = Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps)
     return FinishedMap(
         topology=linked(labels, explored, closures, grids),
@@ -178,6 +188,6 @@ def finish(
         layout=layout,
         counts=tracking.counts,
         limits={**layout.limits, "max_extent_m": beyond},
-        warnings=(*tracking.warnings, *layout.warnings, *warnings_of(beyond)),
+        quality=judged(evidence, config.quality),
         seconds=dict(clock.seconds),
     )

@@ -16,6 +16,7 @@ from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config
 from specmap_cli.core.tracks import path_length
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
 from specmap_cli.recognition.closure.stay import Stay
@@ -32,13 +33,14 @@ class Explored:
 
     `regions` holds the keyframes of each region that was left, ascending. `closures` are all pairs
     of regions that were considered, in order. `breaks` are the keyframes at which tracking started
-    afresh. `features` are those of the keyframes, each computed once.
+    afresh, and how well odometry bridges each. `features` are those of the keyframes, each
+    computed once.
     """
 
     trajectory: Trajectory
     regions: Mapping[int, tuple[int, ...]]
     closures: tuple[Closure, ...]
-    breaks: tuple[int, ...]
+    breaks: Mapping[int, Bridge | None]
     features: KeyframeFeatures
 
 
@@ -53,7 +55,7 @@ class Exploration:
         self.recogniser = SubmapRecogniser(config, store, clock)
         self.regions: dict[int, list[int]] = {}
         self.closures: list[Closure] = []
-        self.breaks: list[int] = []
+        self.breaks: dict[int, Bridge | None] = {}
 
     def add(self, scan: PosedScan) -> list[Region]:
         """Add a scan to the current submap; the regions that the robot has left with it."""
@@ -65,9 +67,12 @@ class Exploration:
         with self.clock.stage("segmentation"):
             return self.segmenter.flush()
 
-    def break_off(self) -> list[Region]:
-        """Tracking was lost and starts afresh with the next keyframe: a new submap begins."""
-        self.breaks.append(len(self.store))
+    def break_off(self, bridge: tuple[float, float] | None) -> list[Region]:
+        """Tracking was lost and starts afresh with the next keyframe: a new submap begins.
+
+        `bridge` is how far odometry may be off meanwhile, metres and radians, if there was any.
+        """
+        self.breaks[len(self.store)] = None if bridge is None else Bridge(*bridge)
         return self.end_submap()
 
     def recognise(self, left: Iterable[Region]) -> None:
@@ -93,7 +98,7 @@ class Exploration:
             trajectory=trajectory,
             regions={number: tuple(keyframes) for number, keyframes in self.regions.items()},
             closures=tuple(self.closures),
-            breaks=tuple(self.breaks),
+            breaks=dict(self.breaks),
             features=self.recogniser.features,
         )
 
@@ -107,7 +112,7 @@ class Exploration:
     def _travelled_before(self, region: Region) -> float:
         """Metres driven before a region; infinite once tracking has been lost."""
         first = region.keyframes[0]
-        if self.breaks and first >= self.breaks[0]:
+        if self.breaks and first >= min(self.breaks):
             return math.inf
         return path_length(self.store.poses_of(range(first + 1)))
 

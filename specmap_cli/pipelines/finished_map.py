@@ -7,8 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from specmap_cli.core.findings import Quality
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.core.text import legible
+from specmap_cli.core.tracks import path_length
 from specmap_cli.drawing.overview import render_overview
 from specmap_cli.layout.g2o import write_g2o
 from specmap_cli.layout.relaxation import Layout
@@ -23,8 +27,8 @@ class FinishedMap:
     """A map ready to be written: row i of `labels` is keyframe number i of the store.
 
     `regions` divide the grid of the whole map. `counts` are of messages and scans. `limits`
-    say how often a setting of that name cut the work short. `warnings` are what a user should know
-    about the input and the result, `seconds` those of each stage.
+    say how often a setting of that name cut the work short. `quality` is what is thought of the
+    map, `seconds` are those of each stage.
     """
 
     topology: TopologicalMap
@@ -35,8 +39,20 @@ class FinishedMap:
     layout: Layout
     counts: Mapping[str, int]
     limits: Mapping[str, int]
-    warnings: tuple[str, ...]
+    quality: Quality
     seconds: Mapping[str, float]
+
+    @property
+    def path_m(self) -> float:
+        """Metres driven, as far as they are known: over keyframes, and over scans that were lost.
+
+        Between keyframes a robot at rest would seem to move: its poses shiver.
+        """
+        trajectory = self.trajectory
+        counted = np.isin(trajectory.stamps_ns, self.labels.stamps_ns)
+        if trajectory.lost is not None:
+            counted |= trajectory.lost
+        return path_length(trajectory.poses[counted])
 
     def result(self, log_name: str, run: Mapping[str, Any]) -> MapResult:
         """What the map directory is written from: the map, its picture, and `run` for run.json."""
@@ -55,8 +71,9 @@ class FinishedMap:
             classifiers=self.classifiers.to_json(),
             log=log,
             run=run,
+            quality=self.quality,
             pose_graph=write_g2o(self.layout),
             overview=render_overview(
-                self.topology, self.regions, self.trajectory, self.labels, log
+                self.topology, self.regions, self.trajectory, self.labels, log, self.quality
             ),
         )

@@ -19,6 +19,7 @@ from specmap_cli.pipelines.exploration import Explored, online_labels
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.worker import in_background
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.learning.misfit import held_out_misfit
 from specmap_cli.recognition.learning.training import sensor_of, train_raw, train_virtual
 from specmap_cli.segmentation.refinement import regions_of
 from specmap_cli.topology.graph import build_topology, settle_labels
@@ -115,8 +116,9 @@ def learn(
         progress.start("training", None)
         with clock.stage("training"):
             virtual = train_virtual(store, submaps, poses, grids, config, virtual_rng)
+            misfit = held_out_misfit(store, submaps, poses, config.localization)
             classifiers = ClassifierSet(
-                sensor=sensor_of(store, submaps), raw=trained_raw(), virtual=virtual
+                sensor=sensor_of(store, submaps), raw=trained_raw(), virtual=virtual, misfit=misfit
             )
     return grids, classifiers
 

@@ -26,6 +26,11 @@ from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Localizer
 from specmap_cli.registration.frontend import FrontEnd
 
+_NO_MISFIT = (
+    "an older map, which does not say how well its own scans fit its walls; known places are told "
+    "from unknown by what is usual elsewhere: build it again"
+)
+
 
 def localize_log(
     logs: Paths,
@@ -47,10 +52,12 @@ def localize_log(
     given = paths_of(logs, "logs")
     if config is not None:
         instance_of(config, Config, "config")
-    stored = _opened(map_, progress)
+    stored = _opened(map_, config, progress)
     config = settings_for(stored, {}) if config is None else config
     check_feature_sets(config)
     localizer = localizer_of(stored, config)
+    if config.localization.unknown and localizer.classifiers.misfit is None:
+        progress.note(f"{stored.path}: {_NO_MISFIT}")
     with open_log(given, config.log) as log:
         stream, front_end = SweepStream(log, config.log), FrontEnd(config.registration)
         progress.note(stream.selection.note)
@@ -68,9 +75,10 @@ def localize_log(
         return LocalizationReport(log=name, scans=scans, warnings=warnings)
 
 
-def _opened(map_: StoredMap | Path | str, progress: Progress) -> StoredMap:
+def _opened(map_: StoredMap | Path | str, config: Config | None, progress: Progress) -> StoredMap:
     """The map; settings that only the version that built it knows are noted."""
-    stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"))
+    limits = None if config is None else config.limits
+    stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"), limits)
     if stored.foreign_settings:
         foreign = ", ".join(stored.foreign_settings)
         progress.note(f"{stored.path}: built by another version; its settings left out: {foreign}")

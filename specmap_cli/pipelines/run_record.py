@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
@@ -21,20 +22,29 @@ class BuildReport:
 
     out: Path
     run: Mapping[str, Any]
+    quality: Quality
 
     def as_dict(self) -> dict[str, Any]:
-        """The counts and the directory."""
-        return {"out": str(self.out), **self.run["counts"], "warnings": self.run["warnings"]}
+        """The counts, what is thought of the map, and the directory."""
+        return {
+            "out": str(self.out),
+            **self.run["counts"],
+            "quality": self.run["quality"],
+            "warnings": self.run["warnings"],
+        }
 
     def lines(self) -> list[str]:
-        """A summary in two lines."""
-        counts = self.run["counts"]
+        """A summary: what makes the map doubtful or poor comes first."""
+        counts, verdict = self.run["counts"], self.quality.verdict
+        trust = "" if verdict == "good" else f"{self.out}: this map is {verdict}: "
         return [
+            *(trust + line for line in summary(self.quality.worst)),
             f"{self.out}: {counted(counts['submaps'], 'submap')}, "
             f"{counted(counts['edges'], 'edge')}, "
             f"{counted(counts['merges'], 'revisit')} recognised; "
             f"{counted(counts['scans'], 'scan')} over "
             f"{counts['path_m']:.0f} m, {counts['lost']} lost",
+            *(["quality: good"] if verdict == "good" else []),
             f"look at {self.out / 'overview.png'}",
         ]
 
@@ -50,7 +60,7 @@ def run_record(
         "submaps": len(topology.submaps),
         "edges": len(topology.edges),
         "merges": sum(closure.merged for closure in topology.closures),
-        "path_m": round(finished.labels.path_m, 3),
+        "path_m": round(finished.path_m, 3),
         **finished.counts,
     }
     return {
@@ -61,18 +71,9 @@ def run_record(
         "counts": counts,
         "limits": {name: count for name, count in finished.limits.items() if count},
         "seconds": {name: round(value, 3) for name, value in finished.seconds.items()},
-        "warnings": list(finished.warnings),
+        "quality": finished.quality.as_dict(),
+        "warnings": summary(finished.quality.findings),
     }
-
-
-def warnings_of(beyond: int) -> list[str]:
-    """What to say when keyframes lay beyond the largest grid allowed."""
-    if not beyond:
-        return []
-    return [
-        f"{counted(beyond, 'keyframe')} beyond the largest grid allowed, left out of the map: "
-        "raise grid.max_extent_m or grid.max_area_m2"
-    ]
 
 
 def _selected(selection: Selection) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def segment_map(
     config = instance_of(Config() if config is None else config, Config, "config")
     picture = None if explain is None else path_of(explain, "explain")
     refuse_inside(picture, target)
-    whole = _fine_enough(path, read_grid(path, resolution))
+    whole = _fine_enough(path, read_grid(path, resolution, config.limits))
     result = segment_floorplan(whole, config.segmentation)
     regions = Regions.of(whole, np.asarray(result.segmentation.labels, dtype=np.int64))
     with OutputDirectory(target, overwrite) as partial:

@@ -29,8 +29,9 @@ def track(stream: SweepStream, config: RegistrationConfig) -> Generator[PosedSca
     front_end, clock = FrontEnd(config), Stopwatch()
     for sweep in stream:
         with clock.stage("registration"):
-            scan = front_end.register(sweep)
-        yield scan
+            scans = front_end.take(sweep)
+        yield from scans
+    yield from front_end.rest()
     return Tracking(
         counts={**stream.counts, **front_end.counts},
         warnings=(*stream.warnings, *front_end.warnings),

@@ -25,7 +25,7 @@ from typing import Any, Generic, TypeVar
 
 import cv2
 
-from specmap_cli.core.errors import SpecmapError
+from specmap_cli.core.errors import InputError, SpecmapError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -185,12 +185,19 @@ def _received(receiver: Connection, child: BaseProcess) -> Generator[Any, None, 
             kind, value = receiver.recv()
         except (EOFError, OSError):  # also in the middle of a message
             child.join()
-            raise SpecmapError(
-                f"the process that worked ahead ended with status {child.exitcode}: "
-                "was it killed for want of memory? A shorter or coarser log needs less"
-            ) from None
+            raise _death(child.exitcode) from None
         if kind == _ERROR:
             raise value
         if kind == _RESULT:
             return value
         yield value
+
+
+def _death(status: int | None) -> SpecmapError:
+    """What to say of a child that is no more: a system short of memory kills with SIGKILL."""
+    if status == -signal.SIGKILL:
+        return InputError(
+            "the process that worked ahead was killed, as a system does for want of memory; a "
+            "shorter log or a coarser grid (--set grid.resolution_m) needs less"
+        )
+    return SpecmapError(f"the process that worked ahead ended with status {status}")

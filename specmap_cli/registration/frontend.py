@@ -16,12 +16,16 @@ from specmap_cli.core.geometry import Pose2, product
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.core.tracks import moved
+from specmap_cli.grids.observability import weakest_direction
 from specmap_cli.registration.aligner import SensorKind
 from specmap_cli.registration.expected_motion import ExpectedMotion, MotionModel
+from specmap_cli.registration.fixed_directions import fixed_directions
+from specmap_cli.registration.founding import Founding
 from specmap_cli.registration.judgement import Verdict, judge
 from specmap_cli.registration.local_map import LocalMap
-from specmap_cli.registration.locating import best_guess, locate
+from specmap_cli.registration.locating import Prospect, best_guess, locate, reversed_guess
 from specmap_cli.registration.methods import aligner_factory
+from specmap_cli.registration.reliance import Reliance
 from specmap_cli.registration.scene import Fit, Scene
 from specmap_cli.registration.sweep_view import SweepView, view_of
 from specmap_cli.registration.tally import COUNTS, warnings_of
@@ -41,23 +45,41 @@ class FrontEnd:
         self._motion = MotionModel(config)
         self._map: LocalMap | None = None
         self._track = Track()
+        self._founding = Founding(config.lost_limit)
 
     @property
     def warnings(self) -> list[str]:
         """What went beyond a limit so far, a sentence a limit."""
         return warnings_of(self.counts, self.config)
 
+    def take(self, sweep: Sweep) -> tuple[PosedScan, ...]:
+        """The scans that are settled by one more sweep, in their order: mostly its own.
+
+        The first scans of a map wait until another one fits them, `lost_limit` of them at most.
+        Those of a map that is given up are lost. Ask for the `rest` at the end of a log.
+        """
+        scan = self.register(sweep)
+        return self._founding.handed_on(scan, founded=self._track.founded)
+
+    def rest(self) -> tuple[PosedScan, ...]:
+        """The scans that still wait to be settled."""
+        return self._founding.rest()
+
     def register(self, sweep: Sweep) -> PosedScan:
-        """The sweep with its pose in the map, de-skewed; every result is bounded."""
+        """The sweep with its pose in the map, de-skewed; every result is bounded.
+
+        The first scans of a map are provisional, see `take`.
+        """
         expected = self._motion.expect(sweep)
         view = view_of(sweep, expected, self.config)
         local = self._local_map(sweep)
-        self._track = replace(self._track, by_motion=self._track.by_motion @ expected.motion)
-        verdict = self._judged(view, expected, local)
+        self._track = self._track.moved_on(expected.motion, measured=expected.measured)
+        verdict = self._founder(self._judged(view, expected, local), view, local)
         in_space = sweep.cloud is not None
         if in_space and not verdict.lost:
             verdict = verdict.levelled(self.config.level_share)
         restarted = self._track.broken and not verdict.lost
+        bridge = self._track.bridge if restarted else None
         self._conclude(verdict, view, local)
         return PosedScan(
             index=sweep.index,
@@ -69,6 +91,9 @@ class FrontEnd:
             agrees=verdict.agrees,
             lost=verdict.lost,
             restarted=restarted,
+            bridge=bridge,
+            blind=_is_blind(sweep, view),
+            odom_from_base=sweep.odom_from_base,
             map_from_base_3d=verdict.fit.pose if in_space else None,
         )
 
@@ -90,32 +115,68 @@ class FrontEnd:
         if not len(local):
             return Verdict(fit=Fit(pose=guess, score=1.0))  # a new map begins at the guess
         scene = Scene(view=view, local=local, config=self.config)
-        guess = best_guess(scene, before, expected)
-        located = locate(scene, guess, expected, self._track.by_motion)
-        verdict = judge(located, guess, expected, self.config)
+        track = self._track
+        prospect = Prospect(
+            guess=best_guess(scene, before, expected),
+            expected=expected,
+            by_motion=track.by_motion,
+            reliance=track.reliance,
+            reverse=reversed_guess(before, expected),
+        )
+        located = locate(scene, prospect)
+        verdict = judge(located, prospect.guess, self.config, measured=expected.measured)
         self._count(searched=located.searched, wide_searched=located.wide_searched)
         self._count(refused_alignments=located.fit.refused, walls_left_out=local.field.left_out > 0)
-        self._count(long_steps=verdict.long, long_steps_lost=verdict.lost_by_length)
         return verdict
+
+    def _founder(self, verdict: Verdict, view: SweepView, local: LocalMap) -> Verdict:
+        """The verdict, unless the sweep refutes the first one of a map: then it begins a map."""
+        few = len(view.probe) < self.config.min_points
+        if not verdict.refutes or few or self._track.founded or not len(local):
+            return verdict
+        local.clear()
+        self._track = replace(self._track, keyframe=None)
+        refuted = self._founding.refute()
+        self._count(registered=-refuted, lost=refuted)
+        return Verdict(fit=replace(verdict.fit, score=1.0))
 
     def _conclude(self, verdict: Verdict, view: SweepView, local: LocalMap) -> None:
         """Keep the pose, insert a keyframe when due, end the map after a run of lost sweeps."""
-        config, fit = self.config, verdict.fit
-        self._motion.conclude(Pose2.from_matrix(self._track.pose).inverse() @ fit.planar)
+        config, fit, track = self.config, verdict.fit, self._track
+        step = Pose2.from_matrix(track.pose).inverse() @ fit.planar
+        self._motion.conclude(step, confirmed=verdict.proven)
         self._count(registered=not verdict.lost, lost=verdict.lost)
-        lost_in_a_row = self._track.lost_in_a_row + 1 if verdict.lost else 0
-        track = replace(self._track, pose=fit.pose, lost_in_a_row=lost_in_a_row)
+        lost_in_a_row = track.lost_in_a_row + 1 if verdict.lost else 0
+        founded = track.founded or verdict.founds
+        track = replace(track, pose=fit.pose, lost_in_a_row=lost_in_a_row, founded=founded)
         if lost_in_a_row == config.lost_limit and len(local):
             local.clear()
             self._count(breaks=1)
-            track = replace(track, keyframe=None, broken=True)
+            left = track.left if track.keyframe is None else track.keyframe
+            track = replace(track, keyframe=None, left=left, broken=True, founded=False)
         due = moved(track.keyframe, fit.planar, config.keyframe_m, config.keyframe_rad)
         if due and not verdict.lost:
             local.insert(view, fit.pose)
-            track = replace(track, keyframe=fit.planar, by_motion=fit.planar, broken=False)
+            track = track.with_keyframe(fit.planar, self._reliance(track, verdict, view))
         self._track = track
+
+    def _reliance(self, track: Track, verdict: Verdict, view: SweepView) -> Reliance:
+        """What odometry is worth, the motion since the last keyframe included if it is certain."""
+        if track.keyframe is None or not (track.measured and verdict.certain):
+            return track.reliance
+        motion = track.keyframe.inverse() @ track.by_motion
+        away = track.by_motion.inverse() @ verdict.fit.planar
+        fixed = fixed_directions(view.planar, view.base_from_laser, motion)
+        return track.reliance.after(motion, away, fixed)
 
     def _count(self, **hits: int) -> None:
         """Add to the counts of these names."""
         for name, number in hits.items():
             self.counts[name] += number
+
+
+def _is_blind(sweep: Sweep, view: SweepView) -> bool:
+    """Whether neither odometry nor walls fix the place of a sweep along some direction."""
+    if sweep.odom_from_base is not None:
+        return False
+    return weakest_direction(sweep.base_from_laser.apply(view.planar.hits())).open

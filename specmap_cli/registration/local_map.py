@@ -14,11 +14,13 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.registration.aligner import Aligner, SensorKind
+from specmap_cli.registration.seen_space import SeenSpace
 from specmap_cli.registration.sweep_view import SweepView
 
 # Of the score field, in spacings of the walls' points: cells that leave no gap between them, and a
 # sigma of one voxel. Finer fields cost time and tell right from wrong results no better.
 _CELL_SPACINGS, _SIGMA_SPACINGS = 1.5, 2.0
+_SEEN_SPACINGS = 4.0  # cells of the space looked at: two voxels, as wide as a wall scores at all
 
 
 class LocalMap:
@@ -29,7 +31,9 @@ class LocalMap:
         self._spacing_m = config.voxel_m / 2
         self._side_m = config.field_ranges * sensor.range_m
         self._walls: deque[FloatArray] = deque(maxlen=config.window_keyframes)
+        self._outlines: deque[FloatArray] = deque(maxlen=config.window_keyframes)
         self._field: ScoreField | None = None
+        self._seen: SeenSpace | None = None
 
     def __len__(self) -> int:
         return len(self._walls)
@@ -38,23 +42,35 @@ class LocalMap:
         """Forget everything."""
         self.aligner.clear()
         self._walls.clear()
-        self._field = None
+        self._outlines.clear()
+        self._field = self._seen = None
 
     def insert(self, view: SweepView, map_from_base: FloatArray) -> None:
         """Add a keyframe seen from a pose (4, 4)."""
         self.aligner.insert(view.cloud, map_from_base)
-        self._walls.appendleft(Pose2.from_matrix(map_from_base).apply(view.walls))
-        self._field = None
+        planar = Pose2.from_matrix(map_from_base)
+        self._walls.appendleft(planar.apply(view.walls))
+        self._outlines.appendleft(planar.apply(view.outline()))
+        self._field = self._seen = None
 
     @property
     def field(self) -> ScoreField:
         """The score field of the walls, built when first asked for.
 
-        Walls too far from the others for a field of `field_ranges` are left out.
+        Walls too far from the last keyframe for a field of `field_ranges` are left out.
         """
         if self._field is None:
             walls = np.concatenate(self._walls)
             cell_m = _CELL_SPACINGS * self._spacing_m
             sigma_m = _SIGMA_SPACINGS * self._spacing_m
-            self._field = ScoreField.from_points(walls, cell_m, sigma_m, self._side_m)
+            x, y = self._outlines[0][0].tolist()  # the last laser
+            self._field = ScoreField.from_points(walls, cell_m, sigma_m, self._side_m, (x, y))
         return self._field
+
+    @property
+    def seen(self) -> SeenSpace:
+        """The space that the keyframes have looked at, made when first asked for."""
+        if self._seen is None:
+            cell_m = _SEEN_SPACINGS * self._spacing_m
+            self._seen = SeenSpace.of(self._outlines, cell_m, self._side_m / 2)
+        return self._seen

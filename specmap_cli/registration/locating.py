@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.matching import Window
+from specmap_cli.registration.agreement import agrees
 from specmap_cli.registration.expected_motion import ExpectedMotion
-from specmap_cli.registration.scene import Fit, Scene
+from specmap_cli.registration.reliance import UNKNOWN, Reliance
+from specmap_cli.registration.scene import Bounds, Fit, Scene, Support
 
 # Steps of the two searches: about a cell of the score field, no finer, and a rough one.
 _STEP_M, _WIDE_STEP_M = 0.05, 0.1
@@ -19,17 +22,57 @@ _STEP_M, _WIDE_STEP_M = 0.05, 0.1
 _PER_M2, _PER_RAD2 = 1.0, 0.4
 _WIDE_PER_M2, _WIDE_PER_RAD2 = 0.15, 0.05
 _WIDER = 2.0  # first kernel after a wide search, in widest kernels: its steps are coarser
+_FINE_KERNELS = (0.5, 0.25)  # voxels: they follow only walls near by, not new ones from afar
+# Share of a sweep's walls that could be seen, from which on they say something; and with which they
+# say as much as all of them.
+ENOUGH, MOST = 0.2, 0.5
+_NEARLY_ALL = 0.9  # share of a sweep's walls that could be seen, from which on none are new
+_BEYOND_DOUBT = 0.85  # score of a place that is right without odometry: most right ones have more
+_NEARLY = 2.0  # slacks within which odometry and the walls that could be seen prove it together
+_BACKED_UP = (1.0, 0.5)  # shares of a step that are tried as driven backwards
 _ALIKE = 0.01  # scores this near speak for two places alike
 _SHARES = (1.0, 0.75, 0.5, 0.25)  # of the way to odometry's place, tried in this order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Located:
-    """The best pose found, and which searches the doubts about it called for."""
+    """The best pose found, and which searches the doubts about it called for.
+
+    `agrees`: it agrees with the motion expected. `support` is what the walls say of it that could
+    be seen there. `unaligned`: it is the guess itself, as the walls do not lead to a better pose.
+    """
 
     fit: Fit
     searched: bool
     wide_searched: bool
+    agrees: bool
+    support: Support
+    unaligned: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prospect:
+    """Where a sweep is expected: at `guess` (4, 4), with what is known of the motion there.
+
+    `by_motion` is the place that the expected motions since the last keyframe lead to. `reverse`
+    (4, 4) is where the sweep was taken if odometry reports backing up as driving forward.
+    """
+
+    guess: FloatArray
+    expected: ExpectedMotion
+    by_motion: Pose2
+    reliance: Reliance = UNKNOWN
+    reverse: FloatArray | None = None
+
+    @property
+    def trusted(self) -> bool:
+        """Whether odometry measured the motion, and is worth its name."""
+        return self.expected.measured and self.reliance.trusted
+
+    def agrees(self, fit: Fit, slacks: float = 1.0) -> bool:
+        """Whether a result agrees with the motion expected, to within so many slacks."""
+        guess = Pose2.from_matrix(self.guess)
+        return agrees(guess, fit.planar, self.expected, self.reliance, slacks)
 
 
 def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> FloatArray:
@@ -42,28 +85,159 @@ def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> Fl
     if not expected.measured:
         return guess
     other = product(before, expected.carried.matrix())
-    by_odometry, by_motion = (scene.score(Pose2.from_matrix(pose)) for pose in (guess, other))
-    return other if by_motion > by_odometry + scene.config.guess_margin else guess
+    apart = expected.motion.inverse() @ expected.carried
+    if abs(apart.theta) > scene.config.search_rad:
+        return guess
+    margin, places = scene.config.guess_margin, [Pose2.from_matrix(p) for p in (guess, other)]
+    by_odometry, by_motion = (scene.score(place) for place in places)
+    better = by_motion > by_odometry + margin
+    if better and by_motion < _BEYOND_DOUBT:  # there may be new space
+        better = scene.gain(*places) > margin
+    return other if better else guess
 
 
-def locate(scene: Scene, guess: FloatArray, expected: ExpectedMotion, by_motion: Pose2) -> Located:
-    """The best pose found from a guess (4, 4).
+def reversed_guess(before: FloatArray, expected: ExpectedMotion) -> FloatArray | None:
+    """The pose (4, 4) after the same motion driven backwards, turns kept; None if unmeasured."""
+    if not expected.measured:
+        return None
+    x, y, theta = expected.motion
+    return product(before, Pose2(-x, -y, theta).matrix())
 
-    `by_motion` is the place that the expected motions since the last keyframe lead to.
-    """
-    config, kernels = scene.config, scene.config.kernel_voxels
-    fit = scene.align(guess, kernels)
-    doubted = _is_doubted(guess, fit, config)
+
+def locate(scene: Scene, prospect: Prospect) -> Located:
+    """The best pose found for a sweep, never farther from its guess than the bounds allow."""
+    config, guess = scene.config, prospect.guess
+    kernels, bounds = config.kernel_voxels, Bounds.around(guess, config)
+    fit = scene.align(guess, kernels, bounds)
+    doubted = _is_doubted(guess, fit, config) and not _is_settled(scene, prospect, fit)
     if doubted:
-        window = _window(config, measured=expected.measured)
-        fit = fit.or_better(scene.search(guess, window, kernels))
-    poor = fit.score < config.poor_score
-    if poor:
+        window = _window(config, measured=prospect.expected.measured)
+        found = scene.search(guess, window, kernels, bounds)
+        fit = _better(scene, prospect, fit, found)
+        fit = _backed_up(scene, prospect, fit)
+    wide = doubted and _calls_for_wide_search(scene, prospect, fit)
+    if wide:
         wider = (_WIDER * kernels[0], *kernels)
-        fit = fit.or_better(scene.search(guess, _wide_window(config), wider))
-    if expected.measured and not doubted:
-        fit = _slid(scene, fit, by_motion)
-    return Located(fit=fit, searched=doubted, wide_searched=poor)
+        far = not prospect.trusted or prospect.expected.hole
+        reach = _wide_bounds(guess, config) if far else bounds
+        window = _wide_window(prospect, config, free=far)
+        fit = fit.or_better(scene.search(guess, window, wider, reach))
+    if prospect.expected.measured and not doubted:
+        fit = _slid(scene, fit, prospect.by_motion)
+    return _concluded(scene, prospect, fit, searched=doubted, wide_searched=wide)
+
+
+def _concluded(
+    scene: Scene, prospect: Prospect, fit: Fit, *, searched: bool, wide_searched: bool
+) -> Located:
+    """The result, or trusted odometry's own place where that is the better one."""
+    support = _support(scene, fit)
+    near = prospect.agrees(fit) or _agrees_with_walls(scene, prospect, fit, support)
+    unaligned = False
+    if prospect.trusted and not near and fit.score < scene.config.sure_score:
+        guess, refused = prospect.guess, fit.refused
+        closer = scene.align(guess, _FINE_KERNELS)
+        if not prospect.agrees(closer):
+            closer = Fit(pose=guess, score=scene.score(Pose2.from_matrix(guess)))
+        there = scene.support(closer.planar)
+        if not _speaks_against(there, scene.config):
+            fit, support, near = replace(closer, refused=refused), there, True
+            unaligned = True
+    return Located(
+        fit=fit,
+        searched=searched,
+        wide_searched=wide_searched,
+        agrees=near,
+        support=support,
+        unaligned=unaligned,
+    )
+
+
+def _agrees_with_walls(scene: Scene, prospect: Prospect, fit: Fit, support: Support) -> bool:
+    """Whether a result is a little too far from odometry's place, but the walls speak for it."""
+    if not prospect.expected.measured or support.share < MOST:
+        return False
+    return support.score >= scene.config.sure_score and prospect.agrees(fit, _NEARLY)
+
+
+def _support(scene: Scene, fit: Fit) -> Support:
+    """What the walls say of a result; where nearly all fit, all of them."""
+    if fit.score > scene.config.good_score:
+        return Support(score=fit.score, share=1.0, count=len(scene.view.probe))
+    return scene.support(fit.planar)
+
+
+def _speaks_against(support: Support, config: RegistrationConfig) -> bool:
+    """Whether the walls that could be seen are enough to say no, and do."""
+    enough = support.count >= config.min_points and support.share >= ENOUGH
+    return enough and support.score < config.poor_score * min(1.0, support.share / MOST)
+
+
+def _is_settled(scene: Scene, prospect: Prospect, fit: Fit) -> bool:
+    """Whether a result scores low for new space alone: what could be seen speaks for it."""
+    if not prospect.agrees(fit):
+        return False
+    support = scene.support(fit.planar)
+    share = ENOUGH if prospect.trusted else MOST
+    return support.share >= share and support.score > scene.config.good_score
+
+
+def _better(scene: Scene, prospect: Prospect, fit: Fit, found: Fit) -> Fit:
+    """The better one of a result and of what a search found.
+
+    A place that agrees with trusted odometry and that the walls speak for is not given up for one
+    that does not agree: new walls that lie on old ones somewhere else do not prove it.
+    """
+    if prospect.trusted and prospect.agrees(fit) and not prospect.agrees(found):
+        support = scene.support(fit.planar)
+        new = support.share < _NEARLY_ALL
+        if new and support.share >= ENOUGH and support.score >= scene.config.fair_score:
+            return replace(fit, refused=fit.refused + found.refused)
+    return fit.or_better(found)
+
+
+def _backed_up(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
+    """The better one of a doubtful result and of a place behind it.
+
+    Wheels that only count tell nothing of the direction in which they turn. A step of the log may
+    be driven backwards as a whole, or half of it.
+    """
+    config, reverse = scene.config, prospect.reverse
+    step_m = prospect.expected.motion.distance
+    if reverse is None or fit.score >= _BEYOND_DOUBT or step_m <= config.search_m:
+        return fit
+    for share in _BACKED_UP:
+        forward = share * (reverse[:3, 3] - prospect.guess[:3, 3])
+        place = prospect.guess.copy()
+        place[:3, 3] += forward
+        window = _window(config, measured=True)
+        bounds = Bounds.around(place, config)
+        found = scene.search(place, window, config.kernel_voxels, bounds)
+        fit = _better(scene, prospect, fit, found)
+    return fit
+
+
+def _calls_for_wide_search(scene: Scene, prospect: Prospect, fit: Fit) -> bool:
+    """Whether a result is poor or contradicts the motion expected, and not for new space alone.
+
+    Before a contradiction is believed, the robot is looked for wherever it can have come.
+    """
+    agreeing = prospect.agrees(fit)
+    if fit.score >= (scene.config.poor_score if agreeing else _BEYOND_DOUBT):
+        return False
+    support = scene.support(fit.planar)
+    return not (agreeing and support.share >= MOST and support.score >= scene.config.fair_score)
+
+
+def _wide_bounds(guess: FloatArray, config: RegistrationConfig) -> Bounds:
+    """As far as the wide search looks, if that is farther than other results may be."""
+    corner_m = math.hypot(config.wide_search_m, config.wide_search_m)
+    return Bounds(
+        guess,
+        shift_m=max(config.max_shift_m, corner_m + _WIDE_STEP_M),
+        shift_rad=max(config.max_shift_rad, config.wide_search_rad + config.search_rad),
+        tilt_rad=config.max_tilt_rad,
+    )
 
 
 def _is_doubted(guess: FloatArray, fit: Fit, config: RegistrationConfig) -> bool:
@@ -86,12 +260,16 @@ def _window(config: RegistrationConfig, *, measured: bool) -> Window:
     )
 
 
-def _wide_window(config: RegistrationConfig) -> Window:
-    """Where the robot can have come in a hole of the log."""
-    distance_m, angle_rad = config.wide_search_m, config.wide_search_rad
+def _wide_window(prospect: Prospect, config: RegistrationConfig, *, free: bool) -> Window:
+    """Where the robot can have come in a hole of the log, or by wheels that slipped.
+
+    Unless it is `free`, odometry is trusted: it does not err by a wide turn, but wheels may have
+    turned in vain.
+    """
+    slipped_m = config.wide_search_m + prospect.expected.motion.distance
     return Window(
-        distance_m=distance_m,
-        angle_rad=angle_rad,
+        distance_m=config.wide_search_m if free else min(config.max_shift_m, slipped_m),
+        angle_rad=config.wide_search_rad if free else config.search_rad,
         step_m=_WIDE_STEP_M,
         penalty_per_m2=_WIDE_PER_M2,
         penalty_per_rad2=_WIDE_PER_RAD2,
@@ -113,7 +291,10 @@ def _slid(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
     for share in _SHARES:
         place = here @ Pose2(share * behind, 0.0, 0.0)
         score = scene.score(place)
-        if score >= fit.score - _ALIKE:
+        alike = score >= fit.score - _ALIKE
+        if not alike and fit.score < _BEYOND_DOUBT:  # there may be new space
+            alike = scene.gain(here, place) >= -_ALIKE
+        if alike:
             pose = product((place @ here.inverse()).matrix(), fit.pose)
             return Fit(pose=pose, score=score, refused=fit.refused)
     return fit

@@ -40,6 +40,44 @@ class Fit:
         return replace(best, refused=self.refused + other.refused)
 
 
+@dataclass(frozen=True, slots=True)
+class Support:
+    """What the walls say of a place that could be seen there: new space says nothing.
+
+    `score` in [0, 1] is the mean over the points that fall where the local map has looked, `share`
+    of all of them, `count` in number. Without any the score is 0.
+    """
+
+    score: float
+    share: float
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """How far a pose may end from `guess` (4, 4), which is where odometry or motion put it."""
+
+    guess: FloatArray
+    shift_m: float
+    shift_rad: float
+    tilt_rad: float
+
+    @classmethod
+    def around(cls, guess: FloatArray, config: RegistrationConfig) -> Bounds:
+        """The bounds that the settings promise for every result."""
+        return cls(guess, config.max_shift_m, config.max_shift_rad, config.max_tilt_rad)
+
+    def hold(self, found: FloatArray) -> bool:
+        """Whether a pose (4, 4) is finite, upright and no farther from the guess than allowed."""
+        if not np.isfinite(found).all():
+            return False
+        trace = float((self.guess[:3, :3] * found[:3, :3]).sum())  # of the turn between the two
+        turn = math.acos(min(1.0, max(-1.0, (trace - 1.0) / 2.0)))
+        upright = float(found[2, 2]) > np.cos(self.tilt_rad)
+        shift_m = math.dist(self.guess[:3, 3].tolist(), found[:3, 3].tolist())
+        return shift_m <= self.shift_m and turn <= self.shift_rad and upright
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
     """One sweep and the local map that it is registered on."""
@@ -52,36 +90,57 @@ class Scene:
         """How well, in [0, 1], the sweep's walls lie on the map's when the base is at a place."""
         return self.local.field.score(self.view.probe, place)
 
-    def align(self, guess: FloatArray, kernels: Sequence[float]) -> Fit:
-        """The registration method from a guess (4, 4), with one kernel (in voxels) after another.
+    def support(self, place: Pose2) -> Support:
+        """How well the walls that could be seen lie on the map's when the base is at a place."""
+        placed = place.apply(self.view.probe)
+        seen = self.local.seen.holds(placed)
+        count = int(np.count_nonzero(seen))
+        if not count:
+            return Support(score=0.0, share=0.0, count=0)
+        score = float(self.local.field.at(placed[seen]).mean())
+        return Support(score=score, share=count / len(placed), count=count)
 
-        A result that runs off is refused: the one before it stands, at first the guess.
+    def gain(self, place: Pose2, other: Pose2) -> float:
+        """The score that `other` has more than `place`, over points that both could have seen.
+
+        It is 0 where there are none of them.
         """
-        pose, refused = guess, 0
+        here, there = (pose.apply(self.view.probe) for pose in (place, other))
+        both = self.local.seen.holds(here) & self.local.seen.holds(there)
+        if not both.any():
+            return 0.0
+        field = self.local.field
+        return float(field.at(there[both]).mean() - field.at(here[both]).mean())
+
+    def align(
+        self, start: FloatArray, kernels: Sequence[float], bounds: Bounds | None = None
+    ) -> Fit:
+        """The registration method from a pose (4, 4), with one kernel (in voxels) after another.
+
+        A result out of bounds, by default those of the settings around `start`, is refused: the
+        one before it stands, at first the start.
+        """
+        pose, refused = start, 0
+        bounds = bounds or Bounds.around(start, self.config)
         for kernel in kernels:
             coarse = kernel > _COARSE_VOXELS
             points = self.view.sparse if coarse else self.view.cloud
             width_m = kernel * self.local.sensor.voxel_m
             found = self.local.aligner.align(points, pose, width_m, coarse=coarse)
-            if not _within_limits(guess, found, self.config):
+            if not bounds.hold(found):
                 refused = 1
                 break
             pose = found
         return Fit(pose=pose, score=self.score(Pose2.from_matrix(pose)), refused=refused)
 
-    def search(self, guess: FloatArray, window: Window, kernels: Sequence[float]) -> Fit:
-        """The result of a correlative search around a guess (4, 4), aligned."""
+    def search(
+        self,
+        guess: FloatArray,
+        window: Window,
+        kernels: Sequence[float],
+        bounds: Bounds | None = None,
+    ) -> Fit:
+        """The result of a correlative search around a guess (4, 4), aligned within bounds."""
         planar = Pose2.from_matrix(guess)
         found = search(self.local.field, self.view.probe, planar, window).pose
-        return self.align(product((found @ planar.inverse()).matrix(), guess), kernels)
-
-
-def _within_limits(guess: FloatArray, found: FloatArray, config: RegistrationConfig) -> bool:
-    """Whether an alignment is finite, upright and no farther from its guess than allowed."""
-    if not np.isfinite(found).all():
-        return False
-    trace = float((guess[:3, :3] * found[:3, :3]).sum())  # of the turn from one to the other
-    turn = math.acos(min(1.0, max(-1.0, (trace - 1.0) / 2.0)))
-    upright = float(found[2, 2]) > np.cos(config.max_tilt_rad)
-    near = math.dist(guess[:3, 3].tolist(), found[:3, 3].tolist()) <= config.max_shift_m
-    return near and turn <= config.max_shift_rad and upright
+        return self.align(product((found @ planar.inverse()).matrix(), guess), kernels, bounds)

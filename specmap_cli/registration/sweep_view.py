@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.score_field import thinned
 from specmap_cli.registration.deskew import deskewed, moved_returns
 from specmap_cli.registration.expected_motion import ExpectedMotion
+from specmap_cli.registration.seen_space import outline_of
 
 _BELOW_RANGE_MAX = 0.999  # some drivers report no return as the largest range, rounded
 _GROWTH = 1.4  # of the cell from one try to the next at thinning: about half the points
@@ -23,6 +24,7 @@ class SweepView:
 
     `cloud` (N, 3) is registered; `sparse` (K, 3) is enough for coarse alignments. `walls` (M, 2) go
     into the score field and `probe` (L, 2) is scored on it. `planar` is the scan to hand on.
+    Its laser stood at `base_from_laser`, and walls beyond `reach_m` of it are not looked at.
     """
 
     planar: PlanarScan
@@ -30,6 +32,12 @@ class SweepView:
     sparse: FloatArray
     walls: FloatArray
     probe: FloatArray
+    base_from_laser: Pose2 = IDENTITY
+    reach_m: float = np.inf
+
+    def outline(self) -> FloatArray:
+        """Corners (K, 2) of the space that the sweep looked through."""
+        return outline_of(self.planar, self.base_from_laser, self.reach_m)
 
 
 def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) -> SweepView:
@@ -50,7 +58,15 @@ def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) 
         )
         cloud = thinned(_within_range(cloud, config), config.cloud_voxel_m)
         sparse = thinned(cloud, 2 * config.cloud_voxel_m)
-    return SweepView(planar=scan, cloud=cloud, sparse=sparse, walls=walls, probe=probe)
+    return SweepView(
+        planar=scan,
+        cloud=cloud,
+        sparse=sparse,
+        walls=walls,
+        probe=probe,
+        base_from_laser=sweep.base_from_laser,
+        reach_m=reach_m,
+    )
 
 
 def _within_range(cloud: FloatArray, config: RegistrationConfig) -> FloatArray:

@@ -18,8 +18,6 @@ COUNTS: Mapping[str, str] = {
     "few_points": "sweeps with fewer than min_points walls; they are lost",
     "refused_alignments": "alignments that moved or tilted farther than allowed",
     "walls_left_out": "sweeps scored on a field too small for all walls of the local map",
-    "long_steps": "sweeps whose expected motion was too long to be believed",
-    "long_steps_lost": "those of them that are lost although they agree with odometry",
 }
 
 
@@ -44,12 +42,6 @@ _SENTENCES: Mapping[str, tuple[str, str]] = {
         "alignment",
         "registration refused {hits} that ended farther from the guess, or tilted more, than "
         "registration.max_shift_m, max_shift_rad and max_tilt_rad allow",
-    ),
-    "long_steps_lost": (
-        "scan",
-        "registration lost {hits} in agreement with odometry, which is not believed from "
-        "{limits.believed_step_m:g} m or {limits.believed_step_rad:g} rad between scans on: if it "
-        "is good, raise registration.believed_step_m and believed_step_rad",
     ),
 }
 

@@ -7,9 +7,11 @@ import json
 import math
 import os
 import signal
+import tempfile
 import unicodedata
 from pathlib import Path
 
+import cv2
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -84,7 +86,7 @@ def test_an_interruption_is_json_too(
 def test_a_bug_is_json_and_a_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise RuntimeError("no\nidea")
 
     monkeypatch.setattr(inspection, "summarize", fail)
@@ -99,14 +101,72 @@ def test_a_bug_is_json_and_a_traceback(
         assert out == "" if said is None else json.loads(out) == {"error": said}
 
 
+def system_error(number: int, name: str | None = None) -> OSError:
+    """An error as the system raises it."""
+    return OSError(number, os.strerror(number), name)
+
+
+def opencv_error() -> cv2.error:
+    """Want of memory as OpenCV raises it."""
+    error = cv2.error("Insufficient memory (Failed to allocate 4000000000 bytes)")
+    error.code = cv2.Error.StsNoMem
+    return error
+
+
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
-        (MemoryError("too large"), 3, "not enough memory: too large; a coarser grid"),
-        (OSError(errno.ENOSPC, "No space left", "a/b"), 2, "a/b: cannot be written: No space left"),
-        (OSError(errno.EROFS, "Read-only"), 2, "the output: cannot be written: Read-only;"),
+        (
+            MemoryError("too large"),
+            3,
+            "not enough memory: too large; a shorter log or a coarser grid (--set "
+            "grid.resolution_m) needs less",
+        ),
+        (MemoryError(), 3, "not enough memory; a shorter log or"),
+        (opencv_error(), 3, "not enough memory: "),
+        (
+            system_error(errno.ENOSPC, "a/b"),
+            2,
+            "a/b: cannot be written: No space left on device; free some space, or write elsewhere",
+        ),
+        (
+            system_error(errno.ENOSPC, f"{tempfile.gettempdir()}/tmpx/map"),
+            2,
+            f"{tempfile.gettempdir()}/tmpx/map: cannot be written: No space left on device; free "
+            "some space, or set TMPDIR to another directory",
+        ),
+        (
+            FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']"),
+            2,
+            "No usable temporary directory found in ['/tmp']: free some space there, or set TMPDIR "
+            "to another directory",
+        ),
+        (
+            system_error(errno.EROFS),
+            2,
+            "the output: cannot be written: Read-only file system; write elsewhere",
+        ),
+        (
+            system_error(errno.EDQUOT, "a/b"),
+            2,
+            "a/b: cannot be written: Disk quota exceeded; your quota is used up: remove some files",
+        ),
+        (
+            system_error(errno.EMFILE, "a/b"),
+            2,
+            "a/b: Too many open files; give fewer files at once, or raise the limit with `ulimit",
+        ),
+        (
+            system_error(errno.ENFILE),
+            2,
+            "Too many open files in system; this machine has too many of them open: end other",
+        ),
+        (
+            system_error(errno.ENOMEM),
+            2,
+            "Cannot allocate memory; end other programs, or give less at once",
+        ),
     ],
-    ids=["memory", "disk", "unnamed"],
 )
 def test_what_the_machine_lacks_is_no_bug(
     error: Exception,

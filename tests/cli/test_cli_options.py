@@ -23,9 +23,9 @@ HAVE = {
     "--quiet": ALL,
     "-q": ALL,
     "--json": ALL,
-    "--config": READERS | {"segment", "convert", "config"},
-    "--set": READERS | {"segment", "convert", "config"},
-    "--preset": READERS | {"segment", "convert", "config"},
+    "--config": READERS | {"segment", "convert", "config", "export", "simulate"},
+    "--set": READERS | {"segment", "convert", "config", "export", "simulate"},
+    "--preset": READERS | {"segment", "convert", "config", "export", "simulate"},
     "--scan-topic": READERS,
     "--odom-topic": READERS,
     "--base-frame": READERS,
@@ -177,10 +177,13 @@ class TestWhatTheFlagsStandFor:
         assert LogSettings().overrides() == Settings().overrides({"seed": None}) == {}
 
     def test_topics_and_frames(self) -> None:
-        given = LogSettings(scan_topic="/a", odom_topic="/b", base_frame="c", no_odometry=True)
+        given = LogSettings(
+            scan_topic="/a", scan_frame="f", odom_topic="/b", base_frame="c", no_odometry=True
+        )
         assert given.overrides({"seed": 0}) == {
             "log": {
                 "scan_topic": "/a",
+                "scan_frame": "f",
                 "odom_topic": "/b",
                 "base_frame": "c",
                 "use_odometry": False,

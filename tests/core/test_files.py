@@ -8,6 +8,7 @@ import pytest
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.files import read_bytes, write_text
+from specmap_cli.core.locks import is_nobody_s, lock
 from specmap_cli.grids.map_server import write_png
 
 
@@ -47,9 +48,11 @@ def test_a_failing_replacement_leaves_the_old_file(
 def test_a_file_is_read_up_to_its_bound_and_not_beyond(tmp_path: Path) -> None:
     path = tmp_path / "labels.csv"
     path.write_bytes(b"12345")
-    assert read_bytes(path, 5) == b"12345"
-    with pytest.raises(OSError, match="larger than"):
-        read_bytes(path, 4)
+    assert read_bytes(path, 5e-6) == b"12345"
+    with pytest.raises(OSError, match=r"larger than 4e-06 MB"):
+        read_bytes(path, 4e-6)
+    with pytest.raises(OSError, match=r"larger than 4e-06 MB; if it is meant, raise limits\.x"):
+        read_bytes(path, 4e-6, "limits.x")
 
 
 def test_what_may_never_end_is_not_read(tmp_path: Path) -> None:
@@ -57,3 +60,16 @@ def test_what_may_never_end_is_not_read(tmp_path: Path) -> None:
     for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
         with pytest.raises(OSError, match=r"not a regular file|Is a directory"):
             read_bytes(path, 100)
+
+
+def test_what_a_killed_run_had_begun_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    kept = ["labels.csv.partial-12", ".labels.csv.partial-x1", ".other.csv.partial-12"]
+    for name in [*kept, ".labels.csv.partial-12", ".labels.csv.partial-13"]:
+        (tmp_path / name).write_text("half")
+    with (tmp_path / ".labels.csv.partial-13").open() as living:
+        assert lock(living.fileno())
+        write_text(tmp_path / "labels.csv", "whole")
+        kept.append(".labels.csv.partial-13")
+        assert sorted(os.listdir(tmp_path)) == sorted(["labels.csv", *kept])
+    assert is_nobody_s(tmp_path / ".labels.csv.partial-13")
+    assert not is_nobody_s(tmp_path / "missing")

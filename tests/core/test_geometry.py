@@ -15,7 +15,9 @@ from specmap_cli.core.geometry import (
     FloatArray,
     Pose2,
     compose,
+    inverse3,
     invert,
+    product,
     quaternions_from_rpy,
     rotation_from_quaternion,
     wrap_angle,
@@ -111,3 +113,19 @@ def test_a_quaternion_that_is_none_is_no_rotation(broken: tuple[float, ...]) -> 
 @given(poses)
 def test_yaw_is_read_from_a_matrix(a: Pose2) -> None:
     assert abs(wrap_angle(yaw_of(a.matrix()) - a.theta)) < 1e-9
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (40,), (2, 5)])
+def test_inverses_of_three_by_three(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(3)
+    factors = rng.normal(size=(*shape, 3, 3)) * (0.02, 0.02, 0.005)
+    matrices = product(factors, np.swapaxes(factors, -1, -2)) + np.diag([1e-4, 1e-4, 1e-5])
+    found = inverse3(matrices)
+    assert found.shape == matrices.shape
+    np.testing.assert_allclose(found, np.linalg.inv(matrices), rtol=1e-9, atol=1e-7)
+
+
+def test_products_of_stacks() -> None:
+    rng = np.random.default_rng(4)
+    a, b = rng.normal(size=(7, 3, 2)), rng.normal(size=(7, 2, 4))
+    np.testing.assert_allclose(product(a, b), a @ b)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from specmap_cli.core.findings import Finding, Quality
 from specmap_cli.core.geometry import IDENTITY, FloatArray
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.drawing import palette, symbols
@@ -209,3 +210,32 @@ def test_badges_on_one_spot_part_without_changing_what_was_given() -> None:
     moved = spread(places, 40.0)
     assert np.linalg.norm(moved[0] - moved[1]) == pytest.approx(40.0)
     np.testing.assert_array_equal(places, [(50.0, 50.0)] * 2)
+
+
+def test_a_doubtful_place_is_marked_and_the_title_says_why() -> None:
+    topology, regions = one_room((80, 120))
+    place = (2.0, 3.0)
+    said = Finding(code="walls-disagree", severity="poor", message="bent", place=place)
+    aside = Finding(code="input", severity="note", message="odd", place=(4.0, 3.0))
+    path = along(np.linspace((1.0, 1.0), (5.0, 1.0), 60))
+    good, poor = (
+        render_overview(topology, regions, *path, LogInfo("log"), Quality(findings=findings))
+        for findings in ((aside,), (aside, said))
+    )
+    (middle,) = places_on(regions, [place])
+    x, y = middle.astype(int)
+    assert near(poor[y - 20 : y + 20, x - 20 : x + 20], palette.WRONG) > 50
+    assert near(good[: TITLE + 1200], palette.WRONG) == 0
+    assert (good[:TITLE] != poor[:TITLE]).any()
+
+
+def test_a_way_out_of_the_grid_stays_on_the_sheet() -> None:
+    topology, regions = one_room((80, 120))
+    way = np.linspace((1.0, 1.0), (12.0, 9.0), 60)
+    image = render_overview(topology, regions, *along(way), LogInfo("log"))
+    assert is_framed(image)
+    low, high = np.array([0.0, 0.0]), np.array([12.3, 9.3])
+    sheet = Sheet(np.minimum(low, extent_of(regions)[0]), high, ())
+    for place in sheet.pixels(way[5:-5:10]):
+        x, y = place.astype(int)
+        assert of_colour(image[y - 3 : y + 4, x - 3 : x + 4], symbols.PATH, 90).any()

@@ -17,7 +17,7 @@ from tests.drawing.looking import bounds, inked, is_framed, near, of_colour, one
 from tests.strategies import grid_maps, lengths
 
 KINDS: tuple[EdgeKind, ...] = ("traversed", "closure", "loose", "doorway")
-EVERYTHING = symbols.overview_legend(KINDS, with_unreached=True)
+EVERYTHING = symbols.overview_legend(KINDS, with_unreached=True, with_doubts=True)
 
 
 def sheet_of(width_m: float, height_m: float, legend: symbols.Legend = ()) -> Sheet:

@@ -115,9 +115,13 @@ def test_only_links_that_occur_are_explained(kinds: tuple[EdgeKind, ...]) -> Non
 
 
 @pytest.mark.parametrize("unreached", [False, True])
-def test_the_overview_explains_what_it_shows(unreached: bool) -> None:
-    words = words_of(symbols.overview_legend({"loose"}, unreached))
+@pytest.mark.parametrize("doubts", [False, True])
+def test_the_overview_explains_what_it_shows(unreached: bool, doubts: bool) -> None:
+    words = words_of(
+        symbols.overview_legend({"loose"}, with_unreached=unreached, with_doubts=doubts)
+    )
     assert ("seen, not reached" in words) is unreached
+    assert ("the map may be wrong here" in words) is doubts
     assert set(words) >= {"submap", "wall", "trajectory", "start", "end", "joined by a guess"}
 
 
@@ -133,7 +137,12 @@ def test_predictions_explain_what_they_show(
     assert {"predicted submap, with its id", "start"} <= set(words)
 
 
-LEGENDS = dict([*symbols.overview_legend(KINDS, True), *symbols.labels_legend(True, True, True)])
+LEGENDS = dict(
+    [
+        *symbols.overview_legend(KINDS, with_unreached=True, with_doubts=True),
+        *symbols.labels_legend(True, True, True),
+    ]
+)
 
 
 @pytest.mark.parametrize("words", sorted(LEGENDS))

@@ -10,7 +10,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.grids.gauss_newton import descend, interpolated
+from specmap_cli.grids.gauss_newton import _solved, descend, interpolated
 from specmap_cli.grids.score_field import ScoreField
 from tests.strategies import seeds
 
@@ -107,3 +107,10 @@ def test_a_single_wall_draws_the_pose_across_it_and_not_along() -> None:
     assert found.y == pytest.approx(0.0, abs=0.01)
     assert found.theta == pytest.approx(0.0, abs=0.005)
     assert found.x == pytest.approx(0.2, abs=0.05)
+
+
+@given(seeds)
+def test_the_step_s_system_is_solved_as_by_lapack(seed: int) -> None:
+    rows = np.random.default_rng(seed).normal(size=(6, 3))
+    normal, right = rows.T @ rows + 1e-3 * np.eye(3), rows[0]
+    assert _solved(normal, right) == pytest.approx(np.linalg.solve(normal, right), rel=1e-6)

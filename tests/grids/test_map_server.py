@@ -251,7 +251,7 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     ("yaml", "said"),
     [
         ("", "{}: no `image` entry: expected a map_server YAML"),
-        (YAML + "x: " + "y" * 66_000, "{}: larger than 65536 bytes: expected a map_server YAML"),
+        (YAML + "x: " + "y" * 67_000, "{}: larger than 66 kB: expected a map_server YAML"),
         (YAML.replace("0.1", "[1, 2]"), "{}: resolution is '[1, 2]': expected metres a cell"),
         (YAML.replace("0.1", "-1"), "{}: resolution is -1: expected metres a cell, above 0"),
         (YAML.replace("-1.0", "1e999"), "{}: origin is '[1e999, 2.5, 0.0]': expected [x, y, 0]"),

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.errors import MapError
+from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.grids.pictures import read_picture
 
 GREY = np.arange(12, dtype=np.uint8).reshape(3, 4)
@@ -48,8 +49,39 @@ def test_more_pixels_than_a_building_needs_are_refused(
     with pytest.raises(MapError) as caught:
         read_picture(tmp_path / name)
     assert str(caught.value) == (
-        f"{tmp_path / name}: 20000 x 20000 pixels are more than 100,000,000: scale it down"
+        f"{tmp_path / name}: 20000 x 20000 pixels are more than 100 million: scale it down, "
+        "or raise limits.picture_max_mpixel"
     )
+
+
+def test_the_bounds_are_settings(tmp_path: Path) -> None:
+    path = tmp_path / "m.png"
+    path.write_bytes(cv2.imencode(".png", GREY)[1].tobytes())
+    assert read_picture(path, LimitsConfig(picture_max_mpixel=12e-6)).shape == (3, 4, 1)
+    with pytest.raises(MapError, match=r"4 x 3 pixels are more than 1\.1e-05 million: scale it"):
+        read_picture(path, LimitsConfig(picture_max_mpixel=11e-6))
+    with pytest.raises(MapError) as caught:
+        read_picture(path, LimitsConfig(picture_max_mb=5e-5))
+    assert str(caught.value) == (
+        f"{path}: cannot read the image: larger than 5e-05 MB; if it is meant, raise "
+        "limits.picture_max_mb"
+    )
+
+
+def test_want_of_memory_is_told_as_what_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "m.png"
+    path.write_bytes(cv2.imencode(".png", GREY)[1].tobytes())
+    error = cv2.error("Insufficient memory")
+    error.code = cv2.Error.StsNoMem
+
+    def full(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(cv2, "imdecode", full)
+    with pytest.raises(MemoryError, match=r"for the 4 x 3 pixels of .*m\.png"):
+        read_picture(path)
 
 
 @pytest.mark.parametrize("place", [20, 45, 55, -6, -1])

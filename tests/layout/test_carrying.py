@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -10,7 +11,7 @@ from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.carrying import carried, keyframe_rows
+from specmap_cli.layout.carrying import bridged, carried, keyframe_rows
 from specmap_cli.layout.relaxation import corrected, relax
 from tests.strategies import pose_arrays
 
@@ -69,3 +70,32 @@ def test_a_trajectory_may_end_before_the_keyframes_do(store: KeyframeStore) -> N
     assert keyframe_rows(few, store).tolist() == [0, 1, 2, 3, 4]
     others = Trajectory(stamps_ns=stamps + 1, poses=store.poses)
     assert keyframe_rows(others, store).tolist() == []
+
+
+def test_guesses_lead_from_the_scan_before_to_the_one_after() -> None:
+    """Tracking took the robot on straight; it turned up 2 m to the left and 1 m farther."""
+    tracked = np.column_stack([np.arange(8.0), np.zeros(8), np.zeros(8)])
+    lost = np.array([False, False, True, True, True, False, False, False])
+    relaxed = np.array(tracked)
+    relaxed[5:] += (1.0, 2.0, 0.4)
+    found = bridged(relaxed, tracked, lost)
+    np.testing.assert_array_equal(found[~lost], relaxed[~lost])
+    share = np.array([0.25, 0.5, 0.75])
+    np.testing.assert_allclose(found[lost], tracked[lost] + share[:, None] * (1.0, 2.0, 0.4))
+
+
+@pytest.mark.parametrize("rows", [slice(0, 3), slice(5, 8), slice(0, 8), slice(0, 0)])
+def test_guesses_without_an_end_stay(rows: slice) -> None:
+    tracked = np.column_stack([np.arange(8.0), np.zeros(8), np.zeros(8)])
+    lost = np.zeros(8, dtype=np.bool_)
+    lost[rows] = True
+    moved = tracked + (3.0, 1.0, 0.0)
+    np.testing.assert_array_equal(bridged(moved, tracked, lost), moved)
+
+
+def test_guesses_of_a_robot_at_rest_are_spread_by_scans() -> None:
+    tracked = np.zeros((5, 3))
+    lost = np.array([False, True, True, True, False])
+    relaxed = np.array(tracked)
+    relaxed[4] = (4.0, 0.0, 0.0)
+    np.testing.assert_allclose(bridged(relaxed, tracked, lost)[:, 0], np.arange(5.0))

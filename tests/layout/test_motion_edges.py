@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.observability import observability
 from specmap_cli.layout.motion_edges import (
     guess_information,
     motion_links,
-    observability,
     step_information,
 )
 from tests.layout.driving import between
@@ -108,7 +108,7 @@ def test_the_noise_of_a_motion_is_set() -> None:
 
 def test_each_node_is_linked_to_the_next_and_loosely_over_a_break(store: KeyframeStore) -> None:
     nodes = np.array([0, 3, 7, 20])
-    links = motion_links(store, nodes, {7}, CONFIG)
+    links = motion_links(store, nodes, {7: None}, CONFIG)
     assert [(edge.source, edge.target, edge.kind) for edge in links] == [
         (0, 3, "odometry"),
         (3, 7, "loose"),
@@ -119,4 +119,4 @@ def test_each_node_is_linked_to_the_next_and_loosely_over_a_break(store: Keyfram
         assert edge.source_from_target == pytest.approx(expected, abs=1e-12)
     assert np.array_equal(links[1].information, guess_information(CONFIG))
     assert links[0].information[0, 0] > 100 * links[1].information[0, 0]
-    assert motion_links(store, nodes[:1], set(), CONFIG) == ()
+    assert motion_links(store, nodes[:1], {}, CONFIG) == ()

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.nearby_passes import candidates, find_passes, passes_at, stops
+from specmap_cli.layout.nearby_passes import candidates, find_passes, passes_at
 from specmap_cli.layout.path_graph import Draft, Graph
+from specmap_cli.layout.stops import stops
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import as_tracked, between
 from tests.strategies import pose_arrays
@@ -150,7 +151,7 @@ def test_a_stray_part_is_rejoined_on_the_way(perfect: Perfect) -> None:
     draft = Draft(poses=graph.poses)
     found = find_passes(graph, draft, walls, CONFIG)
     assert found.tied == {0, 1}
-    assert found.tries[1] >= CONFIG.stray_votes
+    assert found.tries[1] >= CONFIG.stray_votes - 1, "the guess, which is right, is a vote"
     alone = find_passes(graph, draft, walls, RelaxationConfig(stray_tries=0))
     assert alone.tied == {0}
     assert all(edge.target < 480 for edge in alone.loops), "a guess is no place to look from"

@@ -92,7 +92,7 @@ def test_parts_go_where_most_closures_put_them() -> None:
     truth, graph = kidnapped()
     wrong = [link(2, 22, (9.0, 9.0, 1.0)), link(3, 44, (-9.0, 9.0, 1.0))]
     right = [true_link(truth, *ends) for ends in ((0, 25), (5, 35), (30, 50), (10, 55))]
-    draft = place_parts(graph, [*wrong, *right])
+    draft = place_parts(graph, [*wrong, *right], 2)
     assert np.allclose(draft.poses, truth, atol=1e-9)
     assert draft.tied == {0, 1, 2}
     assert draft.loops == (), "the closures themselves are judged later"
@@ -100,7 +100,7 @@ def test_parts_go_where_most_closures_put_them() -> None:
 
 def test_a_part_takes_along_what_hangs_on_it_and_is_not_moved_without_votes() -> None:
     truth, graph = kidnapped()
-    draft = place_parts(graph, [])
+    draft = place_parts(graph, [], 2)
     assert draft.tied == {0}
     finds = [true_link(truth, 0, 25), true_link(truth, 5, 35), link(1, 30, (9.0, 9.0, 1.0))]
     assert place_part(graph, draft, 1, finds, votes=3) is draft
@@ -126,3 +126,15 @@ def test_loose_parts_are_those_that_networkx_finds_apart(pairs: list[tuple[int, 
 def test_a_path_in_one_part_is_never_loose(loops: tuple[()]) -> None:
     graph = graph_by_hand(line(5))
     assert loose_starts(graph, as_tracked(graph, *loops).loops) == ()
+
+
+def test_the_guess_is_a_vote_where_a_closure_agrees_with_it() -> None:
+    truth = line(40)
+    graph = graph_by_hand(truth, breaks=(20,))
+    (x, y, theta) = true_link(truth, 5, 30).source_from_target
+    near, far = link(5, 30, (x + 0.2, y, theta)), link(5, 30, (x + 2.0, y, theta))
+    tied = place_parts(graph, [near], 2)
+    assert tied.tied == {0, 1}
+    assert np.hypot(*(tied.poses - truth)[20:, :2].T) == pytest.approx(0.2)
+    assert place_parts(graph, [far], 2).tied == {0}
+    assert place_parts(graph, [], 1).tied == {0}, "the guess alone is none"

@@ -45,7 +45,7 @@ def write_scans(path: Path, count: int = 3, beams: int = 5, **scan: Any) -> None
 
 def test_its_json_is_on_one_level(drive: Path) -> None:
     plain = summary_of(drive).to_dict()
-    said = {"chosen", "damage", "next_command", "problem", "warnings"}
+    said = {"checked", "chosen", "damage", "next_command", "preview", "problem", "warnings"}
     held = {"files", "format", "frames", "messages", "scan", "size_bytes", "topics"}
     assert set(plain) == {*said, *held, "start_s", "end_s", "duration_s"}
     assert json.loads(json.dumps(plain))["scan"]["range_max_m"] == 8.0
@@ -68,6 +68,30 @@ def test_real_times_are_dates(tmp_path: Path) -> None:
     write_scans(tmp_path / "log.mcap")
     lines = summary_of(tmp_path / "log.mcap").lines()
     assert lines[1] == ("3 messages in 1.0 s, 2023-11-14 22:13:20 UTC to 2023-11-14 22:13:21 UTC")
+
+
+def test_times_that_have_not_come_yet_are_said(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.mcap") as log:
+        for stamp in (START, 4_294_967_295 * SECOND):
+            log.scan("/scan", "laser", stamp, -1.0, 0.5, np.full(5, 2.0), range_max=8.0)
+    assert (
+        summary_of(tmp_path / "log.mcap")
+        .lines()[1]
+        .endswith(" s, 2023-11-14 22:13:20 UTC to 2106-02-07 06:28:15 UTC (in the future)")
+    )
+
+
+def test_odometry_of_another_time_is_said(tmp_path: Path) -> None:
+    """The recorder's times are as far apart as the stamps: nothing tells where it belongs."""
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for number in range(5):
+            log.odometry("/odom", "odom", "laser", number * SECOND, Pose2(0.0, 0.0, 0.0))
+            ranges, stamp = np.full(5, 2.0), START + number * SECOND
+            log.scan("/scan", "laser", stamp, -1.0, 0.5, ranges, range_max=8.0)
+    said = "warning: scans without odometry near their stamp: 5 of 5"
+    assert said in summary_of(path).lines()
+    assert said not in summary_of(path, use_odometry=False).lines()
 
 
 def test_a_scan_with_times_and_without_a_maximum(tmp_path: Path) -> None:
@@ -200,6 +224,7 @@ def test_every_line_has_its_place() -> None:
         "  a -> b  at (1, 0, 0) m, roll 0, pitch 0, yaw 0.5 degrees",
         "scan: 3 beams over 90 degrees in frame elsewhere, up to 8 m, all at one time",
         "build would read: all",
+        "checked: only the beginning; --check reads all messages and compares the counts",
         "warning: w1",
         "warning: w2",
         "damage: d",

@@ -139,7 +139,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
     with pytest.raises(UsageError) as caught:
         write_small(path)
     assert str(caught.value) == (
-        f"{path}: cannot write: No space left on device; choose another place"
+        f"{path}: cannot write: No space left on device; free some space, or choose another place"
     )
     assert list(tmp_path.iterdir()) == []
 
@@ -175,3 +175,12 @@ def test_an_old_file_is_replaced_only_by_a_complete_one(tmp_path: Path) -> None:
     assert path.read_text() == "old"
     LogWriter(path).close()
     assert path.read_bytes().startswith(b"\x89MCAP")
+
+
+def test_what_a_killed_run_had_begun_is_removed(tmp_path: Path) -> None:
+    (tmp_path / ".log.mcap.partial-12").write_bytes(b"half")
+    with LogWriter(tmp_path / "log.mcap"):
+        assert not (tmp_path / ".log.mcap.partial-12").exists()
+        with LogWriter(tmp_path / "other.mcap"):
+            assert len(list(tmp_path.iterdir())) == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.mcap", "other.mcap"]

@@ -14,7 +14,7 @@ import pytest
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.records import NO_SUBMAP
-from specmap_cli.core.settings import Config
+from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.writing import MapResult, write_map
 
@@ -278,6 +278,27 @@ class TestDamage:
         (stored / "classifiers.json").unlink()
         with pytest.raises(MapError, match=r"has no classifiers\.json: `specmap segment` makes"):
             _ = read_map(stored).classifiers
+
+
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [("topology.json", ""), ("run.json", "run"), ("labels.csv", "labels"), ("map.png", "map_grid")],
+)
+def test_files_beyond_the_limits_name_the_setting(stored: Path, name: str, field: str) -> None:
+    size_mb = (stored / name).stat().st_size / 1e6
+    picture = name.endswith(".png")
+    setting = "picture_max_mb" if picture else "text_max_mb"
+
+    def read(limit_mb: float) -> None:
+        found = read_map(stored, LimitsConfig.model_validate({setting: limit_mb}))
+        getattr(found, field or "record")
+
+    most = max(size_mb, 1.0)
+    read(most)
+    if name != "topology.json":  # it is read first: it must fit
+        (stored / name).write_bytes((stored / name).read_bytes() + b"\n" * 1_000_000)
+    with pytest.raises(MapError, match=rf"{name}: .*larger than .*raise limits\.{setting}"):
+        read(1e-6 if name == "topology.json" else 1.0)
 
 
 def test_settings_of_another_version_are_left_out_and_named(stored: Path) -> None:

@@ -23,6 +23,7 @@ from specmap_cli.core.text import (
     stamp_text,
     to_json,
 )
+from specmap_cli.evaluation.trajectories import read_tum
 from specmap_cli.maps.tables import (
     labels_text,
     planar_trajectory_text,
@@ -211,3 +212,28 @@ def test_no_poses_are_an_empty_file() -> None:
         labels_text(Labels(stamps_ns=stamps, poses=nowhere, submaps=stamps))
         == "stamp,x,y,theta,submap\n"
     )
+
+
+def test_lost_scans_are_marked_between_the_lines_of_a_trajectory() -> None:
+    lost = np.array([True, True, False, True, False])
+    way = Trajectory(np.arange(5) * 10**9, np.zeros((5, 3)), lost=lost)
+    lines = trajectory_text(way).splitlines()
+    assert [line for line in lines if line.startswith("#")] == [
+        "# lost: the poses of the next 2 scans are guesses",
+        "# found",
+        "# lost: the poses of the next 1 scan are guesses",
+        "# found",
+    ]
+    assert [k for k, line in enumerate(lines) if line.startswith("#")] == [0, 3, 5, 7]
+    plain_lines = [line for line in lines if not line.startswith("#")]
+    assert plain_lines == trajectory_text(Trajectory(way.stamps_ns, way.poses)).splitlines()
+
+
+def test_a_marked_trajectory_reads_back(tmp_path: Path) -> None:
+    way = Trajectory(
+        np.arange(4) * 10**9, np.arange(12.0).reshape(4, 3) / 10, lost=np.arange(4) == 2
+    )
+    file = tmp_path / "trajectory.tum"
+    file.write_text(trajectory_text(way), encoding="utf-8")
+    np.testing.assert_allclose(read_tum(file).poses, way.poses, atol=1e-6)
+    assert len(np.loadtxt(file)) == 4

@@ -193,19 +193,20 @@ def test_without_a_consistent_layout_the_online_submaps_stay(
 
 
 def test_where_tracking_starts_afresh_a_new_submap_begins(flat_map: Flat) -> None:
-    """A scan marked as restarted breaks the path, and the user hears of it."""
+    """A scan marked as restarted breaks the path, and the map says so."""
     scans = [replace(s, restarted=k == 150) for k, s in enumerate(flat_map.scans[:300])]
-    progress = Silent()
     config = Config()
     with KeyframeStore() as store:
         exploration = Exploration(config, store, Stopwatch(), None)
         accepts = KeyframeSelector(config.keyframes).accepts
-        explored = explore(scans, exploration, accepts, progress)
+        explored = explore(scans, exploration, accepts, Silent())
         (first,) = explored.breaks
         assert store.stamps_ns[first] == scans[150].stamp_ns
         assert all(min(ks) >= first or max(ks) < first for ks in explored.regions.values())
-        assert len(progress.warnings) == 1
-        assert f"before {scans[150].stamp_ns * 1e-9:.3f} s" in progress.warnings[0]
+        quality = finished_by(explored, store, config).quality
+        (broken,) = (one for one in quality.findings if one.code == "tracking-break")
+        assert f"before {scans[150].stamp_ns * 1e-9:.3f} s" in broken.message
+        assert broken.stamp_ns == scans[150].stamp_ns
 
 
 def test_a_merge_that_the_layout_drops_is_taken_back(flat_map: Flat) -> None:
@@ -251,11 +252,34 @@ class TestBuildMap:
         assert report.run["counts"] == stored.run["counts"]
         assert stored.run["inputs"] == ["flat.mcap"]
         seconds = stored.run["seconds"]
-        stages = {"registration", "segmentation", "recognition", "layout", "grids", "training"}
-        assert set(seconds) == stages
+        assert set(seconds) == {
+            "registration",
+            "segmentation",
+            "recognition",
+            "layout",
+            "audit",
+            "grids",
+            "training",
+        }
         assert all(value >= 0.0 for value in seconds.values())
         assert report.as_dict()["out"] == str(tmp_path / "map")
         assert report.lines()[0].startswith(f"{tmp_path / 'map'}: {len(stored.ids)} submaps, ")
+        assert report.lines()[1] == "quality: good"
+        assert report.as_dict()["quality"] == stored.run["quality"]
+        told = stored.record.graph.quality
+        assert told is not None
+        assert told.model_dump() == stored.run["quality"]
+
+    def test_a_doubtful_map_says_so_first(self, flat_log: SimulationResult, tmp_path: Path) -> None:
+        """As if odometry had to agree with the map to a tenth of a millimetre a metre."""
+        strict = {**QUICK, "quality": {"odometry_share": 1e-4}}
+        report = build_map(flat_log.log, tmp_path / "map", load_config(overrides=strict))
+        assert report.quality.verdict == "doubtful"
+        assert report.lines()[0].startswith(
+            f"{tmp_path / 'map'}: this map is doubtful: odometry and the map disagree by "
+        )
+        assert "quality: good" not in report.lines()
+        assert report.run["warnings"][0] in report.lines()[0]
 
     def test_a_log_of_blank_scans_gives_no_map(self, tmp_path: Path) -> None:
         log = tmp_path / "blank.mcap"

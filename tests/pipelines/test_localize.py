@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +19,7 @@ from specmap_cli.core.errors import LogError, MapError, UsageError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.localization_report import (
     HEADER,
@@ -138,6 +141,40 @@ def test_classifiers_of_other_submaps_are_refused(
     fewer = record.model_copy(update={"nodes": record.nodes[:-1]})
     with pytest.raises(MapError, match=r"classifiers\.json: classifiers of the submaps"):
         localize_log(flat_log.log, StoredMap(stored.path, fewer))
+
+
+def test_a_map_without_the_misfit_of_its_own_scans_is_used_and_noted(
+    flat_log: SimulationResult, stored: StoredMap, tmp_path: Path
+) -> None:
+    """Maps made before it was kept: what is missing is said in one line."""
+    older = tmp_path / "older"
+    shutil.copytree(stored.path, older)
+    data = json.loads((older / CLASSIFIERS).read_text())
+    assert data["misfit"]["views"] > 20
+    del data["misfit"]
+    (older / CLASSIFIERS).write_text(json.dumps(data))
+    progress = Notes()
+    report = localize_log(flat_log.log, older, progress=progress)
+    assert [note for note in progress.notes if "fit its walls" in note] == [
+        f"{older}: an older map, which does not say how well its own scans fit its walls; known "
+        "places are told from unknown by what is usual elsewhere: build it again"
+    ]
+    assert np.mean([scan.label.filtered_submap is not None for scan in report.scans]) > 0.97
+
+
+class Notes(Silent):
+    """Keeps what is noted."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.notes: list[str] = []
+
+    def note(self, message: str) -> None:
+        self.notes.append(message)
+
+
+def test_the_map_s_own_log_is_not_unknown_in_it(metric: LocalizationReport) -> None:
+    assert np.mean([scan.label.filtered_submap is not None for scan in metric.scans]) > 0.99
 
 
 def test_what_is_wrong_with_the_input_is_warned_of(

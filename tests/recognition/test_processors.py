@@ -18,11 +18,14 @@ from specmap_cli.simulation.simulator import SimulationOptions
 pytest.importorskip("threadpoolctl", reason="tells which kernel is in use")
 
 KERNELS = ("Haswell", "Prescott")  # sums in four lanes with fused products, and in two without
+WIDEST = "SkylakeX"  # in eight lanes, and small products by loops of their own
 FIXED = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 # With an older NumPy the last digits of poses depend on the kernel; nothing that is decided does.
 OLDER_NUMPY = np.lib.NumpyVersion(np.__version__) < "2.4.0"
 TRAJECTORIES = {"trajectory.g2o", "trajectory.tum"}
+
+NO_CHOICE = "NumPy is not on OpenBLAS here, or this processor does not let its kernel be chosen"
 
 KERNEL_IN_USE = """
 import threadpoolctl, numpy, scipy.linalg
@@ -31,9 +34,37 @@ print(sorted({pool["architecture"] for pool in pools if pool["internal_api"] == 
 """
 
 
-def run_under(kernel: str, *arguments: str) -> str:
-    """What Python prints when the linear algebra uses this kernel."""
-    environment = {**os.environ, **FIXED, "OPENBLAS_CORETYPE": kernel}
+# What is made in many steps from sums, cosines and roots: features, matches and their spread.
+DIGESTS = """
+import hashlib, numpy as np
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.grids.matching import ScoreField, covariance, refine
+from specmap_cli.recognition.features.sets import scan_features
+rng = np.random.default_rng(0)
+bearings = np.linspace(-2.0, 2.0, 181)
+for k in range(20):
+    ranges = 2.0 + k / 7 + 0.3 * rng.random(181).cumsum() / 9
+    scan = PlanarScan(0, bearings, ranges, range_max=20.0, full_circle=False)
+    points = scan.hits(20.0)
+    field = ScoreField.from_points(points)
+    found = refine(field, points, Pose2(0.07, -0.05, 0.02))
+    spread = covariance(field, points[::4], found.pose)
+    made = scan_features(scan, "full"), np.array(found.pose), spread
+    print(hashlib.sha256(b"".join(part.tobytes() for part in made)).hexdigest())
+"""
+
+# Loops of NumPy for AVX-512 that this processor has, by the names of this NumPy.
+WIDE_LOOPS = """
+from numpy.__config__ import show
+found = show(mode="dicts").get("SIMD Extensions", {}).get("found", [])
+print(" ".join(name for name in found if "AVX512" in name or name == "X86_V4"))
+"""
+
+
+def run_under(kernel: str, *arguments: str, **more: str) -> str:
+    """What Python prints when the linear algebra uses this kernel; `more` variables are set."""
+    environment = {**os.environ, **FIXED, "OPENBLAS_CORETYPE": kernel, **more}
     command = [sys.executable, *arguments]
     return subprocess.run(
         command, env=environment, check=True, capture_output=True, text=True
@@ -46,9 +77,28 @@ def kernels_in_use() -> tuple[str, ...]:
     return tuple(run_under(kernel, "-c", KERNEL_IN_USE) for kernel in KERNELS)
 
 
+def test_features_and_matches_are_the_same_under_every_kernel() -> None:
+    if len(set(kernels_in_use())) < len(KERNELS):
+        pytest.skip(NO_CHOICE)
+    made = {run_under(kernel, "-c", DIGESTS) for kernel in (*KERNELS, WIDEST)}
+    assert [len(digests.split()) for digests in made] == [20]
+
+
+def test_features_and_matches_are_the_same_without_avx_512() -> None:
+    wide = run_under("", "-c", WIDE_LOOPS).strip()
+    if not wide:
+        pytest.skip("this processor, or this NumPy on it, has no loops for AVX-512 to switch off")
+    with_loops = run_under("", "-c", DIGESTS)
+    without = run_under("", "-c", DIGESTS, NPY_DISABLE_CPU_FEATURES=wide)
+    if run_under("", "-c", WIDE_LOOPS, NPY_DISABLE_CPU_FEATURES=wide).strip():
+        pytest.skip("this NumPy does not let its loops be switched off")
+    assert len(with_loops.split()) == 20
+    assert with_loops == without
+
+
 def test_a_build_gives_the_same_bytes_under_every_kernel(flat: GridMap, tmp_path: Path) -> None:
     if len(set(kernels_in_use())) < len(KERNELS):
-        pytest.skip("this processor or this OpenBLAS does not let its kernel be chosen")
+        pytest.skip(NO_CHOICE)
     log, written = tmp_path / "flat.mcap", []
     simulate(flat, SimulationOptions(field_of_view_deg=360, beams=120, rate_hz=3, seed=3), log)
     for kernel in KERNELS:

@@ -120,19 +120,29 @@ def turned(x: float, yaw: float, roll: float) -> FloatArray:
     return pose
 
 
-def view_of_points(points: FloatArray) -> SweepView:
-    """A view whose points (N, 2) are all there is."""
+def view_of_points(points: FloatArray, looked_m: float = 40.0) -> SweepView:
+    """A view whose points (N, 2) are all there is, of a laser that looked so far all round."""
     cloud = np.column_stack([points, np.zeros(len(points))])
-    planar = circle(0, np.ones(4)).planar
+    planar = circle(0, np.full(90, looked_m)).planar
     return SweepView(planar=planar, cloud=cloud, sparse=cloud[::2], walls=points, probe=points[::2])
 
 
-def scene_of(seen: FloatArray, known: FloatArray, aligner: Aligner, **settings: Setting) -> Scene:
-    """Points (N, 2) seen from where the only keyframe of the map saw the `known` (M, 2)."""
+def scene_of(
+    seen: FloatArray,
+    known: FloatArray,
+    aligner: Aligner,
+    looked_m: Setting = 40.0,
+    **settings: Setting,
+) -> Scene:
+    """Points (N, 2) seen from where the only keyframe of the map saw the `known` (M, 2).
+
+    It looked so far all round.
+    """
+    assert isinstance(looked_m, float)
     config = RegistrationConfig.model_validate(settings)
     sensor = SensorKind(in_space=False, voxel_m=config.voxel_m, range_m=config.max_range_m)
     local = LocalMap(aligner, sensor, config)
-    local.insert(view_of_points(known), np.eye(4))
+    local.insert(view_of_points(known, looked_m), np.eye(4))
     return Scene(view=view_of_points(seen), local=local, config=config)
 
 

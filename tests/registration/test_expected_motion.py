@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.registration.expected_motion import ExpectedMotion, MotionModel
+from specmap_cli.registration.expected_motion import ExpectedMotion, LargestMotions, MotionModel
 from tests.registration.drives import circle
-from tests.strategies import poses
+from tests.strategies import poses, seeds
 
 BEAMS = np.ones(4)
 
@@ -159,3 +159,49 @@ def test_limits_of_what_is_carried_on_are_settings() -> None:
     wide = after(last, sweep(), carried_forward_m=5.0, carried_sideways_m=1.5, carried_rad=3.0)
     assert wide.motion == Pose2(3.0, -1.5, 2.0)
     assert wide.shortened
+
+
+def test_two_confirmed_motions_widen_what_is_carried_on() -> None:
+    """One alone may be an error. A robot may speed up by half from one scan to the next."""
+    model = MotionModel(RegistrationConfig())
+    long = Pose2(2.0, 0.0, 0.0)
+    carried = []
+    for confirmed in (True, False, True):
+        model.conclude(long, confirmed=confirmed)
+        carried.append(model.expect(sweep()).carried.x)
+    assert carried == [0.5, 0.5, 2.0]
+    model.conclude(Pose2(9.0, -0.5, 0.3))
+    assert model.expect(sweep()).carried == Pose2(3.0, -0.2, 0.3)
+
+
+@given(seeds)
+def test_the_two_largest_motions_are_those_of_all(seed: int) -> None:
+    motions = np.random.default_rng(seed).normal(size=(12, 3))
+    largest = LargestMotions()
+    for motion in motions.tolist():
+        largest = largest.with_motion(Pose2(*motion))
+    sizes = -np.sort(-np.abs(motions), axis=0)[:2]
+    found = (largest.forward_m, largest.sideways_m, largest.turn_rad)
+    assert np.allclose(np.array(found).T, sizes)
+
+
+@pytest.mark.parametrize(
+    ("gaps_s", "gap_s", "hole"),
+    [
+        ([0.1] * 40, 0.31, True),
+        ([0.1] * 40, 0.29, False),
+        ([0.1] * 10, 5.0, False),  # too early to tell
+        ([0.001, 0.199] * 20, 0.5, False),  # stamps in bursts
+        ([0.001, 0.199] * 20, 0.7, True),
+        ([0.0] * 40, 5.0, False),  # stamps that say nothing
+        ([2.0] * 40, 2.5, False),  # a sparse log has no holes
+    ],
+)
+def test_a_hole_in_the_log_is_a_gap_much_longer_than_usual(
+    gaps_s: list[float], gap_s: float, hole: bool
+) -> None:
+    model = MotionModel(RegistrationConfig())
+    stamps_s = np.cumsum([1.0, *gaps_s, gap_s])
+    found = [model.expect(sweep(float(stamp))).hole for stamp in stamps_s]
+    assert found[-1] == hole
+    assert not any(found[1:-1])

@@ -235,3 +235,36 @@ def test_other_kernels_register_too(world: GridMap, kernels: tuple[float, ...]) 
 def test_settings_that_cannot_work_are_refused(changes: dict[str, object], key: str) -> None:
     with pytest.raises(UsageError, match=rf"registration\.{key}"):
         load_config(overrides={"registration": changes})
+
+
+@pytest.mark.parametrize("bias", [-0.05, 0.05])
+@pytest.mark.parametrize("every", [6, 12])  # steps of some 0.5 and 1 m
+def test_a_sparse_log_with_usual_odometry_loses_no_scan(
+    world: GridMap, every: int, bias: float
+) -> None:
+    truth = path()
+    items = sweeps(world, truth, reach=4.0)[::every]
+    for k, pose in enumerate(truth[::every]):
+        odometry = Pose2(*pose.tolist())
+        biased = Pose2((1.0 + bias) * odometry.x, (1.0 + bias) * odometry.y, odometry.theta)
+        items[k] = dataclasses.replace(items[k], odom_from_base=biased)
+    front_end, scans = run(items)
+    assert front_end.counts["lost"] == front_end.counts["breaks"] == 0
+    metres, radians = worst(scans, truth[::every])
+    assert metres < 0.25  # odometry alone ends 0.37 m off
+    assert radians < 0.03
+
+
+def test_wheels_that_slip_are_noticed_or_mended(world: GridMap) -> None:
+    """Odometry drives on by 0.5 m that the robot does not: no scan is believed 0.3 m off."""
+    truth = path()
+    items = sweeps(world, truth)
+    items[40:] = [
+        dataclasses.replace(s, odom_from_base=s.odom_from_base @ Pose2(0.5, 0.0, 0.0))
+        for s in items[40:]
+        if s.odom_from_base is not None
+    ]
+    _, scans = run(items)
+    kept = [k for k, scan in enumerate(scans) if not scan.lost]
+    assert len(kept) > 85
+    assert worst([scans[k] for k in kept], truth[kept])[0] < 0.3

@@ -1,4 +1,4 @@
-"""Whether a result is believed: its score, and whether it agrees with the motion expected."""
+"""Whether a result is believed: what the walls say of it, and whether it agrees with the motion."""
 
 from __future__ import annotations
 
@@ -12,130 +12,140 @@ from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.registration.expected_motion import ExpectedMotion
 from specmap_cli.registration.judgement import Verdict, judge, needed_score
 from specmap_cli.registration.locating import Located
-from specmap_cli.registration.scene import Fit
+from specmap_cli.registration.scene import Fit, Support
 
 GUESS = Pose2(2.0, 1.0, 0.5)
 
 
 def judged(
-    away: Pose2 = IDENTITY,
     score: float = 0.9,
-    motion: Pose2 = IDENTITY,
+    support: Support | None = None,
+    away: Pose2 = IDENTITY,
     *,
+    agrees: bool = True,
     searched: bool = False,
+    wide_searched: bool = False,
     measured: bool = True,
-    **settings: float,
+    unaligned: bool = False,
 ) -> Verdict:
-    """The verdict on a result so far `away` from its guess."""
-    expected = ExpectedMotion(
-        motion=motion,
-        carried=motion,
-        during=motion,
-        interval_s=0.1,
-        measured=measured,
-        jumped=False,
-        shortened=False,
+    """The verdict on a result so far `away` from its guess; by default all of it could be seen."""
+    located = Located(
+        fit=Fit(pose=(GUESS @ away).matrix(), score=score, refused=2),
+        searched=searched,
+        wide_searched=wide_searched,
+        agrees=agrees,
+        support=support or Support(score=score, share=1.0, count=100),
+        unaligned=unaligned,
     )
-    fit = Fit(pose=(GUESS @ away).matrix(), score=score, refused=2)
-    located = Located(fit=fit, searched=searched, wide_searched=False)
-    config = RegistrationConfig.model_validate(settings)
-    return judge(located, GUESS.matrix(), expected, config)
+    return judge(located, GUESS.matrix(), RegistrationConfig(), measured=measured)
 
 
 @pytest.mark.parametrize(
-    ("away", "motion", "measured", "agrees"),
+    ("searched", "wide", "measured", "needed"),
     [
-        # at rest odometry may err by 5 cm and 0.03 rad
-        (Pose2(0.049, 0.0, 0.0), IDENTITY, True, True),
-        (Pose2(0.0, -0.051, 0.0), IDENTITY, True, False),
-        (Pose2(0.0, 0.0, -0.029), IDENTITY, True, True),
-        (Pose2(0.0, 0.0, 0.031), IDENTITY, True, False),
-        # and by a share of what it measured
-        (Pose2(0.129, 0.0, 0.0), Pose2(0.4, 0.0, 0.0), True, True),
-        (Pose2(0.131, 0.0, 0.0), Pose2(0.4, 0.0, 0.0), True, False),
-        (Pose2(0.0, 0.0, 0.149), Pose2(0.0, 0.0, -0.4), True, True),
-        (Pose2(0.0, 0.0, 0.151), Pose2(0.0, 0.0, -0.4), True, False),
-        # a motion carried on errs by how a robot speeds up
-        (Pose2(0.099, 0.0, 0.119), IDENTITY, False, True),
-        (Pose2(0.101, 0.0, 0.0), IDENTITY, False, False),
-        (Pose2(0.0, 0.0, 0.121), IDENTITY, False, False),
-        # a long motion proves nothing
-        (IDENTITY, Pose2(0.499, 0.0, 0.499), True, True),
-        (IDENTITY, Pose2(0.3, 0.4, 0.0), True, False),
-        (IDENTITY, Pose2(0.0, 0.0, -0.5), True, False),
+        (False, False, True, 0.5),
+        (False, False, False, 0.5),
+        (True, False, True, 0.7),
+        (True, False, False, 0.6),
+        (True, True, False, 0.7),
     ],
 )
-def test_a_result_agrees_when_it_is_as_near_as_the_motion_can_have_been(
-    away: Pose2, motion: Pose2, measured: bool, agrees: bool
+def test_a_contradiction_must_score_well(
+    searched: bool, wide: bool, measured: bool, needed: float
 ) -> None:
-    assert judged(away, motion=motion, measured=measured).agrees == agrees
-
-
-@pytest.mark.parametrize(
-    ("searched", "measured", "needed"),
-    [(False, True, 0.5), (False, False, 0.5), (True, True, 0.7), (True, False, 0.6)],
-)
-def test_a_contradiction_must_score_well(searched: bool, measured: bool, needed: float) -> None:
-    far = Pose2(0.4, 0.0, 0.0)
     for score, lost in ((needed - 0.01, True), (needed, False)):
-        verdict = judged(far, score, searched=searched, measured=measured)
+        verdict = judged(
+            score, agrees=False, searched=searched, wide_searched=wide, measured=measured
+        )
         assert (verdict.agrees, verdict.lost) == (False, lost)
-    config = RegistrationConfig()
-    assert needed_score(config, searched=searched, measured=measured) == needed
 
 
 def test_needed_scores_are_settings() -> None:
     config = RegistrationConfig(poor_score=0.1, sure_score=0.2, fair_score=0.3)
     flags = list(itertools.product((False, True), repeat=2))
-    found = [needed_score(config, searched=s, measured=m) for s, m in flags]
+    found = [needed_score(config, searched=s, far=f) for s, f in flags]
     assert found == [0.1, 0.1, 0.3, 0.2]
 
 
-def test_agreement_helps_all_but_the_hopeless() -> None:
-    assert not judged(score=0.15).lost
-    assert judged(score=0.149).lost
-    assert judged(score=0.149).agrees
-
-
-def test_a_lost_sweep_is_put_back_on_its_guess() -> None:
-    lost = judged(Pose2(0.6, 0.2, 0.3), 0.3)
-    assert lost.lost
-    assert lost.fit.planar == GUESS
-    assert (lost.fit.score, lost.fit.refused) == (0.3, 2)
-    kept = judged(Pose2(0.6, 0.2, 0.3), 0.8)
-    assert np.allclose(kept.fit.planar, GUESS @ Pose2(0.6, 0.2, 0.3))
+@pytest.mark.parametrize("measured", [True, False])
+def test_agreement_helps_all_but_the_hopeless(measured: bool) -> None:
+    assert not judged(0.15, measured=measured).lost
+    assert judged(0.149, measured=measured).lost
+    assert judged(0.149, measured=measured).agrees
 
 
 @pytest.mark.parametrize(
-    ("away", "score", "measured", "told"),
+    ("support", "lost"),
     [
-        (IDENTITY, 0.4, True, True),
-        (IDENTITY, 0.9, True, False),  # not lost
-        (IDENTITY, 0.1, True, False),  # lost anyhow
-        (Pose2(2.0, 0.0, 0.0), 0.4, True, False),  # against odometry
-        (IDENTITY, 0.4, False, False),  # odometry said nothing
+        (Support(score=0.9, share=0.3, count=30), False),  # the rest of the walls is new
+        (Support(score=0.1, share=0.3, count=30), True),  # what could be seen is not there
+        (Support(score=0.1, share=0.05, count=5), False),  # five points say nothing
+        (Support(score=0.0, share=0.0, count=0), False),
     ],
 )
-def test_what_is_lost_for_the_length_of_the_step_alone_is_told(
-    away: Pose2, score: float, measured: bool, told: bool
+def test_only_walls_that_could_be_seen_speak_against_odometry(support: Support, lost: bool) -> None:
+    assert judged(0.05, support).lost == lost
+    assert judged(0.05, support, measured=False).lost  # a motion carried on is no witness
+
+
+def test_without_odometry_a_contradiction_may_see_new_space_too() -> None:
+    half_new = Support(score=0.65, share=0.6, count=60)
+    mostly_new = Support(score=0.65, share=0.4, count=40)
+    for support, measured, lost in (
+        (half_new, False, False),
+        (half_new, True, True),
+        (mostly_new, False, True),
+    ):
+        verdict = judged(0.4, support, agrees=False, searched=True, measured=measured)
+        assert verdict.lost == lost
+
+
+def test_a_lost_sweep_is_put_back_on_its_guess() -> None:
+    away = Pose2(0.6, 0.2, 0.3)
+    lost = judged(0.3, away=away, agrees=False)
+    assert lost.lost
+    assert lost.fit.planar == GUESS
+    assert (lost.fit.score, lost.fit.refused) == (0.3, 2)
+    kept = judged(0.8, away=away, agrees=False)
+    assert np.allclose(kept.fit.planar, GUESS @ away)
+
+
+@pytest.mark.parametrize(
+    ("score", "share", "unaligned", "certain", "proven"),
+    [
+        (0.76, 1.0, False, True, False),
+        (0.75, 1.0, False, False, False),
+        (0.86, 0.5, False, True, True),
+        (0.86, 0.49, False, False, False),  # too little was seen
+        (0.95, 1.0, True, False, False),  # odometry must not be its own witness
+    ],
+)
+def test_walls_alone_prove_a_result_that_fits_well(
+    score: float, share: float, unaligned: bool, certain: bool, proven: bool
 ) -> None:
-    motion = Pose2(0.7, 0.0, 0.0)
-    verdict = judged(away, score, motion, measured=measured)
-    assert verdict.long
-    assert verdict.lost_by_length == told
-    if told:
-        believed = judged(away, score, motion, believed_step_m=0.8)
-        assert not believed.long
-        assert not believed.lost
+    support = Support(score=score, share=share, count=60)
+    verdict = judged(0.6, support, unaligned=unaligned)
+    assert (verdict.certain, verdict.proven) == (certain, proven)
 
 
-def test_believed_turns_are_a_setting() -> None:
-    turn = Pose2(0.0, 0.0, 0.7)
-    assert judged(score=0.4, motion=turn).lost_by_length
-    assert not judged(score=0.4, motion=turn, believed_step_rad=0.8).lost
+@pytest.mark.parametrize(
+    ("score", "share", "founds", "refutes"),
+    [
+        (0.6, 0.2, True, False),
+        (0.59, 0.2, False, True),
+        (0.59, 0.19, False, False),  # too little was seen for either
+        (0.9, 0.19, False, False),
+    ],
+)
+def test_what_founds_a_map_and_what_refutes_one(
+    score: float, share: float, founds: bool, refutes: bool
+) -> None:
+    verdict = judged(0.6, Support(score=score, share=share, count=40))
+    assert (verdict.founds, verdict.refutes) == (founds, refutes)
+    lost = judged(0.1)
+    assert (lost.founds, lost.refutes) == (False, True)
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), st.floats(0.0, 1.0))

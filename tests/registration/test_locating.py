@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,7 +13,9 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration.expected_motion import ExpectedMotion
-from specmap_cli.registration.locating import best_guess, locate
+from specmap_cli.registration.locating import Located, Prospect, best_guess
+from specmap_cli.registration.locating import locate as located_by
+from specmap_cli.registration.reliance import UNKNOWN, Reliance
 from specmap_cli.registration.scene import Scene
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import scene_in, scene_of, turned
@@ -30,6 +33,17 @@ def expecting(
         jumped=False,
         shortened=False,
     )
+
+
+def locate(
+    scene: Scene,
+    guess: FloatArray,
+    expected: ExpectedMotion,
+    by_motion: Pose2,
+    reliance: Reliance = UNKNOWN,
+) -> Located:
+    prospect = Prospect(guess=guess, expected=expected, by_motion=by_motion, reliance=reliance)
+    return located_by(scene, prospect)
 
 
 def kernels_m(scene: Scene) -> Sequence[float]:
@@ -74,7 +88,7 @@ def test_a_low_score_is_searched_for_near_by(world: GridMap, away: Pose2) -> Non
 @pytest.mark.parametrize("away", [Pose2(0.8, -0.7, 0.5), Pose2(-0.5, 0.9, -1.4)])
 def test_a_poor_score_is_searched_for_widely(world: GridMap, away: Pose2) -> None:
     scene = scene_in(world, ToldAligner())
-    located = locate(scene, away.matrix(), expecting(), IDENTITY)
+    located = locate(scene, away.matrix(), expecting(measured=False), IDENTITY)
     assert located.wide_searched
     assert located.fit.planar.distance < 0.15
     assert abs(located.fit.planar.theta) < 0.05
@@ -99,7 +113,7 @@ def test_the_window_of_the_search_is_that_of_the_guess(
     guess = Pose2(0.5, 0.5, 0.0).matrix()
     located = locate(scene, guess, expecting(measured=measured), IDENTITY)
     assert (located.fit.planar.distance < 0.1) == found
-    assert located.wide_searched == (not found)
+    assert located.searched
 
 
 def test_a_worse_result_of_a_search_is_not_taken(world: GridMap) -> None:
@@ -109,7 +123,7 @@ def test_a_worse_result_of_a_search_is_not_taken(world: GridMap) -> None:
     scene = scene_in(
         world, ToldAligner(lambda _: answers.pop() if answers else worse), kernel_voxels=(1.0,)
     )
-    located = locate(scene, np.eye(4), expecting(), IDENTITY)
+    located = locate(scene, np.eye(4), expecting(measured=False), IDENTITY)
     assert located.searched
     assert located.fit.planar.x == pytest.approx(0.2)
 
@@ -160,9 +174,13 @@ def test_of_places_nearly_alike_a_search_takes_the_one_near_the_guess(
     known = np.concatenate([corridor(30.0), post + (0.25, 0.0)])
     scene = scene_of(seen, known, ToldAligner(), good_score=1.0)
     assert scene.score(Pose2(0.25, 0.0, 0.0)) > scene.score(IDENTITY) + 0.02
-    located = locate(scene, np.eye(4), expecting(), IDENTITY)
+    located = locate(scene, np.eye(4), expecting(measured=False), IDENTITY)
     assert located.searched
     assert (located.fit.planar.x > 0.05) == taken
+    # trusted odometry, which the walls do not contradict, is not given up for a larger post
+    trusting = locate(scene, np.eye(4), expecting(), IDENTITY)
+    assert trusting.fit.planar == IDENTITY
+    assert trusting.agrees
 
 
 @pytest.fixture(scope="module")
@@ -204,3 +222,86 @@ def test_a_slip_is_mended_as_far_as_the_score_allows() -> None:
     fit = locate(scene, guess.matrix(), expecting(), ahead).fit
     assert guess.x < fit.planar.x < ahead.x
     assert scene.score(ahead) < scene.score(guess) <= fit.score == scene.score(fit.planar)
+
+
+CONTRADICTED = Reliance(along=(3.0,) * 60)  # three slacks off along the way, time and again
+
+
+@pytest.mark.parametrize(
+    ("measured", "reliance", "hole", "free"),
+    [
+        (True, UNKNOWN, False, False),
+        (True, UNKNOWN, True, True),
+        (True, CONTRADICTED, False, True),
+        (False, UNKNOWN, False, True),
+    ],
+)
+def test_no_result_turns_far_against_trusted_odometry(
+    world: GridMap, measured: bool, reliance: Reliance, hole: bool, free: bool
+) -> None:
+    """The truth is turned by 1.2 rad: a search may go there only where odometry may err so."""
+    scene = scene_in(world, ToldAligner())
+    expected = dataclasses.replace(expecting(measured=measured), hole=hole)
+    guess = Pose2(0.3, 0.2, -1.2)
+    located = locate(scene, guess.matrix(), expected, IDENTITY, reliance)
+    turned_rad = abs((guess.inverse() @ located.fit.planar).theta)
+    assert located.wide_searched
+    assert (turned_rad > 1.1) == free
+    assert free or turned_rad <= 0.8
+
+
+def test_no_search_leads_an_alignment_out_of_the_bounds(world: GridMap) -> None:
+    """Every alignment after a search turns on by 0.6 rad: together that is too much."""
+    answer = Pose2(0.0, 0.0, 0.6).matrix()
+    scene = scene_in(world, ToldAligner(lambda guess: guess @ answer), kernel_voxels=(1.0,))
+    for turn in np.linspace(-1.5, 1.5, 7).tolist():
+        guess = Pose2(0.4, -0.3, turn)
+        fit = locate(scene, guess.matrix(), expecting(), IDENTITY).fit
+        away = guess.inverse() @ fit.planar
+        assert abs(away.theta) <= 0.8
+        assert away.distance <= 1.5
+
+
+def new_room(x: float) -> FloatArray:
+    """Walls of a room that begins at x, with a niche."""
+    y = np.arange(-3.0, 3.0, 0.05)
+    far = np.column_stack([np.full(len(y), x + 4.0), y])
+    side = np.column_stack([x + 0.7 * (y + 3.0), np.full(len(y), 3.0)])
+    niche = np.column_stack([x + 4.0 + 0.2 * y, np.full(len(y), -3.4)])
+    return np.concatenate([far, side, niche])
+
+
+def test_new_space_is_no_evidence_against_the_place_that_odometry_tells() -> None:
+    """Half of the walls are where the map has never looked; the others fit."""
+    hall = corridor(6.0, end_m=-3.0)
+    seen = np.concatenate([hall, new_room(6.0)])
+    scene = scene_of(seen, hall, ToldAligner(), looked_m=4.0)
+    located = locate(scene, np.eye(4), expecting(), IDENTITY)
+    assert scene.score(IDENTITY) < 0.75
+    assert located.fit.planar == IDENTITY
+    assert not located.searched
+    assert located.agrees
+    assert located.support.score > 0.95
+    assert located.support.share < 0.9
+
+
+def test_where_nothing_could_be_seen_trusted_odometry_stands() -> None:
+    """The aligner drags the new walls onto old ones, 0.9 m away."""
+    drag = Pose2(0.9, 0.0, 0.0).matrix()
+    scene = scene_of(
+        new_room(12.0), corridor(6.0), ToldAligner(lambda guess: guess @ drag), looked_m=4.0
+    )
+    located = locate(scene, np.eye(4), expecting(Pose2(1.0, 0.0, 0.0)), IDENTITY)
+    assert located.fit.planar == IDENTITY
+    assert located.agrees
+    assert located.unaligned
+    assert located.support.count == 0
+
+
+def test_walls_that_contradict_trusted_odometry_everywhere_do_not_agree() -> None:
+    """Walls at random where the map has looked: the robot is somewhere else."""
+    rng = np.random.default_rng(2)
+    scene = scene_of(rng.uniform(-4, 4, (80, 2)), corridor(8.0), ToldAligner())
+    located = locate(scene, np.eye(4), expecting(), IDENTITY)
+    assert located.support.share > 0.9
+    assert located.support.score < 0.5

@@ -18,7 +18,7 @@ from specmap_cli.registration.aligner import SensorKind
 from specmap_cli.registration.local_map import LocalMap
 from specmap_cli.registration.scene import Fit
 from tests.registration.aligners import ToldAligner
-from tests.registration.drives import scene_in, turned, view_of_points
+from tests.registration.drives import scene_in, scene_of, turned, view_of_points
 from tests.strategies import seeds
 
 LADDER = (2.0, 1.0, 0.5, 0.25)
@@ -180,3 +180,36 @@ def test_the_local_map_keeps_the_walls_of_the_last_keyframes_only(seed: int) -> 
         assert local.field.score(gone, IDENTITY) < 1e-3
     local.clear()
     assert len(local) == 0
+
+
+def test_the_field_follows_the_robot_when_keyframes_are_far_apart() -> None:
+    """Forty keyframes every 2 m along a corridor: the walls round the last one count."""
+    config = RegistrationConfig()
+    sensor = SensorKind(in_space=False, voxel_m=0.1, range_m=20.0)
+    local = LocalMap(ToldAligner(), sensor, config)
+    walls = np.array([[x, y] for x in np.arange(-3.0, 3.0, 0.05).tolist() for y in (-1.0, 1.0)])
+    view = view_of_points(walls, 5.0)
+    for k in range(40):
+        local.insert(view, Pose2(2.0 * k, 0.0, 0.0).matrix())
+    last = Pose2(78.0, 0.0, 0.0)
+    assert local.field.score(walls, last) == pytest.approx(1.0)
+    assert local.field.left_out > 0
+    assert local.seen.holds(last.apply(walls)).all()
+    assert not local.seen.holds(walls).any()  # walls that score nothing are no evidence
+
+
+def test_support_counts_only_what_could_be_seen() -> None:
+    """Against the score of each half alone."""
+    old = np.column_stack([np.linspace(-2.0, 2.0, 80), np.full(80, 1.0)])
+    new = old + (0.0, 20.0)
+    scene = scene_of(np.concatenate([old, new]), old, ToldAligner(), looked_m=5.0)
+    support = scene.support(IDENTITY)
+    assert support.score == pytest.approx(1.0, abs=1e-6)
+    assert (support.share, support.count) == (0.5, 40)
+    assert scene.score(IDENTITY) == pytest.approx(0.5, abs=1e-6)
+    shifted = Pose2(0.0, 0.2, 0.0)
+    assert scene.gain(IDENTITY, shifted) < -0.6  # the half that neither sees does not dilute it
+    assert scene.gain(shifted, IDENTITY) == pytest.approx(-scene.gain(IDENTITY, shifted))
+    far = Pose2(0.0, 30.0, 0.0)
+    assert scene.support(far).count == 0
+    assert scene.gain(IDENTITY, far) == 0.0

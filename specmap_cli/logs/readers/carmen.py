@@ -99,12 +99,25 @@ class CarmenFile(Recording):
         """Topic, type and time of every message but the mountings, which go into `mounts`."""
         for line in self._lines():
             yield ODOM_TOPIC, ODOMETRY, line.stamp_ns
-            if line.scan is not None:
-                yield line.topic, LASER_SCAN, line.stamp_ns
-                mount = line.odom_from_base.inverse() @ line.scan.odom_from_laser
-                known = mounts.setdefault(line.topic, mount)
-                if known is not None and not _same(known, mount):
-                    mounts[line.topic] = None  # someone corrected the laser's poses
+            if line.scan is None:
+                continue
+            yield line.topic, LASER_SCAN, line.stamp_ns
+            mount = line.odom_from_base.inverse() @ line.scan.odom_from_laser
+            known = mounts.setdefault(line.topic, mount)
+            if known is None or _same(known, mount):
+                continue
+            others = [other for topic, other in mounts.items() if topic != line.topic]
+            if any(other is not None and _same(other, mount) for other in others):
+                self._report_other_laser(line)
+            else:
+                mounts[line.topic] = None  # someone corrected the laser's poses
+
+    def _report_other_laser(self, line: CarmenLine) -> None:
+        """Note a scan that another laser took by its mounting: a letter of its keyword differs."""
+        self.report(
+            f"the scan on {line.topic} at {time_text(line.stamp_ns)} has the mounting of another "
+            "laser: its keyword is damaged, and one scan of that laser is missing"
+        )
 
     @property
     def _mounts(self) -> dict[str, Pose2]:

@@ -16,6 +16,7 @@ ODOM_TOPIC = "/odom"
 
 _KEYWORDS = frozenset({b"FLASER", b"RLASER", b"ROBOTLASER1", b"ODOM"})
 _INSIDE = re.compile(rb"(?:[FR]LASER|ROBOTLASER1|ODOM)(?= [-0-9])")
+_PARTS = (b"LASER", b"ODOM")  # one of them is in each keyword
 _KEYWORD_BYTES = 12  # of the longest keyword and what ends it
 _FLASER_RANGE_MAX_M = 80.0  # lines do not say: the SICK LMS of these logs gives 81.83 for no return
 _SENSORS = (b"LASER", b"SONAR", b"BUMPER")  # in the keywords of lines that tell of a sensor
@@ -98,6 +99,8 @@ def _count(words: list[bytes], place: int) -> int:
 
 def swallowed_keywords(line: bytes) -> list[str]:
     """The keywords inside a line: those of lines whose line break was damaged."""
+    if all(line.find(part, 1) < 0 for part in _PARTS):  # much quicker than the pattern
+        return []
     return [word.decode("ascii") for word in _INSIDE.findall(line, 1)]
 
 

@@ -11,6 +11,7 @@ from typing import ClassVar, NamedTuple
 
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.shortage import reason
 from specmap_cli.core.text import counted, legible
 
 MAX_DAMAGE_LINES = 20  # a file, as many as a person reads; one more line sums the others up
@@ -207,4 +208,4 @@ def time_text(time_ns: int) -> str:
 
 def unreadable(path: Path, error: OSError) -> LogError:
     """The error for a file the system refuses to read."""
-    return LogError(f"{path}: cannot read: {error.strerror or error}")
+    return LogError(f"{path}: cannot read: {reason(error)}")

@@ -8,8 +8,10 @@ from __future__ import annotations
 import sqlite3
 from collections import Counter
 from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TypeGuard
 from urllib.parse import quote
 
 from specmap_cli.core.errors import LogError
@@ -26,9 +28,24 @@ from specmap_cli.logs.readers.recording import (
     survey,
     time_text,
 )
+from specmap_cli.logs.readers.rosbag2_rows import Fault, Rows
 from specmap_cli.logs.readers.typestore import normalized_type
 
 MAGIC = b"SQLite format 3\x00"
+
+# The same for the table and for an index that has all its rows: a sum that has no order. The primes
+# keep it exact for a thousand million messages.
+_FINGERPRINT = "TOTAL(timestamp % 10007 * (rowid % 503))"
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """What the table of messages says by itself; times are those of the first and the last."""
+
+    counts: Counter[int]
+    start_ns: int
+    end_ns: int
+    fingerprint: float
 
 
 class Rosbag2File(Recording):
@@ -75,9 +92,7 @@ class Rosbag2File(Recording):
     def contents(self) -> Contents:
         """Counted by the database, or message by message when it is damaged."""
         try:
-            times = self._db.execute("SELECT MIN(timestamp), MAX(timestamp) FROM messages")
-            start, end = (time if isinstance(time, int) else 0 for time in times.fetchone())
-            counts = self._counts
+            table = self._table
         except sqlite3.Error:
             self._sorted = False  # the index may be lost as well: read in the order of recording
             found = survey((m.topic, m.type, m.time_ns) for m in self.messages())
@@ -87,74 +102,95 @@ class Rosbag2File(Recording):
         if not self._topics:
             self.report("the list of topics is lost")
         try:
-            self._check_numbers(sum(counts.values()))
+            self._check_numbers(table)
         except sqlite3.Error as error:
             self._sorted = False
             self.report(f"{error}: whether messages are missing cannot be checked")
-        counted = ((*topic, counts.get(number, 0)) for number, topic in self._topics.items())
-        return contents_of(counted, start, end)
+        counts = ((*topic, table.counts[number]) for number, topic in self._topics.items())
+        return contents_of(counts, table.start_ns, table.end_ns)
 
     @cached_property
-    def _counts(self) -> Counter[int]:
-        """The messages of each topic in the table itself; raises sqlite3.Error."""
+    def _table(self) -> _Table:
+        """What the table of messages holds by itself; raises sqlite3.Error."""
         rows = self._db.execute(
-            "SELECT topic_id, COUNT(*) FROM messages NOT INDEXED GROUP BY topic_id"
+            "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp), "
+            f"{_FINGERPRINT} FROM messages NOT INDEXED GROUP BY topic_id"
+        ).fetchall()
+        times = [time for row in rows for time in row[2:4] if isinstance(time, int)]
+        return _Table(
+            counts=Counter({number: count for number, count, *_ in rows if _is_number(number)}),
+            start_ns=min(times, default=0),
+            end_ns=max(times, default=0),
+            fingerprint=sum(row[4] for row in rows),
         )
-        return Counter({number: count for number, count in rows if isinstance(number, int)})
 
-    def _check_numbers(self, there: int) -> None:
+    def _check_numbers(self, table: _Table) -> None:
         """Compare the messages in the table with what else tells of them; raises sqlite3.Error."""
-        first, last = self._db.execute("SELECT MIN(rowid), MAX(rowid) FROM messages").fetchone()
+        there = table.counts.total()
+        ends = "SELECT MIN(rowid), MAX(rowid) FROM messages NOT INDEXED"
+        first, last = self._db.execute(ends).fetchone()
         numbered = last - first + 1 if there else 0
-        listed = self._count_by_time(there)
-        self._sorted = self._sorted and listed == there  # the order of recording misses none
-        whole = max(numbered, listed, recorded_messages(self.path) or 0)
+        whole = max(numbered, self._checked_index(table), recorded_messages(self.path) or 0)
         if whole > there:
             self.report(
                 f"{whole - there:,} of {counted(whole, 'message')} are not in its table: the "
                 "numbers of the messages, the index or metadata.yaml tell of them"
             )
-        unknown = {n: count for n, count in self._counts.items() if n not in self._topics}
+        unknown = {n: count for n, count in table.counts.items() if n not in self._topics}
         if unknown:
             self.report(f"{counted(sum(unknown.values()), 'message')} on topics without a name")
 
-    def _count_by_time(self, there: int) -> int:
-        """How many messages the time index lists, -1 when it is lost; `there` without one."""
+    def _checked_index(self, table: _Table) -> int:
+        """How many messages the time index lists; one that does not fit the table is not used."""
         if self._time_index is None:
-            return there
+            return 0
         name = self._time_index.replace('"', '""')
+        query = f'SELECT COUNT(*), {_FINGERPRINT} FROM messages INDEXED BY "{name}"'
         try:
-            rows = self._db.execute(f'SELECT COUNT(*) FROM messages INDEXED BY "{name}"')
-            return int(rows.fetchone()[0])
+            listed, fingerprint = self._db.execute(query).fetchone()
         except sqlite3.Error:
-            return -1
+            listed, fingerprint = 0, -1.0
+        self._sorted = fingerprint == table.fingerprint  # the order of recording misses none
+        if not self._sorted and listed <= table.counts.total():
+            self.report(
+                "the index of time is damaged: read in the order of recording, "
+                "nothing is lost by this"
+            )
+        return int(listed)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics` in time order, or as recorded when the file is damaged."""
         wanted = [n for n, (name, _) in self._topics.items() if topics is None or name in topics]
-        last, found = 0, Counter[int]()
-        try:
-            for number, time_ns, data in self._db.execute(*self._query(wanted)):
-                message = self._message(number, time_ns, data)
-                found[number] += 1
-                if message is not None:
-                    last = time_ns
-                    yield message
-        except sqlite3.Error as error:
-            self.report(
-                f"{error} after message {found.total()} at {time_text(last)}: what followed it "
-                "is lost",
-                self._unread(wanted, found),
-            )
-            return
+        found = Counter[int]()
+        for row in Rows(self._db, wanted, self._sorted):
+            if isinstance(row, Fault):
+                self._tell(row)
+                found.update([] if row.topic is None else [row.topic])
+                continue
+            found[row.topic] += 1
+            message = self._message(*row)
+            if message is not None:
+                yield message
         lost = self._unread(wanted, found)
         if lost:
             self.report(f"{lost_text(lost)} cannot be found", lost)
 
+    def _tell(self, fault: Fault) -> None:
+        """Report what could not be read of the table."""
+        if fault.topic is not None:
+            name = self._topics[fault.topic][0]
+            time = time_text(fault.time_ns) if _is_number(fault.time_ns) else "an unknown time"
+            why = "it is beyond log.chunk_max_mb" if "too big" in fault.error else fault.error
+            self.report(f"one message on {name} at {time} is lost: {why}", {name: 1})
+            return
+        where = f"after {time_text(fault.time_ns)}" if _is_number(fault.time_ns) else "at first"
+        rest = "what followed" if fault.is_end else "some of what followed"
+        self.report(f"{fault.error} {where}: {rest} is lost")
+
     def _unread(self, wanted: list[int], found: Counter[int]) -> Counter[str]:
         """The messages by topic that the table has and that no pass has come to."""
         try:
-            counts = self._counts
+            counts = self._table.counts
         except sqlite3.Error:
             return Counter()
         unread: Counter[str] = Counter()
@@ -181,12 +217,11 @@ class Rosbag2File(Recording):
         assert isinstance(data, bytes)
         return Message(name, kind, time_ns, data)
 
-    def _query(self, wanted: list[int]) -> tuple[str, list[int]]:
-        order = "timestamp, id" if self._sorted else "id"
-        places = ",".join("?" * len(wanted))
-        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({places})"
-        return f"{query} ORDER BY {order}", wanted
-
     def close(self) -> None:
         """Release the file."""
         self._db.close()
+
+
+def _is_number(value: object) -> TypeGuard[int]:
+    """Whether a cell holds a whole number, as a sound one of a topic or a time does."""
+    return isinstance(value, int)

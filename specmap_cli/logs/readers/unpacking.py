@@ -10,6 +10,7 @@ from typing import IO, NamedTuple
 
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.shortage import reason
 from specmap_cli.logs.readers.compression import stream
 from specmap_cli.logs.readers.recording import unreadable
 
@@ -46,8 +47,8 @@ def unpacked(
         lost = _fill(copy, path, compression, config, look)
     except OSError as error:
         raise LogError(
-            f"{path}: cannot unpack into the temporary directory: {error.strerror or error}; "
-            "set TMPDIR to another one"
+            f"{path}: cannot unpack into the temporary directory: "
+            f"{reason(error, 'set TMPDIR to another one')}"
         ) from None
     return Copy(Path(copy.name), lost)
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import BoolArray
 from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, NO_OBSTACLE_M, OCCUPIED, UNKNOWN, GridMap
@@ -29,7 +30,6 @@ _FLAT = 1e-9  # keeps the direction of a picture without a gradient from dividin
 _TINY = 1e-6  # keeps a picture without a wall from dividing by nought
 
 ImageArray = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -76,6 +76,9 @@ def histogram_columns(feature_set: str) -> list[int]:
 def scan_features(scan: PlanarScan, feature_set: str) -> FloatArray:
     """(F,) features of one scan, in the order of `feature_names(feature_set)`; always finite.
 
+    They are rounded to single precision. A processor that rounds a sum, a cosine or a logarithm
+    otherwise changes only digits beyond it, and so no threshold that is learned from them.
+
     Raises UsageError for a set that does not exist, and for one whose functions break their word.
     """
     returns = returns_of(scan)
@@ -86,7 +89,8 @@ def scan_features(scan: PlanarScan, feature_set: str) -> FloatArray:
             found = f"gives {len(given)} values for its {len(group.columns)} columns"
             raise _unusable(feature_set, f"the group of {group.columns[0]!r} {found}")
         values.extend(given)
-    features = np.array(values, dtype=np.float64)
+    with np.errstate(over="ignore"):  # what does not fit is infinite, and told of below
+        features = np.array(values, dtype=np.float64).astype(np.float32).astype(np.float64)
     if not np.isfinite(features).all():
         first = feature_names(feature_set)[int(np.argmin(np.isfinite(features)))]
         raise _unusable(feature_set, f"{first!r} is not finite for a scan")

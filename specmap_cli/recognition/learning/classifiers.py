@@ -15,6 +15,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.text import to_exact_json
 from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.json_fields import field, mapping, number, refuse
+from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.sensor import Sensor
 
@@ -75,11 +76,15 @@ class Recogniser:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassifierSet:
-    """The classifiers of a map: of raw scans, and of virtual full-circle scans where wanted."""
+    """The classifiers of a map: of raw scans, and of virtual full-circle scans where wanted.
+
+    `misfit` says how well the map's own scans fit its walls; None in maps made before it was kept.
+    """
 
     sensor: Sensor
     raw: Recogniser
     virtual: Recogniser | None = None
+    misfit: HeldOutMisfit | None = None
 
     @property
     def ids(self) -> list[int]:
@@ -104,6 +109,8 @@ class ClassifierSet:
         }
         if self.virtual is not None:
             data["virtual"] = self.virtual.to_dict()
+        if self.misfit is not None:
+            data["misfit"] = self.misfit.to_dict()
         return to_exact_json(data, _JSON_LEVELS)
 
     @classmethod
@@ -116,12 +123,13 @@ class ClassifierSet:
         field(data, "schema_version", {SCHEMA_VERSION: SCHEMA_VERSION}, "file")
         sensor = _sensor(mapping(data, "sensor"))
         raw = Recogniser.from_dict(mapping(data, "raw"))
+        misfit = HeldOutMisfit.from_dict(mapping(data, "misfit")) if "misfit" in data else None
         if "virtual" not in data:
-            return cls(sensor=sensor, raw=raw)
+            return cls(sensor=sensor, raw=raw, misfit=misfit)
         virtual = Recogniser.from_dict(mapping(data, "virtual"))
         if virtual.ids != raw.ids:
             raise refuse("file", "raw and virtual classifiers are of different submaps")
-        return cls(sensor=sensor, raw=raw, virtual=virtual)
+        return cls(sensor=sensor, raw=raw, virtual=virtual, misfit=misfit)
 
 
 def _sensor(data: Mapping[str, Any]) -> Sensor:

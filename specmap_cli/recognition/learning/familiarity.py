@@ -21,6 +21,7 @@ from specmap_cli.recognition.learning.json_fields import number, objects, refuse
 _STEPS = 255  # square roots of shares are stored as whole numbers of 1 / 255
 _MOST_LEFT = 600  # samples that the limit is taken from: enough for a quantile, and quick
 _LEAST_LEFT = 20  # fewer of them say nothing about a quantile
+_STRETCH_SHARE = 0.1  # of a submap's samples, before and after one that is held out
 _TINY = 1e-9  # keeps a limit of nought, when all samples are alike, from dividing
 
 
@@ -29,7 +30,9 @@ class Familiarity:
 
     `fit` keeps at most `per_submap` samples of a submap as exemplars. It learns `exemplars_`
     (k, D), whole numbers from 0 to 255, and `limit_`, the distance past which a scan looks like no
-    place of the map: all but a share of `false_unknown` of the other samples lie within it.
+    place of the map: all but a share of `false_unknown` of the other samples lie within it. These
+    are held out by stretches: exemplars taken just before or after one do not count for it. The
+    fewer they are, the wider is the limit: by a standard error of the share.
     """
 
     def __init__(self, feature_set: str, false_unknown: float = 0.05, per_submap: int = 80) -> None:
@@ -47,14 +50,31 @@ class Familiarity:
         return bool(self._columns) and left >= _LEAST_LEFT
 
     def fit(self, samples: Mapping[int, FloatArray]) -> Familiarity:
-        """Learn from the features (n, F) of every submap's samples; returns self."""
+        """Learn from the features (n, F) of every submap's samples in turn; returns self."""
         chosen = {i: self._chosen(len(X)) for i, X in sorted(samples.items())}
         kept = np.vstack([samples[i][rows] for i, rows in chosen.items()])
         self._keep(np.round(self._roots(kept) * _STEPS).astype(np.uint8))
-        rest = [np.delete(samples[i], rows, axis=0) for i, rows in chosen.items()]
-        left = self.distance(evenly(np.vstack(rest), _MOST_LEFT))
-        self.limit_ = round(float(np.quantile(left, 1.0 - self.false_unknown)), 6)
+        left = self._held_out(samples, chosen)
+        share = self.false_unknown
+        error = math.sqrt(share * (1.0 - share) / len(left))  # of a share that n samples show
+        self.limit_ = round(float(np.quantile(left, min(1.0, 1.0 - share + error))), 6)
         return self
+
+    def _held_out(
+        self, samples: Mapping[int, FloatArray], chosen: Mapping[int, NDArray[np.intp]]
+    ) -> FloatArray:
+        """(n,) distance of samples that are no exemplars to the nearest one of another stretch."""
+        owners = np.concatenate([np.full(len(rows), i) for i, rows in chosen.items()])
+        numbers = np.concatenate(list(chosen.values()))
+        left = [(i, k) for i, X in sorted(samples.items()) for k in _others(len(X), chosen[i])]
+        found = []
+        for i, k in evenly(np.array(left), _MOST_LEFT).tolist():
+            stretch = _STRETCH_SHARE * len(samples[i])
+            other = (owners != i) | (np.abs(numbers - k) > stretch)
+            if other.any():
+                row = self._roots(np.asarray(samples[i][k : k + 1], dtype=np.float32))
+                found.append(np.abs(self._places[other] - row).sum(axis=1).min())
+        return np.array(found, dtype=np.float64)
 
     def distance(self, X: NDArray[Any]) -> FloatArray:
         """(n,) distance of features X (n, F) to the nearest exemplar."""
@@ -95,6 +115,11 @@ class Familiarity:
     def _roots(self, X: NDArray[Any]) -> NDArray[Any]:
         """(n, D) square roots of the histograms of features X (n, F)."""
         return np.asarray(np.sqrt(np.clip(X[:, self._columns], 0.0, 1.0)))
+
+
+def _others(count: int, rows: NDArray[np.intp]) -> list[int]:
+    """The numbers below `count` that are none of `rows`."""
+    return [int(k) for k in np.setdiff1d(np.arange(count), rows)]
 
 
 def _decoded(rows: Sequence[Any]) -> list[NDArray[np.uint8]]:

@@ -18,6 +18,7 @@ from specmap_cli.recognition.features.sets import KeyframeFeatures, scan_feature
 from specmap_cli.recognition.features.virtual import RecentScans, cast_circles
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
+from specmap_cli.recognition.learning.misfit import held_out_misfit
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.sensor import Sensor
 
@@ -46,6 +47,7 @@ def train_localizer(
         sensor=sensor_of(store, submaps),
         raw=train_raw(store, submaps, config, raw_rng),
         virtual=train_virtual(store, submaps, poses, grids, config, virtual_rng),
+        misfit=held_out_misfit(store, submaps, poses, config.localization),
     )
 
 

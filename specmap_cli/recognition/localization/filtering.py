@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LocalizationConfig
 
-_SMALLEST = 1e-300  # keeps a probability of nought out of a logarithm or a quotient
+SMALLEST = 1e-300  # keeps a probability of nought out of a logarithm or a quotient
 
 
 class HiddenMarkovFilter:
@@ -31,31 +31,40 @@ class HiddenMarkovFilter:
     ) -> None:
         self.ids = sorted(adjacency)
         self.transition = _transitions(self.ids, adjacency, config)
+        self._first = _at_the_start(len(self.ids), config.unknown_prior)
         self._belief: FloatArray | None = None
+        self._before: FloatArray | None = None  # the belief that the last update began with
 
     def reset(self) -> None:
         """Forget every scan."""
-        self._belief = None
+        self._belief = self._before = None
 
-    def predicted(self) -> FloatArray:
-        """(m + 1,) probabilities of the states at the next scan, before it is seen."""
-        return self._after(self._belief)
+    def predicted(self, again: bool = False) -> FloatArray:
+        """(m + 1,) probabilities of the states at the next scan, before it is seen.
 
-    def with_unknown(self, known: NDArray[Any], worth: float) -> FloatArray:
+        `again` means one that takes the place of the last.
+        """
+        return self._after(self._before if again else self._belief)
+
+    def with_unknown(self, known: NDArray[Any], worth: float, again: bool = False) -> FloatArray:
         """(m + 1,) the log likelihoods `known` (m,) of the submaps and, last, that of unknown.
 
         It is `worth` more than what the submaps, as likely as they are now, explain together: how
         well they are told apart says nothing about whether the scan is from any of them.
         """
-        prior = self.predicted()[:-1]
+        prior = self.predicted(again)[:-1]
         highest = float(np.max(known))
-        together = float(prior @ np.exp(known - highest)) / max(float(prior.sum()), _SMALLEST)
-        return np.append(known, highest + np.log(max(together, _SMALLEST)) + worth)
+        together = float(prior @ np.exp(known - highest)) / max(float(prior.sum()), SMALLEST)
+        return np.append(known, highest + np.log(max(together, SMALLEST)) + worth)
 
-    def update(self, log_likelihoods: NDArray[Any]) -> FloatArray:
-        """(m + 1,) probabilities of the states after one more scan of given log likelihoods."""
+    def update(self, log_likelihoods: NDArray[Any], again: bool = False) -> FloatArray:
+        """(m + 1,) probabilities of the states after one more scan of given log likelihoods.
+
+        `again` takes back the last one: the same view is known better now.
+        """
         evidence = np.asarray(log_likelihoods, dtype=np.float64)
-        self._belief = _posterior(self.predicted(), evidence)
+        self._before = self._before if again else self._belief
+        self._belief = _posterior(self.predicted(again=True), evidence)
         return self._belief
 
     def smooth(self, log_likelihoods: NDArray[Any]) -> FloatArray:
@@ -79,9 +88,12 @@ class HiddenMarkovFilter:
         return smoothed
 
     def _after(self, belief: FloatArray | None) -> FloatArray:
-        """(m + 1,) probabilities one scan after `belief`; without any, all states are as likely."""
+        """(m + 1,) probabilities one scan after `belief`; without any, those of the start.
+
+        Then all submaps are as likely.
+        """
         if belief is None:
-            return np.full(len(self.transition), 1.0 / len(self.transition))
+            return self._first
         return np.asarray(belief @ self.transition)
 
 
@@ -103,6 +115,12 @@ def _transitions(
     transition[m, :m] = config.leave / max(1, m)
     transition[m, m] = 1.0 - (config.leave if m else 0.0)
     return transition
+
+
+def _at_the_start(m: int, unknown: float) -> FloatArray:
+    """(m + 1,) probabilities before the first scan: all submaps are as likely."""
+    known = (1.0 - unknown) / max(1, m)
+    return np.append(np.full(m, known), unknown if m else 1.0)
 
 
 def _posterior(prior: FloatArray, log_likelihoods: FloatArray) -> FloatArray:

@@ -9,20 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.recognition.features.sets import scan_features
-from specmap_cli.recognition.features.virtual import RecentScans
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.learning.sensor import Sensor
-from specmap_cli.recognition.localization.beam_sampler import BeamSampler
-from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
+from specmap_cli.recognition.localization.doubt import Doubt
+from specmap_cli.recognition.localization.filtering import SMALLEST, HiddenMarkovFilter
 from specmap_cli.recognition.localization.metric import MetricTracker
-
-# Log likelihood for unknown per share of the limit beyond `strange_from`, and the most of it: views
-# that are strange come in a row, so that none of them may weigh much. Tuned on simulated tours.
-_STRANGE_GAIN, _STRANGE_MOST = 2.0, 0.2
+from specmap_cli.recognition.localization.views import Views
+from specmap_cli.recognition.localization.walls import Ratio, Walls
+from specmap_cli.recognition.localization.witness import Evidence, Witness
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,19 +37,6 @@ class Label:
     filtered_probability: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Evidence:
-    """What the classifiers say of one scan.
-
-    `raw` (m,) margins of the single scan, `all` (m,) those with the virtual scan; `strange` is how
-    little it looks like any place of the map: above one where nothing fits, -inf when not known.
-    """
-
-    raw: FloatArray
-    all: FloatArray
-    strange: float
-
-
 class Localizer:
     """Labels the scans of a log, one at a time, by the classifiers and topology of a map."""
 
@@ -68,28 +51,30 @@ class Localizer:
         self.config = config
         self.filter = HiddenMarkovFilter({i: adjacency.get(i, ()) for i in classifiers.ids}, config)
         self.tracker = MetricTracker(grids, config)
-        self._recent = RecentScans(config)
-        self._sampler: BeamSampler | None = None
+        self._witness = Witness(classifiers, config)
+        ratio = Ratio(classifiers.misfit, config)
+        self._doubt = Doubt(Walls(grids, self.tracker.field, ratio, config), config)
+        self._views = Views(config)
         self._labels: list[Label] = []
-        self._likelihoods: list[list[FloatArray]] = [[]]  # a list for each unbroken track
 
     @property
     def note(self) -> str:
         """How the log's laser is made to fit the classifiers; empty when it is the same."""
-        return self._sampler.note if self._sampler is not None else ""
+        return self._witness.note
 
     def update(self, posed: PosedScan) -> Label:
         """The label of the next scan. Raises InputError when its laser sees too little."""
         if posed.restarted:
-            self._recent.clear()
+            for part in (self._witness, self._doubt, self._views):
+                part.restart()
             self.filter.reset()
-            self._likelihoods.append([])
-        evidence = self._evidence(posed)
-        log_likelihoods = self._log_likelihoods(evidence)
-        label = self._raw_label(posed.stamp_ns, evidence)
-        label = self._filtered(label, self.filter.update(log_likelihoods))
+        evidence = self._witness.evidence(posed)
+        again = not self._views.begins(posed)
+        log_likelihoods = self._log_likelihoods(posed, evidence, again)
+        belief = self.filter.update(log_likelihoods, again)
+        label = self._filtered(self._raw_label(posed.stamp_ns, evidence), belief)
         self._labels.append(label)
-        self._likelihoods[-1].append(log_likelihoods)
+        self._views.keep(log_likelihoods)
         return label
 
     def smoothed(self) -> list[Label]:
@@ -97,56 +82,33 @@ class Localizer:
 
         A loss of tracking ends a track: what comes after it says nothing of what was before.
         """
-        tracks = [np.array(track) for track in self._likelihoods if track]
-        beliefs = [belief for track in tracks for belief in self.filter.smooth(track)]
+        rows = [row for track in self._views.tracks() for row in self.filter.smooth(track)]
+        beliefs = self._views.of_scans(rows)
         return [self._filtered(a, b) for a, b in zip(self._labels, beliefs, strict=True)]
 
-    def _evidence(self, posed: PosedScan) -> _Evidence:
-        """What the classifiers say of a scan, and of the virtual one of the window before it."""
-        raw, virtual = self.classifiers.raw, self.classifiers.virtual
-        features = scan_features(self._resampled(posed.planar), raw.feature_set)[None]
-        margins = raw.margins(features)[0]
-        strange = float(raw.strangeness(features)[0])
-        if virtual is None or not self.config.virtual:
-            return _Evidence(margins, margins, strange)
-        features = scan_features(self._virtual_scan(posed), virtual.feature_set)[None]
-        # the virtual scan says less while the window fills
-        weight = self.config.raw_weight * self._recent.filled + 1.0 - self._recent.filled
-        both = weight * margins + virtual.margins(features)[0]
-        if virtual.familiarity is not None:
-            strange = float(virtual.strangeness(features)[0])
-        return _Evidence(margins, both, strange)
-
-    def _resampled(self, scan: PlanarScan) -> PlanarScan:
-        """The scan as the laser of the map would have taken it."""
-        if self._sampler is None:
-            self._sampler = BeamSampler(Sensor.of(scan), self.classifiers.sensor, self.config)
-        return self._sampler.apply(scan)
-
-    def _virtual_scan(self, posed: PosedScan) -> PlanarScan:
-        """What a full circle would have seen from here, of the last metres."""
-        if not posed.lost:
-            self._recent.add(posed)
-        return self._recent.scan(posed.stamp_ns, posed.map_from_laser)
-
-    def _log_likelihoods(self, evidence: _Evidence) -> FloatArray:
-        """(m + 1,) log likelihoods of every submap and, last, of unknown."""
-        known = self.config.sharpness * evidence.all
-        if not self.config.unknown or evidence.strange == -math.inf:
+    def _log_likelihoods(self, posed: PosedScan, evidence: Evidence, again: bool) -> FloatArray:
+        """(m + 1,) log likelihoods of every submap and, last, of unknown, of the scan's view."""
+        known = self._views.mean(self.config.sharpness * evidence.all)
+        if not self.config.unknown:
             return np.append(known, -math.inf)
-        worth = _STRANGE_GAIN * (evidence.strange - self.config.strange_from)
-        worth = min(max(worth, -_STRANGE_MOST), _STRANGE_MOST)
-        if worth > 0.0 and self.classifiers.virtual is not None:
-            # what a short window of a narrow laser has seen so far looks strange anywhere
-            view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
-            worth *= max(self._recent.filled, view) ** 2
-        return self.filter.with_unknown(known, worth)
+        likely = self._likely(evidence, again)
+        worth = self._doubt.worth(posed, evidence, likely, again)
+        return self.filter.with_unknown(known, worth, again)
 
-    def _raw_label(self, stamp_ns: int, evidence: _Evidence) -> Label:
+    def _likely(self, evidence: Evidence, again: bool) -> list[int]:
+        """The submaps that the scan may be from: by all scans, and by its own margins."""
+        most = self.config.fit_submaps
+        before = np.maximum(self.filter.predicted(again)[:-1], SMALLEST)
+        by_all = self.config.sharpness * evidence.all + np.log(before)
+        first = np.argsort(-by_all, kind="stable")[:most]
+        ranked = [*first[:1], *np.argsort(-evidence.all, kind="stable")[:most], *first[1:]]
+        return [self.filter.ids[k] for k in dict.fromkeys(map(int, ranked))][:most]
+
+    def _raw_label(self, stamp_ns: int, evidence: Evidence) -> Label:
         """The label of the single scan by the most votes; nothing is filtered yet."""
         order = np.argsort(-evidence.raw, kind="stable")
         ids, margins = self.filter.ids, evidence.raw[order]
-        known = evidence.strange <= self.config.strange_alone or not self.config.unknown
+        known = not self.config.unknown or not self._is_strange(evidence)
         return Label(
             stamp_ns=stamp_ns,
             submap=ids[order[0]] if known else None,
@@ -156,9 +118,20 @@ class Localizer:
             filtered_probability=0.0,
         )
 
+    def _is_strange(self, evidence: Evidence) -> bool:
+        """Whether a scan is of no place: it fits no walls, or, if that is not known, is strange."""
+        of_walls = self._doubt.of_walls
+        if of_walls is None:
+            return evidence.strange > self.config.strange_alone
+        return of_walls > 0.0
+
     def _filtered(self, label: Label, belief: FloatArray) -> Label:
-        """The label with the most likely state, of which the last one is unknown."""
-        state = int(np.argmax(belief))
-        submap = self.filter.ids[state] if state < len(self.filter.ids) else None
+        """The label with the most likely submap; unknown, the last state, where none is so likely.
+
+        That is when all submaps together are less likely than it.
+        """
+        unknown = len(self.filter.ids)
+        state = unknown if belief[unknown] > belief[:unknown].sum() else int(belief[:-1].argmax())
+        submap = self.filter.ids[state] if state < unknown else None
         probability = float(belief[state])
         return replace(label, filtered_submap=submap, filtered_probability=probability)

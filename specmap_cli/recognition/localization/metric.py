@@ -34,7 +34,7 @@ class MetricTracker:
     def locate(self, posed: PosedScan, submap: int) -> Match:
         """`submap_from_base` and its score; call for successive scans."""
         points = posed.base_from_laser.apply(evenly(posed.planar.hits(), _MOST_POINTS))
-        field = self._field(submap)
+        field = self.field(submap)
         match: Match | None = None
         if self._last is not None and self._last[0] == submap and not posed.restarted:
             guess = self._last[1] @ (self._last[2].inverse() @ posed.map_from_base)
@@ -54,7 +54,8 @@ class MetricTracker:
             angle_step_rad=_FOLLOW_STEP_RAD,
         )
 
-    def _field(self, submap: int) -> ScoreField:
+    def field(self, submap: int) -> ScoreField:
+        """The walls of a submap, in its frame."""
         if submap not in self._fields:
             self._fields[submap] = ScoreField.from_grid(self.grids[submap])
         return self._fields[submap]

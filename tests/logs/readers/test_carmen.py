@@ -122,6 +122,23 @@ def test_front_and_rear_lasers_are_two_topics(tmp_path: Path) -> None:
     assert abs(sweep.base_from_laser.theta) == pytest.approx(math.pi)
 
 
+def test_a_scan_that_another_laser_took_by_its_mounting_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "log.clf"
+    front, rear = ("1.1 2.0 0.0", "FLASER"), (f"0.9 2.0 {math.pi}", "RLASER")
+    order = [front, rear, front, rear, (rear[0], "FLASER"), front]
+    path.write_text(
+        "".join(
+            flaser(1.0 + n, laser, "1.0 2.0 0.0", name) for n, (laser, name) in enumerate(order)
+        )
+    )
+    sweeps, stream = read(path, scan_topic="/flaser")
+    assert [sweep.base_from_laser.x for sweep in sweeps] == pytest.approx([0.1] * 4)
+    assert stream.log.damage == [
+        f"{path}: the scan on /flaser at 5.000 s has the mounting of another laser: its keyword "
+        "is damaged, and one scan of that laser is missing"
+    ]
+
+
 def test_damaged_lines_are_left_out_and_said(tmp_path: Path) -> None:
     path = tmp_path / "log.clf"
     whole = flaser(1.0, "1.0 2.0 0.0", "1.0 2.0 0.0")

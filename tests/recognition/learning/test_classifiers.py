@@ -16,6 +16,7 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.settings import Config
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
+from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 from specmap_cli.recognition.learning.sensor import Sensor
 from specmap_cli.recognition.learning.training import train
 from tests.recognition.learning.made_up import PAPER, SMALL, samples_of
@@ -29,7 +30,12 @@ def recogniser(config: Config, seed: int = 0) -> Recogniser:
 
 
 def classifier_set(config: Config = SMALL) -> ClassifierSet:
-    return ClassifierSet(sensor=SENSOR, raw=recogniser(config), virtual=recogniser(config, 1))
+    return ClassifierSet(
+        sensor=SENSOR,
+        raw=recogniser(config),
+        virtual=recogniser(config, 1),
+        misfit=HeldOutMisfit(0.0371, 55),
+    )
 
 
 @pytest.mark.parametrize("config", [SMALL, PAPER])
@@ -46,6 +52,7 @@ def test_a_file_gives_the_same_set_back(config: Config) -> None:
     back = ClassifierSet.from_json(model.to_json())
     assert back.to_json() == model.to_json()
     assert back.sensor == SENSOR
+    assert back.misfit == model.misfit
     assert back.ids == model.ids == [0, 2, 4]
     X = np.vstack(list(samples_of(config).values()))
     assert back.margins(X).tolist() == model.margins(X).tolist()
@@ -69,6 +76,12 @@ def test_virtual_classifiers_are_optional() -> None:
     assert model.virtual is None
     assert "virtual" not in json.loads(model.to_json())
     assert ClassifierSet.from_json(model.to_json()).virtual is None
+
+
+def test_files_from_before_the_misfit_was_kept_are_read() -> None:
+    data = json.loads(classifier_set().to_json())
+    del data["misfit"]
+    assert ClassifierSet.from_json(json.dumps(data)).misfit is None
 
 
 def test_without_exemplars_nothing_is_strange() -> None:
@@ -186,6 +199,12 @@ def edit(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         edit("virtual/exemplars/rows", []),
         edit("virtual/exemplars/rows", 3),
         edit("virtual/exemplars", []),
+        edit("misfit", []),
+        edit("misfit", {}),
+        edit("misfit/typical", -0.1),
+        edit("misfit/typical", float("nan")),
+        edit("misfit/views", 10**400),
+        edit("misfit/views", 1.5),
     ],
 )
 def test_a_file_edited_into_nonsense_is_refused_in_one_line(

@@ -24,6 +24,7 @@ from specmap_cli.recognition.features.sets import (
 from specmap_cli.recognition.features.virtual import cast_circles
 from specmap_cli.recognition.learning import training
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.learning.misfit import held_out_misfit
 from specmap_cli.recognition.learning.training import (
     sensor_of,
     train_localizer,
@@ -106,6 +107,7 @@ def test_the_two_kinds_are_learned_apart_or_together_alike(
         sensor=sensor_of(store, SUBMAPS),
         raw=train_raw(store, SUBMAPS, config, raw_rng),
         virtual=virtual,
+        misfit=held_out_misfit(store, SUBMAPS, store.poses, config.localization),
     )
     assert apart.to_json() == both.to_json()
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
 
@@ -27,9 +28,9 @@ def test_filter_and_smoother_are_sums_over_all_paths(seed: int, steps: int) -> N
     evidence = np.random.default_rng(seed).normal(0.0, 2.0, (steps, 5))
     model = hidden_markov(LINE, stay=0.8)
     weights = np.zeros((steps, 5))
-    ends = np.zeros(5)
+    ends, first = np.zeros(5), model.predicted()
     for path in product(range(5), repeat=steps):
-        weight = 0.2 * np.exp(sum(evidence[t, s] for t, s in enumerate(path)))
+        weight = first[path[0]] * np.exp(sum(evidence[t, s] for t, s in enumerate(path)))
         for a, b in pairwise(path):
             weight *= model.transition[a, b]
         ends[path[-1]] += weight
@@ -154,13 +155,43 @@ def test_the_names_of_submaps_do_not_matter() -> None:
     )
 
 
-def test_before_the_first_scan_every_state_is_as_likely() -> None:
-    model = hidden_markov(LINE)
-    assert model.predicted().tolist() == [0.2] * 5
+@pytest.mark.parametrize("unknown", [0.5, 0.2])
+def test_before_the_first_scan_every_submap_is_as_likely(unknown: float) -> None:
+    model = hidden_markov(LINE, unknown_prior=unknown)
+    first = [*[(1.0 - unknown) / 4.0] * 4, unknown]
+    assert model.predicted().tolist() == pytest.approx(first)
     model.update(np.array([9.0, 0.0, 0.0, 0.0, 0.0]))
     assert model.predicted()[0] > 0.9
     model.reset()
-    assert model.predicted().tolist() == [0.2] * 5
+    assert model.predicted().tolist() == pytest.approx(first)
+
+
+def test_without_a_submap_all_is_unknown() -> None:
+    assert hidden_markov({}).predicted().tolist() == [1.0]
+
+
+@given(st.integers(0, 999))
+def test_what_is_said_again_takes_the_place_of_what_was_said_before(seed: int) -> None:
+    """A view that is known better than before counts once, as it is known last."""
+    evidence = np.random.default_rng(seed).normal(0.0, 2.0, (3, 5))
+    once, again = hidden_markov(LINE), hidden_markov(LINE)
+    for row in evidence:
+        once.update(row)
+        again.update(row + 5.0 * np.arange(5))
+        again.update(-row, again=True)
+        assert again.predicted(again=True) == pytest.approx(_before(evidence, row))
+        last = again.update(row, again=True)
+    assert last == pytest.approx(once.update(evidence[-1], again=True))
+
+
+def _before(evidence: FloatArray, row: FloatArray) -> FloatArray:
+    """What a filter predicts for `row` that has seen all rows of the evidence before it."""
+    model = hidden_markov(LINE)
+    for earlier in evidence:
+        if np.array_equal(earlier, row):
+            break
+        model.update(earlier)
+    return model.predicted()
 
 
 def test_a_kidnapped_robot_is_found_again_sooner_when_leaps_are_likely() -> None:

@@ -208,13 +208,16 @@ def test_the_raw_label_is_that_of_the_most_votes_on_the_single_scan(
 def test_without_virtual_scans_the_filter_hears_the_single_scans(
     trained: Trained, again: list[PosedScan]
 ) -> None:
-    config = load_config(overrides={"localization": {"unknown": False, "virtual": False}})
+    every_scan = {"view_m": 0.0, "view_rad": 0.0}
+    chosen = {"unknown": False, "virtual": False} | every_scan
+    config = load_config(overrides={"localization": chosen})
     guide = localizer(trained, config)
     alone = HiddenMarkovFilter(ADJACENCY, config.localization)
     raw = trained.classifiers.raw
     for scan in again[:20]:
         margins = raw.margins(scan_features(scan.planar, raw.feature_set)[None])[0]
-        belief = alone.update(np.append(config.localization.sharpness * margins, -np.inf))
+        said = np.append(config.localization.sharpness * margins, -np.inf)
+        belief = alone.update(said)
         label = guide.update(scan)
         assert label.filtered_submap == alone.ids[int(belief[:-1].argmax())]
         assert label.filtered_probability == pytest.approx(belief.max())
@@ -263,7 +266,7 @@ def test_a_lost_scan_is_labelled_but_adds_nothing_to_the_window(
 def test_when_a_single_scan_is_unknown_is_a_setting(
     trained: Trained, again: list[PosedScan], alone: float, share: float
 ) -> None:
-    config = load_config(overrides={"localization": {"strange_alone": alone}})
+    config = load_config(overrides={"localization": {"strange_alone": alone, "fit_submaps": 0}})
     guide = localizer(trained, config)
     labels = [guide.update(scan) for scan in again[:20]]
     assert np.mean([label.submap is None for label in labels]) == share
@@ -274,7 +277,8 @@ def test_when_scans_speak_for_unknown_is_a_setting(trained: Trained, building: A
     places = building.path(2, 5)
     unknown = []
     for strange_from in (0.5, 50.0):
-        config = load_config(overrides={"localization": {"strange_from": strange_from}})
+        chosen = {"strange_from": strange_from, "fit_submaps": 0}
+        config = load_config(overrides={"localization": chosen})
         guide = localizer(trained, config)
         labels = [
             guide.update(
@@ -315,3 +319,64 @@ def test_what_comes_after_a_restart_does_not_smooth_what_was_before(
             guide.update(scan)
         apart += guide.smoothed()
     assert whole.smoothed() == apart
+
+
+@pytest.mark.parametrize("place", [5, 40, 70])
+def test_a_robot_that_stands_in_its_room_is_found_however_long(
+    trained: Trained, again: list[PosedScan], flat_rooms: Any, place: int
+) -> None:
+    """All scans of one view count as one: the last is no surer of anything than the first."""
+    guide, scan = localizer(trained), again[place]
+    rng = np.random.default_rng(place)
+    labels = []
+    for _ in range(60):
+        ranges = scan.planar.ranges + rng.normal(0.0, 0.01, len(scan.planar.ranges))
+        labels.append(guide.update(replace(scan, planar=replace(scan.planar, ranges=ranges))))
+    room = int(rooms_of(flat_rooms, [scan])[0])
+    assert {label.filtered_submap for label in labels} == {room}
+    assert labels[-1].filtered_probability == pytest.approx(
+        labels[0].filtered_probability, abs=0.15
+    )
+    assert len({label.filtered_probability for label in guide.smoothed()}) == 1
+
+
+def test_identical_scans_leave_the_belief_as_it_was(
+    trained: Trained, again: list[PosedScan]
+) -> None:
+    guide = localizer(trained)
+    first = guide.update(again[30])
+    for _ in range(20):
+        last = guide.update(again[30])
+    assert last.filtered_submap == first.filtered_submap
+    assert last.filtered_probability == pytest.approx(first.filtered_probability, abs=0.02)
+
+
+def test_a_narrow_view_of_a_one_room_map_is_recognised_standing(building: Any) -> None:
+    """What shows from one place is half of the room, and unlike all that was learned of it."""
+
+    def half(scan: Any) -> Any:
+        front = np.abs(scan.bearings) <= np.pi / 2
+        bearings, ranges = scan.bearings[front], scan.ranges[front]
+        return replace(scan, bearings=bearings, ranges=ranges, full_circle=False)
+
+    def tour_of(room: int, seed: int) -> list[PosedScan]:
+        poses = building.path(room, seed)
+        return [
+            PosedScan(
+                index=k,
+                stamp_ns=k,
+                map_from_base=Pose2(*pose.tolist()),
+                planar=half(scan),
+                base_from_laser=IDENTITY,
+            )
+            for k, (pose, scan) in enumerate(zip(poses, building.scans(poses), strict=True))
+        ]
+
+    one_room = train(tour_of(0, 1), np.full(40, 3), CONFIG)
+    for room, known in ((0, 1.0), (1, 0.0), (2, 0.0)):
+        labels = []
+        for scan in tour_of(room, 4)[::8]:
+            guide = Localizer(one_room.classifiers, {3: []}, one_room.grids, CONFIG.localization)
+            labels += [guide.update(scan) for _ in range(10)]
+        share = np.mean([label.filtered_submap == 3 for label in labels])
+        assert share == pytest.approx(known, abs=0.25)

@@ -1,0 +1,244 @@
+"""The audit: do the passes of the robot through one place agree on its walls?
+
+The path is cut into passes of some metres, each with a small grid of its own. Where two passes saw
+the same place, the walls of one must not stand in the space that the other proved free. What moves
+(people, chairs, doors) is short; a wall that is drawn twice is long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.settings import AuditConfig, GridConfig
+from specmap_cli.core.tracks import moved, step_lengths
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, CellArray, GridMap
+from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.grids.matching import ScoreField, Window, refine, search
+
+_UNKNOWN, _WALL, _OPEN = range(3)  # what a pass says of a place
+_KEYFRAME_M, _KEYFRAME_RAD = 0.3, 0.25  # between the keyframes of a pass: they see nearly the same
+_STEP_M, _REFINE_STEPS = 0.2, 10  # of the search for how far two walls stand apart
+_TURN_RAD = 0.1  # of that search: passes are turned little against each other
+_SIGMA_M = 0.15  # of its field: a cell and a half
+_LEAD, _LEAST = 0.1, 0.55  # score by which the found place must lead, and which it must reach
+
+
+@dataclass(frozen=True)
+class Pass:
+    """A piece of the path and what was seen from it: keyframes `first` to `last`.
+
+    `grid` is in the map frame. `centre` (2,) is the mean place of the robot, `way_m` the path
+    driven before it.
+    """
+
+    first: int
+    last: int
+    centre: FloatArray
+    way_m: float
+    grid: GridMap
+    depth_m: float
+
+    @cached_property
+    def walls(self) -> FloatArray:
+        """(N, 2) the middles of the cells with a wall."""
+        return self.grid.centres_of(np.argwhere(self.grid.cells == OCCUPIED))
+
+    @cached_property
+    def says(self) -> CellArray:
+        """(H, W) open space well clear of anything else, a wall near by, or nothing certain."""
+        reach = max(1, round(self.depth_m / self.grid.resolution))
+        kernel = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
+        free = (self.grid.cells == FREE).astype(np.uint8)
+        said = np.full(free.shape, _UNKNOWN, dtype=np.uint8)
+        said[cv2.erode(free, kernel, borderValue=0) > 0] = _OPEN
+        said[cv2.dilate((self.grid.cells == OCCUPIED).astype(np.uint8), kernel) > 0] = _WALL
+        return said
+
+    def of(self, points: FloatArray) -> CellArray:
+        """(N,) what this pass says of points (N, 2)."""
+        cells = self.grid.cells_of(points)
+        inside = self.grid.inside(cells)
+        said = np.full(len(points), _UNKNOWN, dtype=np.uint8)
+        said[inside] = self.says[cells[inside, 0], cells[inside, 1]]
+        return said
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disagreement:
+    """Two passes that cannot both be right: walls of one stand in free space of the other.
+
+    `earlier` and `later` are keyframes in the middle of each. `walls_m` of wall, the `share` of all
+    that can be compared, are contradicted, around `place`. `offset` moves the later pass to where
+    its walls lie on those of the earlier one, in the map frame; None when no small motion does.
+    """
+
+    earlier: int
+    later: int
+    place: tuple[float, float]
+    walls_m: float
+    share: float
+    offset: Pose2 | None
+
+    @property
+    def apart_m(self) -> float | None:
+        """How far apart the walls stand."""
+        if self.offset is None:
+            return None
+        x, y = self.place
+        moved_to = self.offset.apply(np.array([[x, y]]))[0]
+        return float(np.hypot(moved_to[0] - x, moved_to[1] - y))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Audit:
+    """How many pairs of passes through one place were compared, and those that disagree."""
+
+    compared: int = 0
+    disagreements: tuple[Disagreement, ...] = ()
+
+
+def audit(
+    store: KeyframeStore, poses: FloatArray, breaks: Collection[int], config: AuditConfig
+) -> Audit:
+    """Compare all passes through the same places, keyframes being at poses (n, 3)."""
+    if not len(poses):
+        return Audit()
+    passes = passes_of(store, poses, breaks, config)
+    found, compared = [], 0
+    for earlier, later in pairs_of(passes, config):
+        shared, contradicted = _compare(earlier, later, config)
+        if not shared:
+            continue
+        compared += 1
+        length_m = len(contradicted) * config.cell_m
+        if length_m >= config.wall_m and length_m >= config.share * shared * config.cell_m:
+            found.append(_disagreement(earlier, later, shared, contradicted, config))
+    return Audit(compared=compared, disagreements=tuple(found))
+
+
+def passes_of(
+    store: KeyframeStore, poses: FloatArray, breaks: Collection[int], config: AuditConfig
+) -> list[Pass]:
+    """The path cut into passes of `pass_m`, and where the tracking was lost."""
+    way = np.concatenate([[0.0], np.cumsum(step_lengths(poses))])
+    passes: list[Pass] = []
+    first = 0
+    for number in range(1, len(poses) + 1):
+        ended = number == len(poses) or number in breaks
+        if ended or way[number] - way[first] >= config.pass_m:
+            passes.append(_pass(store, poses, first, number - 1, float(way[first]), config))
+            first = number
+    return passes
+
+
+def _pass(
+    store: KeyframeStore,
+    poses: FloatArray,
+    first: int,
+    last: int,
+    way_m: float,
+    config: AuditConfig,
+) -> Pass:
+    chosen: list[int] = []
+    for number in range(first, last + 1):
+        before = Pose2(*poses[chosen[-1]].tolist()) if chosen else None
+        if moved(before, Pose2(*poses[number].tolist()), _KEYFRAME_M, _KEYFRAME_RAD):
+            chosen.append(number)
+    coarse = GridConfig(resolution_m=config.cell_m, max_range_m=config.range_m)
+    grid = integrate_keyframes(store, chosen, poses[chosen], coarse).snapshot()
+    return Pass(
+        first=first,
+        last=last,
+        centre=poses[first : last + 1, :2].mean(axis=0),
+        way_m=way_m,
+        grid=_cropped(grid),
+        depth_m=config.depth_m,
+    )
+
+
+def _cropped(grid: GridMap) -> GridMap:
+    """The part of a grid that holds anything: hundreds of them are kept."""
+    rows, columns = (np.flatnonzero((grid.cells != 2).any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return grid
+    return grid.window(
+        slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    )
+
+
+def pairs_of(passes: Sequence[Pass], config: AuditConfig) -> Iterator[tuple[Pass, Pass]]:
+    """Each pass with the nearest earlier ones, from where much of the same can be seen."""
+    centres = np.array([one.centre for one in passes])
+    for number, later in enumerate(passes):
+        away = np.hypot(*(centres[:number] - later.centre).T)
+        for k in np.argsort(away, kind="stable")[: config.passes_compared].tolist():
+            earlier = passes[k]
+            if away[k] <= config.near_m and later.way_m - earlier.way_m >= config.apart_m:
+                yield earlier, later
+
+
+def _compare(earlier: Pass, later: Pass, config: AuditConfig) -> tuple[int, FloatArray]:
+    """How many wall cells of either pass the other one saw, and those it contradicts (N, 2)."""
+    shared, contradicted = 0, []
+    for one, other in ((earlier, later), (later, earlier)):
+        said = other.of(one.walls)
+        shared += int(np.count_nonzero(said != _UNKNOWN))
+        contradicted.append(_long(one.walls[said == _OPEN], config))
+    return shared, np.concatenate(contradicted)
+
+
+def _long(points: FloatArray, config: AuditConfig) -> FloatArray:
+    """Those of the cells (N, 2) that stand in a row at least as long as `wall_m`."""
+    if not len(points):
+        return points
+    cells = np.floor((points - points.min(axis=0)) / config.cell_m + 0.5).astype(np.intp)
+    picture = np.zeros(cells.max(axis=0) + 1, dtype=np.uint8)
+    picture[cells[:, 0], cells[:, 1]] = 1
+    joined = cv2.dilate(picture, np.ones((3, 3), dtype=np.uint8))  # over gaps of a cell or two
+    _, pieces, stats, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
+    sides = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]] - 2  # the dilation's rim
+    long = np.hypot(*sides.T) * config.cell_m >= config.wall_m
+    long[0] = False  # the background
+    kept: NDArray[np.bool_] = long[pieces[cells[:, 0], cells[:, 1]]]
+    return points[kept]
+
+
+def _disagreement(
+    earlier: Pass, later: Pass, shared: int, contradicted: FloatArray, config: AuditConfig
+) -> Disagreement:
+    x, y = np.median(contradicted, axis=0).tolist()
+    return Disagreement(
+        earlier=(earlier.first + earlier.last) // 2,
+        later=(later.first + later.last) // 2,
+        place=(x, y),
+        walls_m=len(contradicted) * config.cell_m,
+        share=len(contradicted) / shared,
+        offset=_offset(earlier, later, config),
+    )
+
+
+def _offset(earlier: Pass, later: Pass, config: AuditConfig) -> Pose2 | None:
+    """The motion of the map that brings the later pass onto the earlier one, if one does clearly.
+
+    Walls beyond what the earlier pass saw say nothing, wherever they are moved.
+    """
+    seen = later.walls[np.hypot(*(later.walls - earlier.centre).T) <= config.range_m]
+    if not len(seen):
+        return None
+    field = ScoreField.from_points(earlier.walls, config.cell_m, _SIGMA_M)
+    x, y = later.centre.tolist()
+    centre = Pose2(x, y, 0.0)
+    points = seen - later.centre
+    window = Window(distance_m=config.search_m, angle_rad=_TURN_RAD, step_m=_STEP_M)
+    rough = search(field, points, centre, window)
+    best = refine(field, points, rough.pose, _REFINE_STEPS)
+    if best.score < max(_LEAST, field.score(points, centre) + _LEAD):
+        return None
+    return best.pose @ centre.inverse()

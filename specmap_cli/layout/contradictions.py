@@ -1,0 +1,151 @@
+"""What speaks against a layout: walls of one pass that stand in the free space of another.
+
+Where two passes come by the same place, each should see the walls that the other one saw. A wall
+that stands nearer than what the other pass saw behind it contradicts the layout, one at the same
+range agrees, and one that is farther was hidden. Views are thinned to one return a bearing, so
+that a layout of a whole log is weighed in a fraction of a second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import FloatArray, compose, invert
+from specmap_cli.core.records import IntArray
+from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.path_graph import Graph
+from specmap_cli.layout.stops import stops
+
+_BEARINGS = 180  # two degrees each: neighbours cover what headings err by
+_MOST_VIEWS = 4000  # of a log, evenly; 6 MB
+_PARTNERS = 4  # views of other passes that each is compared with: the nearest
+_PARTNER_M = 4.0  # as far as two views see the same walls from about the same side
+_SAME_M, _CLEAR_M = 0.2, 0.4  # a wall at the same range, and one that stands clear before it
+_CLEAR_SHARE = 0.03  # and per metre of range: walls seen at a low angle
+_CHANGED = 0.1  # share of what two right passes see that changed between them: people, doors
+_DOUBTFUL = 0.02  # share of a whole layout; right ones show 0.5 %, wrong ones 5 % and more
+_CLEARLY = 1.2  # times as large a share is not chance in hundreds of readings
+_BY_CHANCE = 30  # readings that may contradict anywhere, a door that closed
+
+Ranges = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Readings of two passes that agree in a layout, and those that contradict each other."""
+
+    agree: int = 0
+    contradict: int = 0
+
+    def is_worse_than(self, other: Standing) -> bool:
+        """Whether clearly more contradicts here, and not for what newly agrees.
+
+        Where less agrees than before it is the share that counts.
+        """
+        if self.agree < other.agree and self.is_doubtful and self.share > _CLEARLY * other.share:
+            return True
+        gained = max(0, self.agree - other.agree)
+        allowed = other.contradict + _BY_CHANCE + _CHANGED * (gained + other.contradict)
+        return self.contradict > allowed
+
+    @property
+    def share(self) -> float:
+        """What contradicts, of all that was compared."""
+        return self.contradict / max(1, self.agree + self.contradict)
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether more contradicts than people, doors and the noise of headings explain."""
+        return self.contradict > _BY_CHANCE + _DOUBTFUL * self.agree
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Views:
+    """What was seen at `rows` (V,) of a graph: `ranges` (V, B) of the nearest return a bearing.
+
+    +inf where nothing returned. `mounts` (V, 3) are the lasers in the base frame; `way` (V,) as the
+    path of the graph.
+    """
+
+    rows: IntArray
+    ranges: Ranges
+    mounts: FloatArray
+    way: FloatArray
+
+    @classmethod
+    def of(cls, store: KeyframeStore, graph: Graph, config: RelaxationConfig) -> Views:
+        """A view every `loop_every_m` of path, fewer on a very long one."""
+        every_m = max(config.loop_every_m, float(graph.path[-1]) / _MOST_VIEWS)
+        rows = np.array(stops(graph.path, every_m), dtype=np.int64)
+        numbers = graph.nodes[rows].tolist()
+        ranges = [_nearest(store, number, config.match_range_m) for number in numbers]
+        return cls(
+            rows=rows,
+            ranges=np.array(ranges, dtype=np.float32).reshape(-1, _BEARINGS),
+            mounts=np.array([store.base_from_laser(k) for k in numbers]).reshape(-1, 3),
+            way=graph.path[rows],
+        )
+
+    def standing(self, poses: FloatArray, config: RelaxationConfig) -> Standing:
+        """How the views of all passes stand to each other at poses (M, 3) of the graph's nodes."""
+        lasers = compose(poses[self.rows], self.mounts)
+        older, newer = self.partners(lasers, config)
+        agree = contradict = 0
+        for a, b in ((older, newer), (newer, older)):
+            same, clear = self._compared(lasers, a, b)
+            agree, contradict = agree + same, contradict + clear
+        return Standing(agree, contradict)
+
+    def partners(self, lasers: FloatArray, config: RelaxationConfig) -> tuple[IntArray, IntArray]:
+        """Views of an older pass and a newer one through the same place (P,), the nearest."""
+        pairs: list[tuple[int, int]] = []
+        for newer in range(len(lasers)):
+            old = np.flatnonzero(self.way < self.way[newer] - config.loop_path_m)
+            away = np.hypot(*(lasers[old, :2] - lasers[newer, :2]).T)
+            near = np.flatnonzero(away < _PARTNER_M)
+            best = near[np.argsort(away[near], kind="stable")[:_PARTNERS]]
+            pairs += [(int(k), newer) for k in old[best]]
+        both = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        return both[:, 0], both[:, 1]
+
+    def _compared(self, lasers: FloatArray, a: IntArray, b: IntArray) -> tuple[int, int]:
+        """How many walls seen from `b` (P,) agree with and stand clear before what `a` saw."""
+        if not len(a):
+            return 0, 0
+        seen = self.ranges[b].astype(np.float64)
+        bearing = (np.arange(_BEARINGS) + 0.5) * (2 * np.pi / _BEARINGS) - np.pi
+        there = compose(invert(lasers[a]), lasers[b])
+        known = np.isfinite(seen)
+        reach = np.where(known, seen, 0.0)
+        angle = there[:, 2:] + bearing
+        x = there[:, :1] + reach * np.cos(angle)
+        y = there[:, 1:2] + reach * np.sin(angle)
+        column = _bins(np.arctan2(y, x))
+        distance = np.hypot(x, y)
+        around = [self.ranges[a[:, None], (column + k) % _BEARINGS] for k in (-1, 0, 1)]
+        gaps = np.stack(around).astype(np.float64) - distance
+        same = known & (np.abs(gaps).min(axis=0) < _SAME_M + _CLEAR_SHARE * distance)
+        clear = known & np.isfinite(gaps).all(axis=0)
+        clear &= gaps.min(axis=0) > _CLEAR_M + _CLEAR_SHARE * distance
+        return int(same.sum()), int((clear & ~same).sum())
+
+
+def _nearest(store: KeyframeStore, number: int, range_m: float) -> Ranges:
+    """(B,) the nearest return of a keyframe at each bearing of its laser, +inf without one."""
+    hits = store.scan(number).hits(range_m)
+    ranges = np.full(_BEARINGS, np.inf, dtype=np.float32)
+    np.minimum.at(
+        ranges, _bins(np.arctan2(hits[:, 1], hits[:, 0])), np.hypot(hits[:, 0], hits[:, 1])
+    )
+    return ranges
+
+
+def _bins(angles: NDArray[Any]) -> IntArray:
+    """Which bearing each angle belongs to."""
+    share = (angles + np.pi) / (2 * np.pi)
+    return np.floor(share * _BEARINGS).astype(np.int64) % _BEARINGS

@@ -1,0 +1,211 @@
+"""What stamps are worth: which times stamp the sweeps, and where the odometry has another clock.
+
+Header stamps are used while they say anything. A driver that never sets them, or sets all to one
+value, leaves the recorder's times; where these say nothing either, the order of the scans remains.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice, pairwise
+from statistics import median_low
+from typing import Literal
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.text import nanoseconds
+from specmap_cli.logs.log import Log
+from specmap_cli.logs.messages import (
+    BadMessageError,
+    decode_odometry,
+    decode_scan,
+    decode_transforms,
+)
+from specmap_cli.logs.readers.recording import Message, time_text
+from specmap_cli.logs.readers.typestore import NS_PER_S, TF_MESSAGE
+from specmap_cli.logs.sensors import Glimpse, Sensor
+
+_FEWEST = 3  # stamps: two that are equal may be a scan that was sent twice
+_PAIRS = 20  # of scans and odometry: their median does not heed some late messages
+_LONGEST_S = 60.0  # between scans stamped by order: a longer step is no driving
+_MOST_MESSAGES = 5_000  # read for them: odometry at 1 kHz for 5 s
+
+OdometryKind = Literal["topic", "tf"]
+TimeSource = Literal["header", "recorder", "order"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OdometrySource:
+    """Where the odometry comes from.
+
+    `kind` is an Odometry topic, or transforms from `frame` to the base, or None: there is none.
+    """
+
+    kind: OdometryKind | None = None
+    topics: tuple[str, ...] = ()
+    frame: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Clock:
+    """What stamps the scans: header stamps, the recorder's times, or the order of the scans.
+
+    By order the n-th scan has the stamp `first_ns + n * interval_ns`, and the odometry that was
+    heard last. `odometry_shift_ns` is added to header stamps of odometry, which then are of the
+    scans' clock. `zero_is_unset` says that a header stamp of zero stands for the recorder's time,
+    as the two clocks otherwise agree. `why` is the fault of the header stamps, if they have one.
+    """
+
+    source: TimeSource = "header"
+    why: str = ""
+    zero_is_unset: bool = False
+    first_ns: int = 0
+    interval_ns: int = 0
+    odometry_shift_ns: int = 0
+
+    def scan_ns(self, number: int, stamp_ns: int, time_ns: int) -> int:
+        """The stamp of the scan of that number with these header and recorder's times."""
+        if self.source == "order":
+            return self.first_ns + number * self.interval_ns
+        return time_ns if self.source == "recorder" or self.unset(stamp_ns) else stamp_ns
+
+    def unset(self, stamp_ns: int) -> bool:
+        """Whether a header stamp was never set, unlike others of the log."""
+        return self.source == "header" and self.zero_is_unset and stamp_ns == 0
+
+    def odometry_ns(self, stamp_ns: int, time_ns: int) -> int:
+        """The stamp of odometry; a header stamp of zero is none."""
+        if self.source != "header" or stamp_ns == 0:
+            return time_ns
+        return stamp_ns + self.odometry_shift_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Odometry and the scan recorded next: header stamp and recorder's time of each, ns.
+
+    `place` is (x, y) by the odometry, metres.
+    """
+
+    odometry: tuple[int, int]
+    scan: tuple[int, int]
+    place: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def apart_ns(self) -> int:
+        """How far the clock of the scans is ahead of the clock of the odometry."""
+        stamps = self.scan[0] - self.odometry[0]
+        return stamps - (self.scan[1] - self.odometry[1])
+
+
+def choose_clock(
+    glimpses: Sequence[Glimpse], besides: Sequence[Beside], config: LogConfig
+) -> Clock:
+    """The clock of a log from the first scans of its sensor, and the odometry beside them."""
+    stamps = [glimpse.stamp_ns for glimpse in glimpses]
+    times = [glimpse.time_ns for glimpse in glimpses]
+    if not _ascends(stamps, config):
+        return _without_stamps(stamps, times, besides, config)
+    apart = nanoseconds(config.clocks_apart_s)
+    near = [abs(stamp - time) <= apart for stamp, time in zip(stamps, times, strict=True) if stamp]
+    header = Clock(zero_is_unset=2 * sum(near) > len(near))
+    told = [beside for beside in besides if beside.odometry[0] != 0]
+    if not told:
+        return header
+    if len(told) >= _FEWEST and len({beside.odometry[0] for beside in told}) == 1:
+        same = "header stamps of the odometry are all the same"
+        return Clock(source="recorder", why=same) if _ascends(times, config) else header
+    ahead = median_low(beside.apart_ns for beside in told)
+    return replace(header, odometry_shift_ns=ahead) if abs(ahead) > apart else header
+
+
+def _ascends(stamps: Sequence[int], config: LogConfig) -> bool:
+    """Whether stamps say when: not all are zero, and enough of them follow the one ahead."""
+    if not any(stamps):
+        return False
+    ahead = sum(b > a for a, b in pairwise(stamps))
+    return len(stamps) < _FEWEST or ahead >= config.ascending_share * (len(stamps) - 1)
+
+
+def _without_stamps(
+    stamps: Sequence[int], times: Sequence[int], besides: Sequence[Beside], config: LogConfig
+) -> Clock:
+    """The recorder's times, or the order where they say nothing more than the stamps.
+
+    Stamps that never step back, such as whole seconds, still give the first stamp and the rate.
+    Otherwise scans are so far apart in time that the robot can have driven from one to the next.
+    """
+    why = "header stamps do not ascend" if any(stamps) else "header stamps are zero"
+    if _ascends(times, config) or len(times) < _FEWEST:
+        return Clock(source="recorder", why=why)
+    known = stamps if any(stamps) else times
+    mean = (known[-1] - known[0]) // (len(known) - 1)
+    steady = mean > 0 and all(b >= a for a, b in pairwise(known))
+    step = max((math.dist(a.place, b.place) for a, b in pairwise(besides)), default=0.0)
+    driving_s = min(step / config.order_speed_mps, _LONGEST_S)
+    interval = mean if steady else nanoseconds(max(config.order_interval_s, driving_s))
+    return Clock(source="order", why=why, first_ns=max(known[0], 0), interval_ns=interval)
+
+
+def clock_warnings(clock: Clock, topic: str) -> Iterator[str]:
+    """What is said of a clock that is not that of the header stamps."""
+    if clock.source == "recorder":
+        yield f"{topic}: {clock.why}: the recorder's times are used"
+    elif clock.source == "order":
+        yield (
+            f"{topic}: {clock.why}, and the recorder's times do not ascend: scans are stamped by "
+            f"their order, {clock.interval_ns / NS_PER_S:g} s apart"
+        )
+    if clock.odometry_shift_ns:
+        side = "behind" if clock.odometry_shift_ns > 0 else "ahead of"
+        yield (
+            f"the stamps of the odometry are {time_text(abs(clock.odometry_shift_ns))} {side} "
+            "those of the scans recorded beside it: it has another clock, and is shifted to theirs"
+        )
+
+
+def odometry_beside(
+    log: Log, scan_topic: str, sensor: Sensor, odometry: OdometrySource, config: LogConfig
+) -> list[Beside]:
+    """The odometry ahead of each of the first scans of a sensor, in the order of the log."""
+    found: list[Beside] = []
+    last: tuple[int, int] | None = None
+    place = (0.0, 0.0)
+    topics, most = odometry.topics, min(_PAIRS, config.look_scans)
+    for message in islice(log.messages([scan_topic, *topics]), _MOST_MESSAGES):
+        try:
+            if message.topic != scan_topic:
+                heard = odometry_of(message, odometry.frame)
+                if heard is not None:
+                    last, place = (heard[0], message.time_ns), heard[1]
+            elif last is not None:
+                record = decode_scan(message)
+                if sensor.made(record):
+                    found.append(Beside(last, (record.stamp_ns, message.time_ns), place))
+        except BadMessageError:
+            continue
+        if len(found) >= most or not topics:
+            break
+    return found
+
+
+def odometry_of(
+    message: Message, odometry_frame: str | None
+) -> tuple[int, tuple[float, float]] | None:
+    """Header stamp and (x, y) of odometry, None in a message of other transforms.
+
+    Raises BadMessageError for a message that cannot be read.
+    """
+    if message.type != TF_MESSAGE:
+        pose = decode_odometry(message)
+        return pose.stamp_ns, _place(pose.frame_from_child)
+    for record in decode_transforms(message).records:
+        if record.parent == odometry_frame:
+            return record.stamp_ns, _place(record.parent_from_child)
+    return None
+
+
+def _place(matrix: FloatArray) -> tuple[float, float]:
+    return float(matrix[0, 3]), float(matrix[1, 3])

@@ -1,0 +1,1 @@
+"""The verdict on a map: findings of the stages, weighed together."""

@@ -1,0 +1,60 @@
+"""Findings about the front end: scans that were lost, and where the tracking broke."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from specmap_cli.core.findings import Finding
+from specmap_cli.core.labels import runs
+from specmap_cli.core.settings import QualityConfig
+from specmap_cli.core.text import counted
+from specmap_cli.quality.evidence import Evidence, graded, place_at
+
+LOST, BREAK = "lost-scans", "tracking-break"
+
+
+def lost_scans(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
+    """Scans that could not be registered: their share, and where most of them are in a row."""
+    trajectory = evidence.trajectory
+    lost = trajectory.lost
+    if lost is None or not lost.any():
+        return
+    share = float(lost.mean())
+    stretches = [(start, end) for start, end in runs(lost) if lost[start]]
+    start, end = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+    severity, limit = graded(share, config.lost_share, config.lost_share_poor)
+    stamp_ns = int(trajectory.stamps_ns[start])
+    measured = evidence.measured.any()
+    yield Finding(
+        code=LOST,
+        severity=severity,
+        message=f"{share:.1%} of the scans could not be registered ({counted(end - start, 'scan')} "
+        f"in a row from {stamp_ns * 1e-9:.3f} s on)",
+        advice=""
+        if severity == "note"
+        else "is the odometry of this robot and this clock? See `specmap info`"
+        if measured
+        else "record odometry, or more scans a second",
+        value=share,
+        limit=limit,
+        stamp_ns=stamp_ns,
+        place=place_at(trajectory, start),
+    )
+
+
+def breaks(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
+    """Where tracking started afresh; what is not tied to the rest is told of by `loose`."""
+    measured = evidence.measured.any()
+    bridge = "odometry" if measured else "the motion before"
+    for keyframe in evidence.breaks:
+        if keyframe >= len(evidence.keyframes_ns):
+            continue
+        stamp_ns = evidence.keyframes_ns[keyframe]
+        yield Finding(
+            code=BREAK,
+            severity="note",
+            message=f"registration lost the robot before {stamp_ns * 1e-9:.3f} s and started "
+            f"afresh, where {bridge} led",
+            stamp_ns=stamp_ns,
+            place=evidence.place_of(keyframe),
+        )

@@ -1,0 +1,124 @@
+"""How well views that the map never saw fit its walls: keyframes held out by stretches of the way.
+
+The misfit of a scan is one less its score on a field of walls: the share of its returns, more or
+less, that lie off them. What is usual for a laser and its building is learned from keyframes that
+are matched with the rest of their submap, without what was seen a little before and after them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.sampling import evenly
+from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.core.tracks import travelled
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.matching import REFINE_SHIFT_M, ScoreField, refine
+from specmap_cli.recognition.learning.json_fields import number, refuse
+
+_MOST_VIEWS = 60  # held out: enough for a median, and quick
+_MOST_OTHERS = 40  # keyframes that make the walls of a submap: half a metre apart in 20 m
+_MOST_POINTS = 180  # of a scan, one every other degree: what a match costs grows with them
+_DECIMALS = 4  # the last digits of a match differ from processor to processor
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOutMisfit:
+    """The median misfit in [0, 1] of `views` scans that were held out of the walls they fit."""
+
+    typical: float
+    views: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {"typical": self.typical, "views": self.views}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> HeldOutMisfit:
+        """What `to_dict` described; MapError names what makes no sense."""
+        typical, views = number(data, "typical", "misfit"), number(data, "views", "misfit")
+        if not 0.0 <= typical <= 1.0 or not 0.0 <= views <= _MOST_VIEWS or views % 1.0:
+            raise refuse("misfit", "its median or its number of views is out of bounds")
+        return cls(typical, int(views))
+
+
+def held_out_misfit(
+    store: KeyframeStore,
+    submaps: Mapping[int, Sequence[int]],
+    poses: NDArray[Any],
+    config: LocalizationConfig,
+) -> HeldOutMisfit:
+    """The misfit of keyframes with the rest of their submaps; of no view where there is no rest.
+
+    `submaps` lists the keyframes of each submap, ascending; `poses` (n, 3) are those of all.
+    """
+    way = travelled(poses)
+    owner = {k: i for i, numbers in submaps.items() for k in numbers}
+    found = []
+    for k in evenly(np.array(sorted(owner), dtype=np.intp), _MOST_VIEWS).tolist():
+        numbers = np.asarray(submaps[owner[k]], dtype=np.intp)
+        others = numbers[np.abs(way[numbers] - way[k]) > config.held_out_m]
+        if _is_known(poses[k], poses[others], config.held_out_reach_m):
+            found.append(_misfit(store, k, evenly(others, _MOST_OTHERS), poses, config))
+    if not found:
+        return HeldOutMisfit(0.0, 0)
+    return HeldOutMisfit(round(float(np.median(found)), _DECIMALS), len(found))
+
+
+def near_returns(scan: PlanarScan, near_m: float) -> FloatArray:
+    """(N, 2) a choice of the scan's returns within `near_m`, or of the nearer half if that is more.
+
+    Far ones are seen through doors, from where they hardly show again.
+    """
+    hits = scan.hits()
+    ranges = np.hypot(hits[:, 0], hits[:, 1])
+    reach = max(near_m, float(np.median(ranges))) if len(ranges) else near_m
+    return np.asarray(evenly(hits[ranges <= reach], _MOST_POINTS))
+
+
+def _is_known(pose: FloatArray, others: FloatArray, reach_m: float) -> bool:
+    """Whether one of the other poses is near: else what was held out is no place of the map."""
+    return bool(len(others)) and float(np.hypot(*(others - pose)[:, :2].T).min()) < reach_m
+
+
+def _misfit(
+    store: KeyframeStore,
+    held_out: int,
+    others: NDArray[np.intp],
+    poses: FloatArray,
+    config: LocalizationConfig,
+) -> float:
+    """The misfit of one keyframe with walls that others saw: those that its returns could meet."""
+    points = near_returns(store.scan(held_out), config.fit_range_m)
+    if not len(points):
+        return 1.0
+    map_from_laser = Pose2(*poses[held_out].tolist()) @ store.base_from_laser(held_out)
+    reach = float(np.hypot(points[:, 0], points[:, 1]).max()) + REFINE_SHIFT_M
+    walls = []
+    for k in others.tolist():
+        placed = Pose2(*poses[k].tolist()) @ store.base_from_laser(k)
+        seen = placed.apply(store.scan(k).hits())
+        away = seen - np.array([map_from_laser.x, map_from_laser.y])
+        walls.append(seen[np.hypot(away[:, 0], away[:, 1]) <= reach])
+    field = ScoreField.from_points(np.vstack(walls))
+    return 1.0 - refine(field, points, map_from_laser).score
+
+
+def pooled(held_out: HeldOutMisfit | None, config: LocalizationConfig) -> float:
+    """Mean misfit of known places: that of the map's own views, drawn to what is usual anywhere.
+
+    The fewer views were held out, the nearer it is to `usual_misfit`, which is wide. The mean is
+    that of an exponential distribution with the median found.
+    """
+    views, typical = (held_out.views, held_out.typical) if held_out is not None else (0, 0.0)
+    pseudo = config.usual_misfit_views
+    mean = (views * typical / math.log(2.0) + pseudo * config.usual_misfit) / (views + pseudo)
+    return max(config.least_misfit, mean)

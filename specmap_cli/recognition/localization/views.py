@@ -1,0 +1,64 @@
+"""Scans grouped into views: what a robot sees again without moving is no new evidence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import PosedScan
+from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.core.tracks import moved
+
+
+class Views:
+    """The views of a log. A view begins where the robot moved, and lasts until it moves again.
+
+    `mean` of what is said of the scans of a view is what the view says, however many they are.
+    `keep` stores the evidence of the view as it is known now; `tracks` returns that of all views.
+    """
+
+    def __init__(self, config: LocalizationConfig) -> None:
+        self.config = config
+        self._at: Pose2 | None = None
+        self._sum: FloatArray = np.zeros(0)
+        self._scans = 0  # of the view
+        self._tracks: list[list[FloatArray]] = [[]]  # of views, one for each unbroken track
+        self._view_of: list[int] = []  # each scan's, counted over all tracks
+
+    def restart(self) -> None:
+        """The next scan begins a track of its own."""
+        self._at = None
+        self._tracks.append([])
+
+    def begins(self, posed: PosedScan) -> bool:
+        """Whether the scan is a new view, which it then is; a lost one only if it is the first."""
+        first = not self._tracks[-1]
+        far = moved(self._at, posed.map_from_base, self.config.view_m, self.config.view_rad)
+        if not first and (posed.lost or not far):
+            return False
+        self._at = posed.map_from_base
+        self._sum, self._scans = np.zeros(0), 0
+        self._tracks[-1].append(np.zeros(0))
+        return True
+
+    def mean(self, said: NDArray[Any]) -> FloatArray:
+        """The mean of what is said (k,) of the scans of this view, this one the last."""
+        self._sum = self._sum + said if self._scans else np.asarray(said, dtype=np.float64)
+        self._scans += 1
+        return np.asarray(self._sum / self._scans)
+
+    def keep(self, evidence: FloatArray) -> None:
+        """What this view says, with the scan that came last."""
+        self._tracks[-1][-1] = evidence
+        self._view_of.append(sum(len(track) for track in self._tracks) - 1)
+
+    def tracks(self) -> list[FloatArray]:
+        """The evidence (views, k) of every track."""
+        return [np.array(track) for track in self._tracks if track]
+
+    def of_scans(self, rows: list[FloatArray]) -> list[FloatArray]:
+        """For each scan the row of its view; `rows` are those of the views of all tracks."""
+        return [rows[view] for view in self._view_of]

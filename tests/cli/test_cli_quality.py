@@ -1,0 +1,61 @@
+"""The verdict on a map as the command line tells it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from specmap_cli.maps.store import read_map
+from tests.cli.conftest import QUICK, Run
+
+# odometry would have to agree with the map to a tenth of a millimetre a metre
+DOUBTFUL = ("--set", "quality.odometry_share=0.0001")
+
+
+@pytest.mark.parametrize(
+    ("settings", "asked", "code"),
+    [
+        ((), (), 0),
+        ((), ("--fail-on", "doubtful"), 0),
+        (DOUBTFUL, (), 0),
+        (DOUBTFUL, ("--fail-on", "poor"), 0),
+        (DOUBTFUL, ("--fail-on", "doubtful"), 5),
+    ],
+)
+def test_a_build_can_fail_on_its_verdict(
+    run: Run,
+    tiny_log: Path,
+    tmp_path: Path,
+    settings: tuple[str, ...],
+    asked: tuple[str, ...],
+    code: int,
+) -> None:
+    out = tmp_path / "map"
+    outcome = run("build", tiny_log, "-o", out, *QUICK, *settings, *asked, "--json")
+    assert outcome.code == code
+    told = json.loads(outcome.out)["quality"]
+    assert told["verdict"] == ("doubtful" if settings else "good")
+    stored = read_map(out).record.graph.quality
+    assert stored is not None
+    assert stored.model_dump() == told  # the map is there in any case
+
+
+def test_other_verdicts_cannot_be_asked_for(run: Run, tmp_path: Path) -> None:
+    outcome = run("build", "no.mcap", "--fail-on", "good", "-o", tmp_path / "map")
+    assert outcome.code == 2
+    assert "'doubtful', 'poor'" in outcome.error
+
+
+def test_doubts_come_first_and_are_warned_of(
+    run: Run, tiny_log: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "map"
+    outcome = run("build", tiny_log, "-o", out, *QUICK, *DOUBTFUL)
+    first = outcome.out.splitlines()[0]
+    assert first.startswith(f"{out}: this map is doubtful: odometry and the map disagree by ")
+    warned = first.removeprefix(f"{out}: this map is doubtful: ")
+    assert f"specmap: warning: {warned}" in outcome.err.splitlines()
+    quiet = run("build", tiny_log, "-o", out, *QUICK, *DOUBTFUL, "--overwrite", "-q")
+    assert (quiet.out.splitlines()[0], quiet.err) == (first, "")

@@ -1,0 +1,91 @@
+"""Commands that the system gives too little: files, room, memory. One line, and nothing stays."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.cli.conftest import ERROR, QUICK, ROOT, command, leftovers, standing_log
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits as Linux has them")
+
+
+def limited(limits: Mapping[int, int], *arguments: str | Path) -> tuple[int, str]:
+    """A command in a process of limits: its exit code and the last line on stderr."""
+
+    def limit() -> None:
+        for which, most in limits.items():
+            resource.setrlimit(which, (most, most))
+
+    ended = subprocess.run(
+        command(*arguments),
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        preexec_fn=limit,
+        check=False,
+    )
+    lines = ended.stderr.splitlines()
+    assert "Traceback" not in ended.stderr
+    assert sum(line.startswith(ERROR) for line in lines) == 1, ended.stderr
+    return ended.returncode, lines[-1].removeprefix(ERROR)
+
+
+def test_more_files_than_may_be_open(tmp_path: Path) -> None:
+    parts = tmp_path / "parts"
+    parts.mkdir()
+    for number in range(30):
+        standing_log(parts / f"{number:02}.mcap", 3.0, scans=2)
+    code, line = limited({resource.RLIMIT_NOFILE: 24}, "info", parts)
+    assert code == 3
+    assert line.startswith(f"{parts}/")
+    assert line.endswith(
+        ".mcap: cannot read: Too many open files; give fewer files at once, or raise the limit "
+        "with `ulimit -n`"
+    )
+
+
+@pytest.mark.parametrize(
+    ("what", "most", "told"),
+    [
+        (
+            "build",
+            500,
+            "temporary files cannot be written: File too large; see `ulimit -f`, or",
+        ),
+        (
+            "build",
+            2000,
+            "out: cannot be written: File too large; see `ulimit -f`, or choose another output",
+        ),
+        ("convert", 500, "out: cannot write: File too large; see `ulimit -f`, or choose"),
+    ],
+)
+def test_files_that_may_not_grow(tmp_path: Path, what: str, most: int, told: str) -> None:
+    log = standing_log(tmp_path / "log.mcap", 3.0)
+    out = tmp_path / "out"
+    options = QUICK if what == "build" else ()
+    code, line = limited({resource.RLIMIT_FSIZE: most}, what, log, "-o", out, *options)
+    assert code == 2
+    assert told in line
+    assert leftovers(tmp_path) == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.mcap"]
+
+
+def test_a_picture_that_does_not_fit_into_memory(tmp_path: Path) -> None:
+    path = tmp_path / "plan.png"
+    cv2.imwrite(str(path), np.zeros((9000, 9000), dtype=np.uint8))
+    limits = {resource.RLIMIT_AS: 700_000_000}
+    code, line = limited(limits, "segment", path, "--resolution", "0.05", "-o", tmp_path / "rooms")
+    assert code == 3
+    assert line.startswith("not enough memory")
+    assert line.endswith("a shorter log or a coarser grid (--set grid.resolution_m) needs less")
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["plan.png"]

@@ -1,0 +1,244 @@
+"""Stamps that say nothing, and odometry by another clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import Sweep
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.clocks import Beside, Clock, choose_clock
+from specmap_cli.logs.convert import convert
+from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.readers.encoding import odometry_cdr, scan_cdr
+from specmap_cli.logs.readers.typestore import LASER_SCAN, ODOMETRY
+from specmap_cli.logs.sensors import Glimpse
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.logs.writer import LogWriter
+
+SECOND = 1_000_000_000
+TODAY = 1_700_000_000 * SECOND
+SETTINGS = LogConfig()
+
+
+def glimpses(stamps: list[int], times: list[int]) -> list[Glimpse]:
+    return [Glimpse(s, t, "laser", None) for s, t in zip(stamps, times, strict=True)]
+
+
+def tenths(count: int, start: int = TODAY) -> list[int]:
+    return [start + n * SECOND // 10 for n in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "times", "source"),
+    [
+        (tenths(9), tenths(9), "header"),
+        (tenths(9, 0), tenths(9), "header"),  # a simulated clock
+        ([0] * 9, tenths(9), "recorder"),
+        ([0], [0], "recorder"),
+        ([TODAY] * 9, tenths(9), "recorder"),
+        ([TODAY] * 2, tenths(2), "header"),  # a scan that was sent twice
+        ([t // SECOND * SECOND for t in tenths(30)], tenths(30), "recorder"),  # whole seconds
+        ([t // (SECOND // 5) for t in tenths(30)], tenths(30), "header"),  # each sent twice
+        ([0] * 9, [0] * 9, "order"),
+        ([TODAY] * 9, [5] * 9, "order"),
+        (tenths(9)[::-1], tenths(9), "recorder"),
+    ],
+)
+def test_stamps_are_used_while_they_say_when(
+    stamps: list[int], times: list[int], source: str
+) -> None:
+    assert choose_clock(glimpses(stamps, times), [], SETTINGS).source == source
+
+
+def test_scans_by_order_are_stamped_by_the_rate_that_whole_seconds_tell() -> None:
+    whole = [t // SECOND * SECOND for t in tenths(41, 5 * SECOND)]
+    clock = choose_clock(glimpses(whole, whole), [], SETTINGS)
+    assert (clock.source, clock.first_ns, clock.interval_ns) == ("order", 5 * SECOND, SECOND // 10)
+    assert [clock.scan_ns(n, 0, 0) for n in range(3)] == tenths(3, 5 * SECOND)
+    unknown = choose_clock(glimpses([7] * 5, [7] * 5), [], LogConfig(order_interval_s=0.5))
+    assert (unknown.first_ns, unknown.interval_ns) == (7, SECOND // 2)
+
+
+@pytest.mark.parametrize(
+    ("step_m", "speed_mps", "interval_s"),
+    [(0.01, 0.5, 0.1), (1.0, 0.5, 2.0), (1.0, 2.0, 0.5), (1e6, 0.5, 60.0)],
+)
+def test_scans_by_order_leave_the_time_to_drive(
+    step_m: float, speed_mps: float, interval_s: float
+) -> None:
+    """Otherwise the odometry of a sparse log would seem to jump."""
+    zeros = [0] * 9
+    besides = [Beside((0, 0), (0, 0), (n * step_m, 0.0)) for n in range(3)]
+    config = LogConfig(order_speed_mps=speed_mps)
+    clock = choose_clock(glimpses(zeros, zeros), besides, config)
+    assert clock.interval_ns == round(interval_s * SECOND)
+
+
+@pytest.mark.parametrize(
+    ("apart_s", "limit_s", "shift_s"), [(1.5, 2.0, 0.0), (3.0, 2.0, 3.0), (-3.0, 5.0, 0.0)]
+)
+def test_the_settings_say_how_far_apart_the_clocks_may_be(
+    apart_s: float, limit_s: float, shift_s: float
+) -> None:
+    times = tenths(9)
+    ahead = [t + round(apart_s * SECOND) for t in times]
+    besides = [Beside((t, t), (s, t)) for s, t in zip(ahead, times, strict=True)]
+    clock = choose_clock(glimpses(ahead, times), besides, LogConfig(clocks_apart_s=limit_s))
+    assert clock.odometry_shift_ns == round(shift_s * SECOND)
+
+
+def test_a_zero_among_stamps_of_the_recorders_clock_was_never_set() -> None:
+    stamps = [0, *tenths(9)[1:]]
+    same = choose_clock(glimpses(stamps, tenths(9)), [], SETTINGS)
+    assert same.scan_ns(0, 0, TODAY) == TODAY
+    simulated = choose_clock(glimpses(tenths(9, 0), tenths(9)), [], SETTINGS)
+    assert simulated.scan_ns(0, 0, TODAY) == 0
+    assert Clock(odometry_shift_ns=5).odometry_ns(0, TODAY) == TODAY
+
+
+Stamp = Callable[[int], int]
+
+
+def write(path: Path, scan_ns: Stamp, odometry_ns: Stamp, time_ns: Stamp, count: int = 20) -> None:
+    """A robot that drives 1 m a scan; odometry between the scans, each at x = n + 0.5."""
+    with LogWriter(path) as log:
+        for n in range(count):
+            for half, stamp in ((0, odometry_ns), (1, scan_ns)):
+                at = 2 * n + half
+                pose = Pose2(n + 0.5 * half, 0.0, 0.0)
+                if half == 0:
+                    data, kind = odometry_cdr("odom", "base", stamp(at), pose), ODOMETRY
+                else:
+                    ranges = np.full(9, 2.0)
+                    data = scan_cdr("base", stamp(at), -1.0, 0.25, ranges, range_max=8.0)
+                    kind = LASER_SCAN
+                log.raw("/odom" if half == 0 else "/scan", kind, data, time_ns(at))
+
+
+def tick(start: int) -> Stamp:
+    return lambda n: start + n * SECOND // 20
+
+
+def read(path: Path) -> tuple[list[Sweep], list[str]]:
+    with open_log(path) as log:
+        stream = SweepStream(log, SETTINGS)
+        return list(stream), stream.warnings
+
+
+def places(sweeps: list[Sweep]) -> list[float | None]:
+    return [None if s.odom_from_base is None else s.odom_from_base.x for s in sweeps]
+
+
+HALVES = pytest.approx([n + 0.5 for n in range(19)])
+
+
+def test_odometry_of_another_clock_is_shifted_to_the_scans(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write(path, tick(TODAY), tick(0), tick(TODAY))
+    sweeps, warnings = read(path)
+    assert [s.stamp_ns for s in sweeps] == [tick(TODAY)(2 * n + 1) for n in range(20)]
+    assert places(sweeps)[:-1] == HALVES
+    assert warnings == [
+        "the stamps of the odometry are 1700000000.000 s behind those of the scans recorded beside "
+        "it: it has another clock, and is shifted to theirs"
+    ]
+
+
+def test_scans_of_another_clock_keep_their_stamps(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write(path, tick(5), tick(TODAY), tick(TODAY))
+    sweeps, warnings = read(path)
+    assert sweeps[0].stamp_ns == tick(5)(1)
+    assert places(sweeps)[:-1] == HALVES
+    assert "are 1700000000.000 s ahead of those of the scans" in warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("scan", "odometry", "said"),
+    [
+        (lambda _: 0, tick(77), "/scan: header stamps are zero: the recorder's times are used"),
+        (
+            lambda _: TODAY,
+            tick(77),
+            "/scan: header stamps do not ascend: the recorder's times are used",
+        ),
+        (
+            tick(77),
+            lambda _: TODAY,
+            "/scan: header stamps of the odometry are all the same: the recorder's times are used",
+        ),
+    ],
+)
+def test_stamps_that_never_change_leave_the_recorders_times(
+    tmp_path: Path, scan: Stamp, odometry: Stamp, said: str
+) -> None:
+    path = tmp_path / "log.mcap"
+    write(path, scan, odometry, tick(TODAY))
+    sweeps, warnings = read(path)
+    assert [s.stamp_ns for s in sweeps] == [tick(TODAY)(2 * n + 1) for n in range(20)]
+    assert places(sweeps)[:-1] == HALVES
+    assert warnings == [said]
+
+
+def test_without_any_times_the_order_remains(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write(path, lambda _: 0, lambda _: 0, lambda _: 0)
+    sweeps, warnings = read(path)
+    assert [s.stamp_ns for s in sweeps] == [n * 2 * SECOND for n in range(20)]
+    assert places(sweeps) == [float(n) for n in range(20)]
+    assert warnings == [
+        "/scan: header stamps are zero, and the recorder's times do not ascend: scans are stamped "
+        "by their order, 2 s apart"
+    ]
+
+
+def test_a_few_scans_that_were_never_stamped_have_the_recorders_times(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write(path, lambda n: 0 if n < 4 else tick(TODAY)(n), tick(TODAY), tick(TODAY))
+    sweeps, warnings = read(path)
+    assert [s.stamp_ns for s in sweeps] == [tick(TODAY)(2 * n + 1) for n in range(20)]
+    assert warnings == ["scans stamped zero, for which the recorder's times are used: 2"]
+
+
+def carmen(path: Path, stamps: list[float]) -> None:
+    """A line a metre; behind each an ODOM line of other odometry whose stamp is 0."""
+    with path.open("w", encoding="ascii") as file:
+        for n, stamp in enumerate(stamps):
+            ranges = " ".join(["2.0"] * 181)
+            file.write(f"FLASER 181 {ranges} {n} 0 0 {n} 0 0 {stamp:.6f} robot {stamp:.6f}\n")
+            file.write(f"ODOM {n + 100} 0 0 0 0 0 0.000000 robot 0.000000\n")
+
+
+@pytest.mark.parametrize(
+    ("stamps", "expected"),
+    [
+        pytest.param([0.0] * 30, [n * 2 * SECOND for n in range(30)], id="zero"),
+        pytest.param([5.0] * 30, [(5 + 2 * n) * SECOND for n in range(30)], id="constant"),
+        pytest.param(
+            [float(n // 10) for n in range(31)], [n * SECOND // 10 for n in range(31)], id="whole"
+        ),
+        pytest.param(
+            [5.0, 6.0, 5.5, 7.0, 7.0, 3.0, 60.0, 8.0],
+            [round(s * SECOND) for s in (5.0, 6.0, 5.5, 7.0, 7.0, 3.0, 60.0, 8.0)],
+            id="to and fro",
+        ),
+    ],
+)
+@pytest.mark.parametrize("converted", [False, True])
+def test_the_odometry_of_a_line_stays_with_it(
+    tmp_path: Path, stamps: list[float], expected: list[int], converted: bool
+) -> None:
+    """Whatever the stamps are, also when the log was converted to MCAP, which sorts by time."""
+    path = tmp_path / "robot.log"
+    carmen(path, stamps)
+    if converted:
+        convert(path, tmp_path / "log.mcap")
+        path = tmp_path / "log.mcap"
+    sweeps, _ = read(path)
+    assert places(sweeps) == [float(n) for n in range(len(stamps))]
+    assert [s.stamp_ns for s in sweeps] == expected

@@ -1,0 +1,84 @@
+"""How well held-out keyframes fit what the others of their submap saw."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit, near_returns
+
+CONFIG = LocalizationConfig()
+
+
+def stored(building: Any, poses: FloatArray, noise_m: float = 0.0) -> KeyframeStore:
+    rng, store = np.random.default_rng(3), KeyframeStore()
+    for k, (pose, scan) in enumerate(zip(poses, building.scans(poses), strict=True)):
+        ranges = scan.ranges + rng.normal(0.0, noise_m, len(scan.ranges))
+        store.append(
+            PosedScan(
+                index=k,
+                stamp_ns=k,
+                map_from_base=Pose2(*pose.tolist()),
+                planar=PlanarScan(k, scan.bearings, ranges, 20.0, full_circle=True),
+                base_from_laser=IDENTITY,
+            )
+        )
+    return store
+
+
+def misfit_of(building: Any, noise_m: float = 0.0, step: int = 1) -> HeldOutMisfit:
+    poses = building.path(0, 2)[::step]
+    with stored(building, poses, noise_m) as store:
+        return held_out_misfit(store, {5: range(len(poses))}, store.poses, CONFIG)
+
+
+def test_views_of_one_room_fit_the_rest_and_noise_shows(building: Any) -> None:
+    clear, noisy = misfit_of(building), misfit_of(building, 0.15)
+    assert clear.views == noisy.views == 40
+    assert clear.typical < 0.05
+    assert noisy.typical > clear.typical + 0.02
+
+
+def test_what_was_seen_just_before_and_after_is_held_out_too(building: Any) -> None:
+    """A robot that never moved a metre has nothing left to compare with."""
+    poses = np.zeros((12, 3)) + building.path(0, 2)[:1]
+    poses[:, 0] += 0.05 * np.arange(12)
+    with stored(building, poses) as store:
+        found = held_out_misfit(store, {5: range(12)}, store.poses, CONFIG)
+    assert found == HeldOutMisfit(0.0, 0)
+
+
+def test_views_of_places_seen_once_are_not_held_out(building: Any) -> None:
+    """Two keyframes metres apart: neither is a place that the other knows."""
+    poses = building.path(0, 2)[[0, 20]]
+    with stored(building, poses) as store:
+        assert held_out_misfit(store, {5: [0, 1]}, store.poses, CONFIG).views == 0
+
+
+def test_near_returns_are_those_in_reach_or_the_nearer_half() -> None:
+    bearings = np.linspace(-1.0, 1.0, 41)
+    scan = PlanarScan(0, bearings, np.linspace(1.0, 21.0, 41), 30.0, full_circle=False)
+    for reach, farthest in ((15.0, 15.0), (3.0, 11.0)):
+        ranges = np.hypot(*near_returns(scan, reach).T)
+        assert ranges.max() == pytest.approx(farthest)
+    assert len(near_returns(PlanarScan(0, bearings, np.full(41, np.inf), 30.0, False), 8.0)) == 0
+
+
+@pytest.mark.parametrize(
+    ("typical", "views"), [(-0.1, 3), (1.1, 3), (0.1, -1), (0.1, 61), (0.1, 2.5)]
+)
+def test_a_file_out_of_bounds_is_refused(typical: float, views: float) -> None:
+    with pytest.raises(MapError, match="misfit: its median or its number of views is out of"):
+        HeldOutMisfit.from_dict({"typical": typical, "views": views})
+
+
+def test_a_file_gives_it_back() -> None:
+    found = HeldOutMisfit(0.0371, 55)
+    assert HeldOutMisfit.from_dict(found.to_dict()) == found
