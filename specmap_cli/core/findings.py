@@ -13,6 +13,8 @@ Severity = Literal["note", "doubtful", "poor"]
 Verdict = Literal["good", "doubtful", "poor"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)  # from the best to the worst
 
+INPUT = "input"  # the code of what reading and registration have to say about the log
+
 Place = tuple[float, float]
 
 
@@ -60,6 +62,16 @@ class Quality:
     def verdict(self) -> Verdict:
         """`good`, `doubtful` or `poor`."""
         return max((_verdict(finding) for finding in self.findings), key=_rank, default="good")
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """Those that a user should hear of: all but notes about the result."""
+        return tuple(one for one in self.findings if one.severity != "note" or one.code == INPUT)
+
+    @property
+    def notes(self) -> tuple[Finding, ...]:
+        """The others."""
+        return tuple(one for one in self.findings if one not in self.warnings)
 
     @property
     def worst(self) -> tuple[Finding, ...]:

@@ -105,6 +105,16 @@ class LogConfig(_Section):
     floor_percentile: float = Field(
         2.0, ge=0, le=100, description="of their heights: a few stray returns lie below the floor"
     )
+    floor_tilt_max_rad: float = Field(
+        0.785,
+        ge=0,
+        le=1.2,
+        description="a lidar without a place on a base is levelled by floors it is tilted against "
+        "up to this: 45 degrees, as carried by hand; 0: never",
+    )
+    floor_share: float = Field(
+        0.1, ge=0, le=1, description="of the returns within floor_radius_m must show a floor"
+    )
     cloud_beams: int = Field(720, ge=16, description="bearings of the planar scan of a 3D cloud")
     cloud_filled_share: float = Field(
         0.9, gt=0, le=1, description="of the bearings must have returns, or they are halved"
@@ -137,6 +147,9 @@ class RegistrationConfig(_Section):
     min_points: int = Field(10, ge=3, description="a scan with fewer walls is lost")
     cloud_range_m: float = Field(40.0, gt=0, description="as max_range_m, for 3D clouds")
     cloud_voxel_m: float = Field(0.2, ge=0.01, description="as voxel_m, for 3D clouds")
+    max_cloud_points: int = Field(
+        2000, ge=100, description="a denser 3D cloud is thinned to this: alignments take most time"
+    )
     level_share: float = Field(
         0.2, ge=0, le=1, description="of a 3D lidar's roll and pitch taken back at every scan"
     )

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.thinning import first_in_cells
 from specmap_cli.grids.gridmap import GridMap
 
 FieldArray = NDArray[np.float32]
@@ -111,13 +112,7 @@ class ScoreField:
 
 def thinned(points: FloatArray, cell_m: float) -> FloatArray:
     """The first point (of (N, 2) or (N, 3)) in each cell of a grid of side `cell_m`, in order."""
-    if len(points) < 2:
-        return points
-    cells = np.floor(points / cell_m).astype(np.int64)
-    cells -= cells.min(axis=0)
-    key = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
-    _, first = np.unique(key, return_index=True)
-    return points[np.sort(first)]
+    return points[first_in_cells(points, cell_m)]
 
 
 def _extent(values: FloatArray, longest: float, middle: float | None) -> tuple[float, float]:

@@ -15,7 +15,6 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import IntArray, Trajectory
 from specmap_cli.core.settings import RelaxationConfig
-from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.carrying import bridged, carried, keyframe_rows
 from specmap_cli.layout.closing import Closed, closed
@@ -66,7 +65,6 @@ class Layout:
     odometry: tuple[Link, ...] = ()
     kept: tuple[Link, ...] = ()
     dropped: tuple[Link, ...] = ()
-    warnings: tuple[str, ...] = ()
     loose: tuple[int, ...] = ()
     evidence: Evidence = field(default_factory=Evidence)
 
@@ -105,7 +103,7 @@ def relax(
     refuted = tuple(one.link for one in found.judged if not one.believed)
     finished = Finished("relaxed", draft, (*refuted, *dropped))
     finished = chosen(graph, passes, finished, views, config)
-    return _layout(store, graph, finished, replace(found, judged=judged), views, config)
+    return _layout(graph, finished, replace(found, judged=judged), views, config)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +155,6 @@ def _closure(constraint: Constraint) -> Link:
 
 
 def _layout(
-    store: KeyframeStore,
     graph: Graph,
     finished: Finished,
     found: Closed,
@@ -185,28 +182,6 @@ def _layout(
         odometry=graph.odometry,
         kept=draft.loops,
         dropped=dropped,
-        warnings=_warnings(
-            finished.choice, dropped, [store.stamps_ns[keyframe] for keyframe in loose]
-        ),
         loose=loose,
         evidence=evidence,
-    )
-
-
-def _warnings(
-    choice: Choice, dropped: Sequence[Link], loose_stamps_ns: Sequence[int]
-) -> tuple[str, ...]:
-    """What a user should know about the layout."""
-    closures = sum(link.kind == "closure" for link in dropped)
-    verb = "contradicts" if closures == 1 else "contradict"
-    left_out = [f"layout: {counted(closures, 'loop closure')} {verb} the rest: left out"]
-    guessed = [
-        f"layout: a guess only places what follows {stamp_ns * 1e-9:.3f} s"
-        for stamp_ns in loose_stamps_ns
-    ]
-    as_tracked = ["layout: relaxed, more walls contradict each other: poses stay as tracked"]
-    return (
-        *(as_tracked if choice == "tracked" else []),
-        *(left_out if closures else []),
-        *guessed,
     )

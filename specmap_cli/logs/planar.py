@@ -146,8 +146,11 @@ class CloudFlattener:
         self._bearings: FloatArray = np.zeros(0)
         self._seen = np.zeros(0, dtype=bool)
 
-    def flatten(self, cloud: FloatArray, stamp_ns: int) -> PlanarScan:
-        """The planar scan, seen from the lidar's place, of points (N, 3) in the base frame."""
+    def flatten(self, cloud: FloatArray, stamp_ns: int, floor_m: float | None = None) -> PlanarScan:
+        """The planar scan, seen from the lidar's place, of points (N, 3) in the base frame.
+
+        `floor_m` is the height of the floor in this cloud, if it was found.
+        """
         dx, dy = cloud[:, 0] - self.mount.x, cloud[:, 1] - self.mount.y
         distance = np.hypot(dx, dy)
         turn = np.arctan2(dy, dx) / _FULL_CIRCLE + 0.5  # [0, 1] from -pi to pi
@@ -156,10 +159,7 @@ class CloudFlattener:
         beams = len(self._seen)
         bins = np.minimum((turn * beams).astype(np.intp), beams - 1)
         self._seen[bins[distance > 0.0]] = True
-        if self._floor is None:
-            near = cloud[distance <= self.config.floor_radius_m]
-            self._floor = lowest_returns(near, self.config.floor_percentile)
-        height = cloud[:, 2] - self._floor
+        height = cloud[:, 2] - (self._first_floor(cloud, distance) if floor_m is None else floor_m)
         inside = (height >= self.config.band_min_m) & (height <= self.config.band_max_m)
         inside &= (distance > 0.0) & (distance <= self.config.cloud_range_max_m)
         ranges = np.where(self._seen, np.inf, np.nan)
@@ -173,6 +173,13 @@ class CloudFlattener:
             range_max=self.config.cloud_range_max_m,
             full_circle=bool(self._seen.mean() >= self.config.cloud_filled_share),
         )
+
+    def _first_floor(self, cloud: FloatArray, distance: FloatArray) -> float:
+        """The floor's height where it is known once for all, or taken from the first cloud."""
+        if self._floor is None:
+            near = cloud[distance <= self.config.floor_radius_m]
+            self._floor = lowest_returns(near, self.config.floor_percentile)
+        return self._floor
 
     def _choose_bearings(self, turn: FloatArray) -> None:
         """Settle on the bearings from the first cloud's returns at any height."""

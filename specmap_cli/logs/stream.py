@@ -13,11 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of
-from specmap_cli.core.geometry import Pose2, product
+from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible, nanoseconds
 from specmap_cli.logs.clouds import PointClock, cloud_points
+from specmap_cli.logs.levelling import CloudLeveller, Level
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import BadMessageError, CloudRecord, ScanRecord, decode_scan
 from specmap_cli.logs.odometry import OdometryBuffer, OdometryListener
@@ -125,6 +126,7 @@ class _SweepMaker:
         self.leveller = ScanLeveller(Mount.from_matrix(selection.base_from_laser), config)
         floor = selection.placement.floor_m
         self.flattener = CloudFlattener(selection.base_from_laser, floor, config)
+        self.cloud_leveller = CloudLeveller(config) if floor is None else None
         self.points_clock = PointClock()
         self._last_stamp: int | None = None
         self._number = 0  # of the sensor's scans so far
@@ -178,15 +180,23 @@ class _SweepMaker:
         self.counts["far_times"] += far_times
         self.counts["foreign_times"] = self.points_clock.foreign
         base_from_laser = self.selection.base_from_laser
-        cloud = product(points, base_from_laser[:3, :3].T) + base_from_laser[:3, 3]
+        level = self._level(points)
+        turn = product(level.rotation, base_from_laser[:3, :3])
+        cloud = product(points, turn.T) + base_from_laser[:3, 3]
         return Sweep(
             index=self.counts["scans"],
             stamp_ns=stamp_ns,
-            planar=self.flattener.flatten(cloud, stamp_ns),
+            planar=self.flattener.flatten(cloud, stamp_ns, level.floor_m),
             base_from_laser=self.flattener.mount,
             cloud=cloud,
             cloud_times_s=times_s,
         )
+
+    def _level(self, points: FloatArray) -> Level:
+        """How the base lies under a cloud: as the log says, else by the floor in the cloud."""
+        if self.cloud_leveller is None:
+            return Level(np.eye(3), None)
+        return self.cloud_leveller.level(points)
 
     def _count(self, sweep: Sweep) -> None:
         counts, last = self.counts, self._last_stamp

@@ -2,7 +2,7 @@
 
 Brunskill, Kollar and Roy, "Topological Mapping Using Spectral Clustering and Classification"
 (IROS 2007). While the log lasts: track, segment, recognise. After it: relax, refute, divide,
-learn, write.
+assess, learn, write.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from specmap_cli.core.records import Labels, PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
-from specmap_cli.layout.audit import audit
 from specmap_cli.layout.relaxation import corrected, relax
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_map
+from specmap_cli.pipelines.assessment import assess, tell
 from specmap_cli.pipelines.exploration import Exploration, Explored
 from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.pipelines.learning import divide, learn, linked, whole_grid
@@ -35,8 +35,6 @@ from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.tracking import Tracking, track
 from specmap_cli.pipelines.trajectory import TrajectoryRecorder
 from specmap_cli.pipelines.worker import ahead
-from specmap_cli.quality.evidence import Evidence
-from specmap_cli.quality.verdict import judged
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.online import Observer
 from specmap_cli.topology.regions import divide as divide_cells
@@ -73,8 +71,7 @@ def build_map(
         stream = SweepStream(log, config.log)
         finished = map_log(stream, config, store, progress, observer=observer)
         run = run_record(log.given, stream.selection, config, finished)
-        for warning in run["warnings"]:
-            progress.warn(warning)
+        tell(finished.quality, progress)
         write_map(partial, finished.result(log.name, run))
     return BuildReport(out=target, run=run, quality=finished.quality)
 
@@ -154,30 +151,21 @@ def finish(
     progress: Progress,
     clock: Stopwatch,
 ) -> FinishedMap:
-    """What follows Algorithm 1: relax the layout, refute, divide the whole map, learn."""
+    """What follows Algorithm 1: relax the layout, refute, divide the whole map, assess it, learn."""
     progress.start("layout", None)
     with clock.stage("layout"):
         constraints = constraints_of(explored.closures, explored.regions, store, config.relaxation)
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
         trajectory = corrected(explored.trajectory, store, layout)
     closures = refute(explored.closures, constraints, layout)
-    with clock.stage("audit"):
-        checked = audit(store, layout.poses, explored.breaks, config.audit)
     with clock.stage("grids"):
         whole, beyond = whole_grid(store, layout, config)
     with clock.stage("segmentation"):
         submaps = divide(whole, layout, explored, closures, config)
+    with clock.stage("audit"):
+        quality = assess(store, explored, layout, trajectory, beyond, tracking.warnings, config)
     grids, classifiers = learn(store, explored, submaps, layout.poses, config, progress, clock)
     stamps = np.array(store.stamps_ns, dtype=np.int64)
-    evidence = Evidence(
-        trajectory=trajectory,
-        keyframes_ns=store.stamps_ns,
-        breaks=tuple(explored.breaks),
-        layout=layout,
-        audit=checked,
-        beyond=beyond,
-        warnings=tracking.warnings,
-    )
     labels = Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps)
     return FinishedMap(
         topology=linked(labels, explored, closures, grids),
@@ -188,6 +176,6 @@ def finish(
         layout=layout,
         counts=tracking.counts,
         limits={**layout.limits, "max_extent_m": beyond},
-        quality=judged(evidence, config.quality),
+        quality=quality,
         seconds=dict(clock.seconds),
     )

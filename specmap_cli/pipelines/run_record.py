@@ -72,7 +72,7 @@ def run_record(
         "limits": {name: count for name, count in finished.limits.items() if count},
         "seconds": {name: round(value, 3) for name, value in finished.seconds.items()},
         "quality": finished.quality.as_dict(),
-        "warnings": summary(finished.quality.findings),
+        "warnings": summary(finished.quality.warnings),
     }
 
 

@@ -28,8 +28,8 @@ def lost_scans(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
     yield Finding(
         code=LOST,
         severity=severity,
-        message=f"{share:.1%} of the scans could not be registered ({counted(end - start, 'scan')} "
-        f"in a row from {stamp_ns * 1e-9:.3f} s on)",
+        message=f"{counted(int(lost.sum()), 'scan')} of {len(lost):,} ({share:.1%}) could not be "
+        f"registered, {end - start:,} in a row from {stamp_ns * 1e-9:.3f} s on",
         advice=""
         if severity == "note"
         else "is the odometry of this robot and this clock? See `specmap info`"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from specmap_cli.core.findings import Finding, Quality, Severity
+from specmap_cli.core.findings import INPUT, Finding, Quality, Severity
 from specmap_cli.core.settings import QualityConfig
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.measured import odometry_disagrees, unmeasured_way
@@ -37,7 +37,6 @@ CHECKS: tuple[Check, ...] = (
     refuted,
     beyond_grid,
 )
-INPUT = "input"
 _ORDER: tuple[Severity, ...] = ("poor", "doubtful", "note")
 
 

@@ -23,8 +23,9 @@ from specmap_cli.registration.fixed_directions import fixed_directions
 from specmap_cli.registration.founding import Founding
 from specmap_cli.registration.judgement import Verdict, judge
 from specmap_cli.registration.local_map import LocalMap
-from specmap_cli.registration.locating import Prospect, best_guess, locate, reversed_guess
+from specmap_cli.registration.locating import locate
 from specmap_cli.registration.methods import aligner_factory
+from specmap_cli.registration.prospect import Prospect, best_guess, reversed_guess
 from specmap_cli.registration.reliance import Reliance
 from specmap_cli.registration.scene import Fit, Scene
 from specmap_cli.registration.sweep_view import SweepView, view_of
@@ -80,7 +81,8 @@ class FrontEnd:
             verdict = verdict.levelled(self.config.level_share)
         restarted = self._track.broken and not verdict.lost
         bridge = self._track.bridge if restarted else None
-        self._conclude(verdict, view, local)
+        blind = _is_blind(sweep, view)
+        self._conclude(verdict, view, local, blind=blind)
         return PosedScan(
             index=sweep.index,
             stamp_ns=sweep.stamp_ns,
@@ -92,7 +94,7 @@ class FrontEnd:
             lost=verdict.lost,
             restarted=restarted,
             bridge=bridge,
-            blind=_is_blind(sweep, view),
+            blind=blind,
             odom_from_base=sweep.odom_from_base,
             map_from_base_3d=verdict.fit.pose if in_space else None,
         )
@@ -119,7 +121,7 @@ class FrontEnd:
         prospect = Prospect(
             guess=best_guess(scene, before, expected),
             expected=expected,
-            by_motion=track.by_motion,
+            by_motion=track.by_motion if expected.measured else track.carried_on,
             reliance=track.reliance,
             reverse=reversed_guess(before, expected),
         )
@@ -140,7 +142,7 @@ class FrontEnd:
         self._count(registered=-refuted, lost=refuted)
         return Verdict(fit=replace(verdict.fit, score=1.0))
 
-    def _conclude(self, verdict: Verdict, view: SweepView, local: LocalMap) -> None:
+    def _conclude(self, verdict: Verdict, view: SweepView, local: LocalMap, *, blind: bool) -> None:
         """Keep the pose, insert a keyframe when due, end the map after a run of lost sweeps."""
         config, fit, track = self.config, verdict.fit, self._track
         step = Pose2.from_matrix(track.pose).inverse() @ fit.planar
@@ -148,6 +150,8 @@ class FrontEnd:
         self._count(registered=not verdict.lost, lost=verdict.lost)
         lost_in_a_row = track.lost_in_a_row + 1 if verdict.lost else 0
         founded = track.founded or verdict.founds
+        if not verdict.lost and not blind:
+            track = track.with_steady(step)
         track = replace(track, pose=fit.pose, lost_in_a_row=lost_in_a_row, founded=founded)
         if lost_in_a_row == config.lost_limit and len(local):
             local.clear()

@@ -17,6 +17,7 @@ from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration.aligner import SensorKind
 
 _CONVERGED = 1e-4  # KISS-ICP's own: steps below it, metres and radians, end the iterations
+_CONVERGED_IN_SPACE = 5e-4  # in voxels of twice the size, and thousands of points average more
 _NEARLY_CONVERGED = 1e-3  # enough for a coarse alignment, whose result is aligned again
 _GATE_KERNELS = 3.0  # points farther from the map than so many kernels have no match (its tau)
 _KEPT_RANGES = 2.0  # its map reaches this many sensor ranges; the window forgets long before
@@ -39,7 +40,8 @@ class KissIcpAligner:
                 "or choose another method"
             ) from error
         # one thread: the sums of several would come in another order at every run
-        self._fine = Registration(config.iterations, _CONVERGED, max_num_threads=1)
+        converged = _CONVERGED_IN_SPACE if sensor.in_space else _CONVERGED
+        self._fine = Registration(config.iterations, converged, max_num_threads=1)
         self._coarse = Registration(config.iterations, _NEARLY_CONVERGED, max_num_threads=1)
         reach_m = _KEPT_RANGES * sensor.range_m
         self._voxels = VoxelHashMap(sensor.voxel_m, reach_m, config.points_per_voxel)

@@ -47,7 +47,8 @@ class LocalMap:
 
     def insert(self, view: SweepView, map_from_base: FloatArray) -> None:
         """Add a keyframe seen from a pose (4, 4)."""
-        self.aligner.insert(view.cloud, map_from_base)
+        points = view.cloud if view.dense is None else view.dense
+        self.aligner.insert(points, map_from_base)
         planar = Pose2.from_matrix(map_from_base)
         self._walls.appendleft(planar.apply(view.walls))
         self._outlines.appendleft(planar.apply(view.outline()))

@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from specmap_cli.core.geometry import FloatArray, Pose2, product
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.matching import Window
-from specmap_cli.registration.agreement import agrees
-from specmap_cli.registration.expected_motion import ExpectedMotion
-from specmap_cli.registration.reliance import UNKNOWN, Reliance
+from specmap_cli.registration.prospect import BEYOND_DOUBT, Prospect
 from specmap_cli.registration.scene import Bounds, Fit, Scene, Support
+from specmap_cli.registration.sliding import carried_along, slid
 
 # Steps of the two searches: about a cell of the score field, no finer, and a rough one.
 _STEP_M, _WIDE_STEP_M = 0.05, 0.1
@@ -27,11 +24,11 @@ _FINE_KERNELS = (0.5, 0.25)  # voxels: they follow only walls near by, not new o
 # say as much as all of them.
 ENOUGH, MOST = 0.2, 0.5
 _NEARLY_ALL = 0.9  # share of a sweep's walls that could be seen, from which on none are new
-_BEYOND_DOUBT = 0.85  # score of a place that is right without odometry: most right ones have more
-_NEARLY = 2.0  # slacks within which odometry and the walls that could be seen prove it together
+# Slacks within which odometry and the walls that could be seen prove a place together, where these
+# fit fairly; and where they surely fit, and odometry is trusted.
+_NEARLY, _ROUGHLY = 2.0, 3.0
+_PER_SLACK = 0.05  # score that a place must have more for each slack away from odometry's
 _BACKED_UP = (1.0, 0.5)  # shares of a step that are tried as driven backwards
-_ALIKE = 0.01  # scores this near speak for two places alike
-_SHARES = (1.0, 0.75, 0.5, 0.25)  # of the way to odometry's place, tried in this order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,60 +47,6 @@ class Located:
     unaligned: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Prospect:
-    """Where a sweep is expected: at `guess` (4, 4), with what is known of the motion there.
-
-    `by_motion` is the place that the expected motions since the last keyframe lead to. `reverse`
-    (4, 4) is where the sweep was taken if odometry reports backing up as driving forward.
-    """
-
-    guess: FloatArray
-    expected: ExpectedMotion
-    by_motion: Pose2
-    reliance: Reliance = UNKNOWN
-    reverse: FloatArray | None = None
-
-    @property
-    def trusted(self) -> bool:
-        """Whether odometry measured the motion, and is worth its name."""
-        return self.expected.measured and self.reliance.trusted
-
-    def agrees(self, fit: Fit, slacks: float = 1.0) -> bool:
-        """Whether a result agrees with the motion expected, to within so many slacks."""
-        guess = Pose2.from_matrix(self.guess)
-        return agrees(guess, fit.planar, self.expected, self.reliance, slacks)
-
-
-def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> FloatArray:
-    """The pose (4, 4) expected after the pose `before`: by odometry or by the motion before.
-
-    The motion before is carried on where odometry puts the sweep visibly off the walls. Stamps of
-    wheels and laser may be apart: in turns odometry is then off by many degrees.
-    """
-    guess = product(before, expected.motion.matrix())
-    if not expected.measured:
-        return guess
-    other = product(before, expected.carried.matrix())
-    apart = expected.motion.inverse() @ expected.carried
-    if abs(apart.theta) > scene.config.search_rad:
-        return guess
-    margin, places = scene.config.guess_margin, [Pose2.from_matrix(p) for p in (guess, other)]
-    by_odometry, by_motion = (scene.score(place) for place in places)
-    better = by_motion > by_odometry + margin
-    if better and by_motion < _BEYOND_DOUBT:  # there may be new space
-        better = scene.gain(*places) > margin
-    return other if better else guess
-
-
-def reversed_guess(before: FloatArray, expected: ExpectedMotion) -> FloatArray | None:
-    """The pose (4, 4) after the same motion driven backwards, turns kept; None if unmeasured."""
-    if not expected.measured:
-        return None
-    x, y, theta = expected.motion
-    return product(before, Pose2(-x, -y, theta).matrix())
-
-
 def locate(scene: Scene, prospect: Prospect) -> Located:
     """The best pose found for a sweep, never farther from its guess than the bounds allow."""
     config, guess = scene.config, prospect.guess
@@ -113,7 +56,7 @@ def locate(scene: Scene, prospect: Prospect) -> Located:
     if doubted:
         window = _window(config, measured=prospect.expected.measured)
         found = scene.search(guess, window, kernels, bounds)
-        fit = _better(scene, prospect, fit, found)
+        fit = _better(scene, prospect, fit, found, guess)
         fit = _backed_up(scene, prospect, fit)
     wide = doubted and _calls_for_wide_search(scene, prospect, fit)
     if wide:
@@ -121,9 +64,13 @@ def locate(scene: Scene, prospect: Prospect) -> Located:
         far = not prospect.trusted or prospect.expected.hole
         reach = _wide_bounds(guess, config) if far else bounds
         window = _wide_window(prospect, config, free=far)
+        if not far and _speaks_against(scene.support(fit.planar), config):
+            window = replace(window, angle_rad=config.max_shift_rad)
         fit = fit.or_better(scene.search(guess, window, wider, reach))
     if prospect.expected.measured and not doubted:
-        fit = _slid(scene, fit, prospect.by_motion)
+        fit = slid(scene, fit, prospect.by_motion)
+    elif not prospect.expected.measured and not scene.local.sensor.in_space:
+        fit = carried_along(scene, fit, prospect.by_motion)
     return _concluded(scene, prospect, fit, searched=doubted, wide_searched=wide)
 
 
@@ -157,7 +104,9 @@ def _agrees_with_walls(scene: Scene, prospect: Prospect, fit: Fit, support: Supp
     """Whether a result is a little too far from odometry's place, but the walls speak for it."""
     if not prospect.expected.measured or support.share < MOST:
         return False
-    return support.score >= scene.config.sure_score and prospect.agrees(fit, _NEARLY)
+    sure = support.score >= scene.config.sure_score
+    near = prospect.agrees(fit, _ROUGHLY if sure and prospect.trusted else _NEARLY)
+    return near and support.score >= scene.config.fair_score
 
 
 def _support(scene: Scene, fit: Fit) -> Support:
@@ -182,18 +131,22 @@ def _is_settled(scene: Scene, prospect: Prospect, fit: Fit) -> bool:
     return support.share >= share and support.score > scene.config.good_score
 
 
-def _better(scene: Scene, prospect: Prospect, fit: Fit, found: Fit) -> Fit:
-    """The better one of a result and of what a search found.
+def _better(scene: Scene, prospect: Prospect, fit: Fit, found: Fit, place: FloatArray) -> Fit:
+    """The better one of a result and of what a search around a place (4, 4) found.
 
     A place that agrees with trusted odometry and that the walls speak for is not given up for one
-    that does not agree: new walls that lie on old ones somewhere else do not prove it.
+    that does not agree: new walls that lie on old ones somewhere else do not prove it. Where hardly
+    any wall is new, it is given up for a place that fits better by so much that odometry errs so.
     """
-    if prospect.trusted and prospect.agrees(fit) and not prospect.agrees(found):
-        support = scene.support(fit.planar)
-        new = support.share < _NEARLY_ALL
-        if new and support.share >= ENOUGH and support.score >= scene.config.fair_score:
-            return replace(fit, refused=fit.refused + found.refused)
-    return fit.or_better(found)
+    if not (prospect.trusted and prospect.agrees(fit) and not prospect.agrees(found)):
+        return fit.or_better(found)
+    support = scene.support(fit.planar)
+    if support.share < _NEARLY_ALL:
+        kept = support.share >= ENOUGH and support.score >= scene.config.fair_score
+    else:
+        needed = fit.score + _PER_SLACK * prospect.slacks(Pose2.from_matrix(place), found)
+        kept = found.score < needed
+    return replace(fit, refused=fit.refused + found.refused) if kept else fit.or_better(found)
 
 
 def _backed_up(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
@@ -204,7 +157,7 @@ def _backed_up(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
     """
     config, reverse = scene.config, prospect.reverse
     step_m = prospect.expected.motion.distance
-    if reverse is None or fit.score >= _BEYOND_DOUBT or step_m <= config.search_m:
+    if reverse is None or fit.score >= BEYOND_DOUBT or step_m <= config.search_m:
         return fit
     for share in _BACKED_UP:
         forward = share * (reverse[:3, 3] - prospect.guess[:3, 3])
@@ -213,7 +166,7 @@ def _backed_up(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
         window = _window(config, measured=True)
         bounds = Bounds.around(place, config)
         found = scene.search(place, window, config.kernel_voxels, bounds)
-        fit = _better(scene, prospect, fit, found)
+        fit = _better(scene, prospect, fit, found, place)
     return fit
 
 
@@ -222,10 +175,13 @@ def _calls_for_wide_search(scene: Scene, prospect: Prospect, fit: Fit) -> bool:
 
     Before a contradiction is believed, the robot is looked for wherever it can have come.
     """
-    agreeing = prospect.agrees(fit)
-    if fit.score >= (scene.config.poor_score if agreeing else _BEYOND_DOUBT):
+    agreeing, config = prospect.agrees(fit), scene.config
+    if fit.score >= (config.sure_score if agreeing else BEYOND_DOUBT):
         return False
     support = scene.support(fit.planar)
+    new = support.share < _NEARLY_ALL or not prospect.expected.measured
+    if agreeing and fit.score >= config.poor_score and new:
+        return False
     return not (agreeing and support.share >= MOST and support.score >= scene.config.fair_score)
 
 
@@ -274,27 +230,3 @@ def _wide_window(prospect: Prospect, config: RegistrationConfig, *, free: bool) 
         penalty_per_m2=_WIDE_PER_M2,
         penalty_per_rad2=_WIDE_PER_RAD2,
     )
-
-
-def _slid(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
-    """The place nearest the one by odometry that the walls speak for as well as for `fit`.
-
-    Along a bare corridor all places score alike and registration stays behind, a little at every
-    sweep: how far the robot came since the last keyframe is believed from odometry, as long as
-    the score does not object. Heading and offset from the walls stay those of `fit`.
-    """
-    here = fit.planar
-    forward = np.array([np.cos(here.theta), np.sin(here.theta)])
-    behind = float(np.dot((by_motion.x - here.x, by_motion.y - here.y), forward))
-    if abs(behind) < scene.config.slip_m:
-        return fit
-    for share in _SHARES:
-        place = here @ Pose2(share * behind, 0.0, 0.0)
-        score = scene.score(place)
-        alike = score >= fit.score - _ALIKE
-        if not alike and fit.score < _BEYOND_DOUBT:  # there may be new space
-            alike = scene.gain(here, place) >= -_ALIKE
-        if alike:
-            pose = product((place @ here.inverse()).matrix(), fit.pose)
-            return Fit(pose=pose, score=score, refused=fit.refused)
-    return fit

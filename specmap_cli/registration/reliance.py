@@ -70,9 +70,13 @@ class Reliance:
 
         To within so many slacks.
         """
+        return self.slacks(motion, away) < slacks
+
+    def slacks(self, motion: Pose2, away: Pose2) -> float:
+        """How many slacks a result so far `away` from odometry's place is off, place or turn."""
         slack, (along, across) = self.slack(motion), _parts(motion, away)
-        near = math.hypot(along / slack.along_m, across / slack.across_m) < slacks
-        return near and abs(away.theta) < slacks * slack.turn_rad
+        off = math.hypot(along / slack.along_m, across / slack.across_m)
+        return max(off, abs(away.theta) / slack.turn_rad)
 
     def after(self, motion: Pose2, away: Pose2, fixed: tuple[bool, bool]) -> Reliance:
         """The reliance after a certain registration, so far `away` from the motion measured.

@@ -9,8 +9,9 @@ import numpy as np
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.core.thinning import first_in_cells
 from specmap_cli.grids.score_field import thinned
-from specmap_cli.registration.deskew import deskewed, moved_returns
+from specmap_cli.registration.deskew import deskewed, moved_returns, usable_times
 from specmap_cli.registration.expected_motion import ExpectedMotion
 from specmap_cli.registration.seen_space import outline_of
 
@@ -23,7 +24,9 @@ class SweepView:
     """The points of a sweep, in the base frame.
 
     `cloud` (N, 3) is registered; `sparse` (K, 3) is enough for coarse alignments. `walls` (M, 2) go
-    into the score field and `probe` (L, 2) is scored on it. `planar` is the scan to hand on.
+    into the score field and `probe` (L, 2) is scored on it. `dense` (D, 3) goes into the local map,
+    None for `cloud` itself: thinned alike, two clouds of one street fit best where they stand
+    alike to the lidar, as if it had not moved. `planar` is the scan to hand on.
     Its laser stood at `base_from_laser`, and walls beyond `reach_m` of it are not looked at.
     """
 
@@ -32,6 +35,7 @@ class SweepView:
     sparse: FloatArray
     walls: FloatArray
     probe: FloatArray
+    dense: FloatArray | None = None
     base_from_laser: Pose2 = IDENTITY
     reach_m: float = np.inf
 
@@ -52,28 +56,39 @@ def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) 
     probe = thinned(walls, config.voxel_m)
     if sweep.cloud is None:
         cloud, sparse = _in_space(walls), _in_space(probe)
+        dense = cloud
     else:
-        cloud = moved_returns(
-            sweep.cloud, sweep.cloud_times_s, expected.during, expected.interval_s
-        )
-        cloud = thinned(_within_range(cloud, config), config.cloud_voxel_m)
-        sparse = thinned(cloud, 2 * config.cloud_voxel_m)
+        dense = _cloud_of(sweep.cloud, sweep.cloud_times_s, expected, config)
+        cloud = _thinned_to(dense, config.cloud_voxel_m, config.max_cloud_points)
+        sparse = _thinned_to(cloud, 2 * config.cloud_voxel_m, config.max_cloud_points // 2)
     return SweepView(
         planar=scan,
         cloud=cloud,
         sparse=sparse,
         walls=walls,
         probe=probe,
+        dense=dense,
         base_from_laser=sweep.base_from_laser,
         reach_m=reach_m,
     )
 
 
-def _within_range(cloud: FloatArray, config: RegistrationConfig) -> FloatArray:
-    """The points (N, 3) that are neither the robot itself nor too far to be registered."""
+def _cloud_of(
+    cloud: FloatArray,
+    times_s: FloatArray | None,
+    expected: ExpectedMotion,
+    config: RegistrationConfig,
+) -> FloatArray:
+    """The points of a cloud (N, 3) to be registered: cut to range, thinned, and then de-skewed.
+
+    Points nearer than `min_range_m` over ground are the robot itself.
+    """
     distance = np.sqrt((cloud[:, :2] ** 2).sum(axis=1))
-    kept = (distance > config.min_range_m) & (distance <= config.cloud_range_m)
-    return np.asarray(cloud[kept])
+    kept = np.flatnonzero((distance > config.min_range_m) & (distance <= config.cloud_range_m))
+    kept = kept[first_in_cells(cloud[kept], config.cloud_voxel_m / 2)]
+    usable = times_s is not None and usable_times(times_s, len(cloud))
+    times = times_s[kept] if times_s is not None and usable else None
+    return moved_returns(cloud[kept], times, expected.during, expected.interval_s)
 
 
 def _in_space(points: FloatArray) -> FloatArray:

@@ -10,6 +10,8 @@ import numpy as np
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.registration.reliance import UNKNOWN, Reliance
 
+_STEADY = 15  # latest motions that walls fixed: the last few before a bare corridor are too short
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Track:
@@ -31,6 +33,20 @@ class Track:
     broken: bool = False
     founded: bool = False
     reliance: Reliance = UNKNOWN
+    steady: tuple[Pose2, ...] = ()
+
+    @property
+    def carried_on(self) -> Pose2:
+        """The place after one more motion as most of the latest ones that walls fixed."""
+        here = Pose2.from_matrix(self.pose)
+        if not self.steady:
+            return here
+        x, y, _ = np.median(np.array(self.steady), axis=0).tolist()
+        return here @ Pose2(x, y, 0.0)
+
+    def with_steady(self, motion: Pose2) -> Track:
+        """The state after one more motion that walls fixed."""
+        return replace(self, steady=(*self.steady, motion)[-_STEADY:])
 
     def moved_on(self, motion: Pose2, *, measured: bool) -> Track:
         """The state after one more motion is expected, which odometry measured or did not."""

@@ -81,3 +81,11 @@ def test_advice_follows_what_was_found() -> None:
     told = Finding(code="a", severity="poor", message="it is dark", advice="make light")
     assert summary([told]) == ["it is dark: make light"]
     assert summary([]) == []
+
+
+def test_notes_about_the_result_are_no_warnings() -> None:
+    quality = Quality(
+        findings=(finding("doubtful", "a"), finding("note", "b"), finding("note", "input"))
+    )
+    assert [one.code for one in quality.warnings] == ["a", "input"]
+    assert [one.code for one in quality.notes] == ["b"]

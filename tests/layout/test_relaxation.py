@@ -50,7 +50,7 @@ def test_a_closure_repairs_any_drift_and_a_wrong_one_is_dropped(
     near = [0, 100, 200, last - 200, last - 100, last]
     assert worst(layout.poses[near], truth[near]) < 1.0
     assert [(link.source, link.target) for link in layout.dropped] == [(30, last - 60)]
-    assert layout.warnings == ("layout: 1 loop closure contradicts the rest: left out",)
+    assert [edge.kind for edge in layout.dropped] == ["closure"]
 
 
 def test_a_part_placed_anywhere_is_found_by_its_walls(
@@ -64,7 +64,7 @@ def test_a_part_placed_anywhere_is_found_by_its_walls(
     with stored(kidnapped, scans) as store:
         layout = relax(store, [], [at], CONFIG)
     assert worst(layout.poses, truth) < 0.3
-    assert layout.warnings == ()
+    assert (layout.dropped, layout.loose) == ((), ())
     assert layout.loose == ()
 
 
@@ -73,7 +73,7 @@ def test_a_part_that_fits_nowhere_is_said(drive: tuple[FloatArray, list[PlanarSc
     elsewhere = np.vstack([truth[:60], truth[300:360]])
     with stored(elsewhere, [*scans[:60], *scans[300:360]]) as store:
         layout = relax(store, [], [60], CONFIG)
-    assert layout.warnings == ("layout: a guess only places what follows 30.000 s",)
+    assert [store.stamps_ns[start] for start in layout.loose] == [30 * 10**9]
     assert layout.loose == (60,)
 
 
@@ -111,7 +111,7 @@ def test_two_wrong_closures_are_told_in_one_line(
     wrong = [Constraint(30, k, Pose2(9.0, -4.0, 2.0), STIFF) for k in (600, 650)]
     with stored(truth, scans) as store:
         layout = relax(store, wrong, [], CONFIG)
-    assert layout.warnings == ("layout: 2 loop closures contradict the rest: left out",)
+    assert [edge.kind for edge in layout.dropped].count("closure") == 2
     assert {(edge.source, edge.target) for edge in layout.dropped} == {(30, 600), (30, 650)}
     assert worst(layout.poses, truth) < 0.1
 

@@ -292,7 +292,7 @@ def test_a_lidar_without_transforms_is_its_own_base(tmp_path: Path) -> None:
     (sweep,), stream = read(path)
     assert stream.selection.base_frame == "lidar"
     assert sweep.cloud_times_s is None
-    assert any("lowest returns of the first cloud" in line for line in stream.warnings)
+    assert any("levelled by the floor that it shows" in line for line in stream.warnings)
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def test_lost_scans_weigh_by_their_share(count: int, severity: Severity) -> None
 def test_lost_scans_are_told_at_the_longest_run() -> None:
     finding = only(evidence(lost=(3, 50, 51, 52, 80, 81)))
     assert finding.message == (
-        "6.0% of the scans could not be registered (3 scans in a row from 50.000 s on)"
+        "6 scans of 100 (6.0%) could not be registered, 3 in a row from 50.000 s on"
     )
     assert finding.advice.startswith("is the odometry of this robot")
     alone = only(evidence(lost=(50, 51, 52), odometry=False))

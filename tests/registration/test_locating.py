@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration.expected_motion import ExpectedMotion
-from specmap_cli.registration.locating import Located, Prospect, best_guess
+from specmap_cli.registration.locating import Located
 from specmap_cli.registration.locating import locate as located_by
+from specmap_cli.registration.prospect import Prospect, best_guess, reversed_guess
 from specmap_cli.registration.reliance import UNKNOWN, Reliance
 from specmap_cli.registration.scene import Scene
 from tests.registration.aligners import ToldAligner
@@ -41,8 +42,11 @@ def locate(
     expected: ExpectedMotion,
     by_motion: Pose2,
     reliance: Reliance = UNKNOWN,
+    reverse: FloatArray | None = None,
 ) -> Located:
-    prospect = Prospect(guess=guess, expected=expected, by_motion=by_motion, reliance=reliance)
+    prospect = Prospect(
+        guess=guess, expected=expected, by_motion=by_motion, reliance=reliance, reverse=reverse
+    )
     return located_by(scene, prospect)
 
 
@@ -123,7 +127,8 @@ def test_a_worse_result_of_a_search_is_not_taken(world: GridMap) -> None:
     scene = scene_in(
         world, ToldAligner(lambda _: answers.pop() if answers else worse), kernel_voxels=(1.0,)
     )
-    located = locate(scene, np.eye(4), expecting(measured=False), IDENTITY)
+    by_motion = Pose2(0.2, 0.0, 0.0)
+    located = locate(scene, np.eye(4), expecting(measured=False), by_motion)
     assert located.searched
     assert located.fit.planar.x == pytest.approx(0.2)
 
@@ -147,6 +152,81 @@ def test_the_guess_is_odometry_s_unless_the_walls_object(world: GridMap) -> None
     assert np.allclose(best_guess(scene, before, unmeasured), wildly.matrix())
     stubborn = scene_in(world, ToldAligner(), guess_margin=1.0)
     assert np.allclose(best_guess(stubborn, before, expecting(wildly)), wildly.matrix())
+
+
+@pytest.mark.parametrize(("off_rad", "carried"), [(0.34, True), (0.36, False)])
+def test_a_motion_is_not_carried_on_far_beyond_a_turn_that_odometry_may_miss(
+    world: GridMap, off_rad: float, carried: bool
+) -> None:
+    """A robot that turned before and now drives on: a carried turn would lead the scan astray."""
+    scene, odometry = scene_in(world, ToldAligner()), Pose2(0.0, 0.0, off_rad)
+    guess = best_guess(scene, np.eye(4), expecting(odometry, IDENTITY))
+    assert np.allclose(guess, (IDENTITY if carried else odometry).matrix())
+
+
+def test_the_same_motion_backwards_keeps_its_turn() -> None:
+    before = Pose2(1.0, 2.0, np.pi / 2)
+    found = reversed_guess(before.matrix(), expecting(Pose2(0.5, 0.1, 0.3)))
+    assert found is not None
+    assert Pose2.from_matrix(found) == pytest.approx(Pose2(1.1, 1.5, np.pi / 2 + 0.3))
+    assert reversed_guess(before.matrix(), expecting(measured=False)) is None
+
+
+@pytest.mark.parametrize("backwards", [1.0, 0.5])
+@pytest.mark.parametrize("told", [True, False])
+def test_a_step_driven_backwards_is_found_where_odometry_reports_it_forwards(
+    world: GridMap, backwards: float, told: bool
+) -> None:
+    """The truth is the identity; odometry leads 2 m on, or as far as half of it was backwards."""
+    step = Pose2(1.0, 0.0, 0.0)
+    guess = Pose2(2.0 * backwards * step.x, 0.0, 0.0)
+    reverse = Pose2(guess.x - 2.0 * step.x, 0.0, 0.0)
+    scene = scene_in(world, ToldAligner(), max_shift_m=0.8)
+    located = locate(
+        scene, guess.matrix(), expecting(step), guess, reverse=reverse.matrix() if told else None
+    )
+    assert (located.fit.planar.distance < 0.1) == told
+    assert not told or located.fit.score > 0.85
+
+
+def test_a_short_step_is_not_looked_for_backwards() -> None:
+    """The search around the guess reaches as far."""
+    asked = []
+    for step_m in (0.2, 0.3):
+        scene = scene_of(np.array([(1.0, 0.0), (3.0, 5.0)]), corridor(8.0), ToldAligner())
+        step = expecting(Pose2(step_m, 0.0, 0.0))
+        locate(scene, np.eye(4), step, IDENTITY, reverse=Pose2(-2.0 * step_m, 0.0, 0.0).matrix())
+        asked.append(len(kernels_m(scene)))
+    assert asked[1] - asked[0] == 2 * 4  # two searches, four kernels each
+
+
+def box(turn: float) -> FloatArray:
+    """The walls of a room of 6 by 4 m, turned."""
+    x, y = np.arange(-3.0, 3.0, 0.05), np.arange(-2.0, 2.0, 0.05)
+    walls = [np.column_stack([x, np.full(len(x), side)]) for side in (-2.0, 2.0)]
+    walls += [np.column_stack([np.full(len(y), side), y]) for side in (-3.0, 3.0)]
+    return Pose2(0.0, 0.0, turn).apply(np.concatenate(walls))
+
+
+def test_nothing_new_in_sight_gives_up_a_place_that_agrees_for_one_that_fits_much_better() -> None:
+    """Odometry missed 0.08 rad of a turn; at its place the walls of the room fit in part."""
+    scene = scene_of(box(-0.08), box(0.0), ToldAligner(), looked_m=9.0)
+    assert scene.config.fair_score < scene.score(IDENTITY) < scene.config.good_score
+    located = locate(scene, np.eye(4), expecting(Pose2(0.5, 0.0, 0.0)), IDENTITY)
+    assert located.support.share > 0.9
+    assert located.fit.planar.theta == pytest.approx(0.08, abs=0.02)
+    assert located.fit.score > 0.85
+
+
+@pytest.mark.parametrize(("turn", "found"), [(0.6, True), (1.0, False)])
+def test_where_the_walls_speak_against_trusted_odometry_turns_are_searched_to_the_bound(
+    turn: float, found: bool
+) -> None:
+    scene = scene_of(box(-turn), box(0.0), ToldAligner(), looked_m=9.0)
+    located = locate(scene, np.eye(4), expecting(Pose2(0.5, 0.0, 0.0)), IDENTITY)
+    assert located.wide_searched
+    assert (abs(located.fit.planar.theta - turn) < 0.05) == found
+    assert abs(located.fit.planar.theta) <= 0.8
 
 
 def corridor(length_m: float, end_m: float | None = None) -> FloatArray:
@@ -199,20 +279,53 @@ def test_along_a_bare_corridor_the_way_is_odometry_s(
 
 
 @pytest.mark.parametrize(
-    ("end_m", "measured", "settings"),
+    ("end_m", "settings"),
     [
-        (4.0, True, {}),  # the end wall tells where the robot is
-        (None, False, {}),  # a motion carried on is no witness
-        (None, True, {"slip_m": 0.4}),
+        (4.0, {}),  # the end wall tells where the robot is
+        (None, {"slip_m": 0.4}),
     ],
 )
 def test_odometry_is_not_followed_along_a_corridor_where_it_is_no_witness(
-    end_m: float | None, measured: bool, settings: dict[str, float]
+    end_m: float | None, settings: dict[str, float]
 ) -> None:
     scene = scene_in_corridor(end_m, **settings)
     ahead = Pose2(0.3, 0.0, 0.0)
-    located = locate(scene, np.eye(4), expecting(measured=measured), ahead)
+    located = locate(scene, np.eye(4), expecting(), ahead)
     assert located.fit.planar == IDENTITY
+
+
+def with_beams(scene: Scene) -> Scene:
+    """The scene, its scan made of the points in order of bearing."""
+    points = scene.view.walls
+    order = np.argsort(np.arctan2(points[:, 1], points[:, 0]), kind="stable")
+    x, y = points[order].T
+    planar = dataclasses.replace(
+        scene.view.planar, bearings=np.arctan2(y, x), ranges=np.hypot(x, y), range_max=30.0
+    )
+    return dataclasses.replace(scene, view=dataclasses.replace(scene.view, planar=planar))
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, -2.0])
+@pytest.mark.parametrize(("end_m", "carried"), [(None, True), (4.0, False)])
+def test_without_odometry_the_motion_goes_on_along_a_bare_corridor_and_only_there(
+    end_m: float | None, carried: bool, turn: float
+) -> None:
+    """Heading and place across the corridor are those of the registration."""
+    way, ahead = Pose2(0.0, 0.0, turn), Pose2(0.3, 0.2, 0.1)
+    seen, known = (way.apply(corridor(length, end_m)) for length in (20.0, 30.0))
+    scene = with_beams(scene_of(seen, known, ToldAligner()))
+    by_motion = way @ ahead
+    found = locate(scene, np.eye(4), expecting(measured=False), by_motion).fit.planar
+    along, across, heading = way.inverse() @ found @ way
+    assert along == pytest.approx(ahead.x if carried else 0.0, abs=1e-3)
+    assert (across, heading) == pytest.approx((0.0, 0.0), abs=1e-3)
+
+
+def test_a_motion_is_not_carried_on_to_where_walls_object() -> None:
+    """The map knows no walls that far: the robot has looked there, and seen none."""
+    scene = with_beams(scene_of(corridor(6.0), corridor(6.0), ToldAligner()))
+    far = Pose2(1.5, 0.0, 0.0)
+    assert locate(scene, np.eye(4), expecting(measured=False), far).fit.planar == IDENTITY
 
 
 def test_a_slip_is_mended_as_far_as_the_score_allows() -> None:

@@ -151,3 +151,11 @@ def test_a_motion_carried_on_errs_by_how_a_robot_speeds_up(
         expected = expecting(motion, measured=False)
         assert agrees(guess, guess @ away, expected, reliance) == near
     assert agrees(guess, guess @ away, expecting(motion, measured=True), worthless, 3.0)
+
+
+def test_slacks_count_how_far_a_result_is_off_by_place_or_turn() -> None:
+    step = Pose2(0.75, 0.0, 0.0)  # an unknown odometry errs by 0.2 m and 0.0525 rad
+    assert UNKNOWN.slacks(step, IDENTITY) == 0.0
+    assert UNKNOWN.slacks(step, Pose2(0.4, 0.0, 0.0)) == pytest.approx(2.0)
+    assert UNKNOWN.slacks(step, Pose2(0.3, 0.4, 0.0)) == pytest.approx(2.5)
+    assert UNKNOWN.slacks(step, Pose2(0.4, 0.0, -0.2100)) == pytest.approx(4.0)

@@ -115,6 +115,17 @@ def test_a_cloud_is_thinned_in_space(seed: int) -> None:
     assert len(view.walls) == len(cells(circle(0, np.full(64, 5.0)).planar.hits(), 0.05))
 
 
+@given(seeds)
+def test_a_dense_cloud_is_aligned_with_no_more_than_the_most_points(seed: int) -> None:
+    cloud = np.random.default_rng(seed).uniform(-4.0, 4.0, (3000, 3)) + (6.0, 0.0, 0.0)
+    view = seen(cloud_sweep(cloud), cloud_voxel_m=0.4, max_cloud_points=500)
+    assert 500 / 4 < len(view.cloud) <= 500
+    assert len(view.sparse) <= 250
+    assert view.dense is not None
+    assert len(view.dense) == len(cells(cloud, 0.2))
+    assert rows(view.sparse) <= rows(view.cloud) <= rows(view.dense) <= rows(cloud)
+
+
 def test_scan_and_cloud_are_de_skewed_with_the_motion_during_the_sweep() -> None:
     times = np.linspace(0.0, 0.1, 64)
     motion = Pose2(0.2, 0.0, 0.0)

@@ -1,0 +1,24 @@
+"""One point a cell, the first, in order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+from specmap_cli.core.thinning import first_in_cells
+from tests.strategies import seeds
+
+
+@given(seeds)
+def test_the_first_point_of_each_cell_is_kept(seed: int) -> None:
+    points = np.random.default_rng(seed).uniform(-3.0, 3.0, (200, 3))
+    first: dict[tuple[float, ...], int] = {}
+    for number, point in enumerate(points):
+        first.setdefault(tuple(np.floor(point / 0.7).tolist()), number)
+    assert first_in_cells(points, 0.7).tolist() == sorted(first.values())
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_nothing_is_left_of_nothing_and_one_of_one(count: int) -> None:
+    assert first_in_cells(np.zeros((count, 2)), 1.0).tolist() == list(range(count))
