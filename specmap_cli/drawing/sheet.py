@@ -124,6 +124,7 @@ def _at_most_a_pixel_each(
     """
     cells, owner = regions.grid.cells, regions.owner
     step = max(1, int(1.0 / (regions.grid.resolution * pixels_per_m)))
+    step = min(step, max(1, *cells.shape))  # a way may lead far out of a small grid
     if step > 1:
         margins = [(0, -side % step) for side in cells.shape]
         cells = np.pad(cells, margins, constant_values=UNKNOWN)

@@ -176,8 +176,8 @@ def _assumptions(
     yield from clock_warnings(scan.clock, scan.topic.name)
     if scan.band_m is not None and placement.floor_m is None:
         yield (
-            "the lidar's tilt and height above the floor are unknown, as there is no transform from "
-            "a base frame: each cloud is levelled by the floor that it shows"
+            "the lidar's tilt and height above the floor are unknown, as there is no transform "
+            "from a base frame: each cloud is levelled by the floor that it shows"
         )
 
 

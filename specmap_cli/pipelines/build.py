@@ -151,7 +151,7 @@ def finish(
     progress: Progress,
     clock: Stopwatch,
 ) -> FinishedMap:
-    """What follows Algorithm 1: relax the layout, refute, divide the whole map, assess it, learn."""
+    """What follows Algorithm 1: relax the layout, refute, divide the map, assess it, learn."""
     progress.start("layout", None)
     with clock.stage("layout"):
         constraints = constraints_of(explored.closures, explored.regions, store, config.relaxation)

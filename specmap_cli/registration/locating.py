@@ -24,8 +24,8 @@ _FINE_KERNELS = (0.5, 0.25)  # voxels: they follow only walls near by, not new o
 # say as much as all of them.
 ENOUGH, MOST = 0.2, 0.5
 _NEARLY_ALL = 0.9  # share of a sweep's walls that could be seen, from which on none are new
-# Slacks within which odometry and the walls that could be seen prove a place together, where these
-# fit fairly; and where they surely fit, and odometry is trusted.
+# Slacks within which odometry and the walls that could be seen prove a place together; and those of
+# odometry that is trusted.
 _NEARLY, _ROUGHLY = 2.0, 3.0
 _PER_SLACK = 0.05  # score that a place must have more for each slack away from odometry's
 _BACKED_UP = (1.0, 0.5)  # shares of a step that are tried as driven backwards
@@ -104,9 +104,8 @@ def _agrees_with_walls(scene: Scene, prospect: Prospect, fit: Fit, support: Supp
     """Whether a result is a little too far from odometry's place, but the walls speak for it."""
     if not prospect.expected.measured or support.share < MOST:
         return False
-    sure = support.score >= scene.config.sure_score
-    near = prospect.agrees(fit, _ROUGHLY if sure and prospect.trusted else _NEARLY)
-    return near and support.score >= scene.config.fair_score
+    near = prospect.agrees(fit, _ROUGHLY if prospect.trusted else _NEARLY)
+    return near and support.score >= scene.config.sure_score
 
 
 def _support(scene: Scene, fit: Fit) -> Support:

@@ -33,6 +33,10 @@ def slid(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
     behind = float(np.dot((by_motion.x - here.x, by_motion.y - here.y), forward))
     if abs(behind) < scene.config.slip_m:
         return fit
+    if not scene.local.sensor.in_space:
+        along = carried_along(scene, fit, by_motion)
+        if along is not fit:
+            return along
     for share in _SHARES:
         place = here @ Pose2(share * behind, 0.0, 0.0)
         score = scene.score(place)
@@ -46,7 +50,7 @@ def slid(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
 
 
 def carried_along(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
-    """A result that comes as far as the motion carried on, along what the walls do not fix.
+    """A result that comes as far as the motion expected, along what the walls do not fix.
 
     Along a bare corridor registration stays behind at every sweep, and the robot seems to stand
     still. The place is taken only if the sweep's walls fit as well there.

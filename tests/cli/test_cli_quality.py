@@ -48,9 +48,7 @@ def test_other_verdicts_cannot_be_asked_for(run: Run, tmp_path: Path) -> None:
     assert "'doubtful', 'poor'" in outcome.error
 
 
-def test_doubts_come_first_and_are_warned_of(
-    run: Run, tiny_log: Path, tmp_path: Path
-) -> None:
+def test_doubts_come_first_and_are_warned_of(run: Run, tiny_log: Path, tmp_path: Path) -> None:
     out = tmp_path / "map"
     outcome = run("build", tiny_log, "-o", out, *QUICK, *DOUBTFUL)
     first = outcome.out.splitlines()[0]

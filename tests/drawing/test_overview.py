@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -239,3 +240,14 @@ def test_a_way_out_of_the_grid_stays_on_the_sheet() -> None:
     for place in sheet.pixels(way[5:-5:10]):
         x, y = place.astype(int)
         assert of_colour(image[y - 3 : y + 4, x - 3 : x + 4], symbols.PATH, 90).any()
+
+
+def test_a_way_to_the_end_of_the_world_takes_no_more_memory() -> None:
+    topology, regions = one_room((80, 120))
+    way = np.array([(1.0, 1.0), (2.0, 1.0), (1e7, 1.0)])
+    tracemalloc.start()
+    image = render_overview(topology, regions, *along(way), LogInfo("log"))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert is_framed(image)
+    assert most < 200e6
