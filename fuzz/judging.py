@@ -23,6 +23,8 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.store import read_map
 
 CODES = {0, 2, 3, 4}  # that a command may end with on a damaged input; 1 is a bug
+_LEFT_OUT = ("unusable_scans", "other_sensor", "unusable_odometry")  # counts of a stream
+_UNREAD = re.compile(r"transforms that could not be read: (\d+)")
 _NO_LOSS = re.compile(
     r"no message is lost|nothing is lost|are all there|messages .* are there|read all the same"
 )
@@ -140,9 +142,15 @@ def _told(stream: SweepStream, stamps: list[int], damage: Sequence[str], error: 
         expected=stream.expected,
         damage=tuple(line for line in damage if not _NO_LOSS.search(line)),
         warnings=tuple(stream.warnings),
-        unusable=stream.counts["unusable_scans"] + stream.counts["other_sensor"],
+        unusable=_unusable(stream),
         error=error,
     )
+
+
+def _unusable(stream: SweepStream) -> int:
+    """Messages told to be left out; a damaged one may have been a scan, on another topic now."""
+    counted = sum(stream.counts[name] for name in _LEFT_OUT)
+    return counted + sum(int(found[1]) for found in map(_UNREAD.search, stream.warnings) if found)
 
 
 def _bug(error: BaseException, where: str) -> Failure:

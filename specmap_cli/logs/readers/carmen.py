@@ -46,6 +46,7 @@ ODOM_FRAME, BASE_FRAME, TF_STATIC = "odom", "base_link", "/tf_static"
 
 _SEARCH_BYTES = 1 << 22  # comments and PARAM lines come first: some hundred kilobytes at the most
 _MAX_LINE_BYTES = 1 << 20  # a line of 1,081 beams has 10 kB: a longer one is damaged
+_NO_TEXT = "piece that is no text"  # zeros in a line, as a disk leaves them after a crash
 _SOME_LASER = "laser line"  # its keyword is lost, so that nothing says which laser it was
 _SAME_MOUNT_M, _SAME_MOUNT_RAD = 0.01, 0.01  # poses are written with rounded digits
 
@@ -157,7 +158,7 @@ class CarmenFile(Recording):
                 self.report(
                     f"line {number} (byte {offset - len(text)}) is damaged: "
                     f"one {what} after {time_text(last)} is lost",
-                    {} if what == _SOME_LASER else {topic_of(what): 1},
+                    {} if what in (_SOME_LASER, _NO_TEXT) else {topic_of(what): 1},
                 )
             if line is not None:
                 last = line.stamp_ns
@@ -177,7 +178,8 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
     if lost_laser(words):
         return None, [*lost, _SOME_LASER]
     if keyword is None:
-        return None, lost
+        no_text = b"\0" in text and text.strip(b"\0\r\n")  # nothing but zeros is padding
+        return None, lost or ([_NO_TEXT] if no_text else [])
     try:
         return parse_line(keyword, words), lost
     except (ValueError, IndexError):

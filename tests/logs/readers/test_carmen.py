@@ -339,3 +339,17 @@ def test_lines_of_other_kinds_are_no_damage(tmp_path: Path, line: str) -> None:
     with open_log(path) as log:
         assert [m.topic for m in log.messages()] == ["/tf_static", "/odom", "/flaser", "/odom"]
         assert log.damage == []
+
+
+@pytest.mark.parametrize("start", ["# a comm", "0.12 "])
+def test_zeros_inside_a_line_are_told(tmp_path: Path, start: str) -> None:
+    """A hole in the file swallowed the end of a line and the lines after it."""
+    log = tmp_path / "robot.log"
+    whole = "FLASER 3 1 2 3 0 0 0 0 0 0 {stamp} robot {stamp}\n"
+    hole = start + "\0" * 50 + " 1.0 robot 1.0\n"
+    log.write_text(whole.format(stamp=1.5) + hole + whole.format(stamp=2.5) + "\0" * 20)
+    with open_log([log]) as opened:
+        assert len(list(opened.messages(["/flaser"]))) == 2
+        (told,) = opened.damage
+    assert "line 2 (byte " in told
+    assert "one piece that is no text after 1.500 s is lost" in told
