@@ -32,6 +32,8 @@ from specmap_cli.recognition.features.returns import returns_of
 
 FeatureSet = tuple[FeatureGroup, ...]
 
+_LARGEST = float(np.finfo(np.float32).max)  # moments of odd scans are larger
+
 ENTRY_POINTS = "specmap.features"
 BUILT_IN: Mapping[str, FeatureSet] = {
     "table1": table1.GROUPS,
@@ -76,8 +78,9 @@ def histogram_columns(feature_set: str) -> list[int]:
 def scan_features(scan: PlanarScan, feature_set: str) -> FloatArray:
     """(F,) features of one scan, in the order of `feature_names(feature_set)`; always finite.
 
-    They are rounded to single precision. A processor that rounds a sum, a cosine or a logarithm
-    otherwise changes only digits beyond it, and so no threshold that is learned from them.
+    They are rounded to single precision, and cut to its largest numbers. A processor that rounds a
+    sum, a cosine or a logarithm otherwise changes only digits beyond it, and so no threshold that
+    is learned from them.
 
     Raises UsageError for a set that does not exist, and for one whose functions break their word.
     """
@@ -89,12 +92,11 @@ def scan_features(scan: PlanarScan, feature_set: str) -> FloatArray:
             found = f"gives {len(given)} values for its {len(group.columns)} columns"
             raise _unusable(feature_set, f"the group of {group.columns[0]!r} {found}")
         values.extend(given)
-    with np.errstate(over="ignore"):  # what does not fit is infinite, and told of below
-        features = np.array(values, dtype=np.float64).astype(np.float32).astype(np.float64)
+    features = np.array(values, dtype=np.float64)
     if not np.isfinite(features).all():
         first = feature_names(feature_set)[int(np.argmin(np.isfinite(features)))]
         raise _unusable(feature_set, f"{first!r} is not finite for a scan")
-    return features
+    return np.clip(features, -_LARGEST, _LARGEST).astype(np.float32).astype(np.float64)
 
 
 def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:

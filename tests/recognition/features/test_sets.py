@@ -198,3 +198,12 @@ def test_keyframes_have_their_features_computed_once(monkeypatch: pytest.MonkeyP
     assert again == pytest.approx(expected)
     assert first.tolist() == again[[2, 0]].tolist()
     assert sorted(computed) == pytest.approx([1.8, 2.8, 3.8])
+
+
+def test_values_beyond_single_precision_are_cut() -> None:
+    """Moments of four odd readings: no reason to end a run."""
+    ranges = np.array([0.0, 3.0, 1.1920928955078146e-07, 1.0])
+    scan = PlanarScan(0, np.linspace(-1.0, 1.0, 4), ranges, range_max=20.0, full_circle=False)
+    features = scan_features(scan, "full")
+    assert np.isfinite(features).all()
+    assert (features == features.astype(np.float32)).all()
