@@ -9,6 +9,7 @@ its lines where it is the same on all of them, comes first on `/tf_static`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import cached_property
@@ -46,7 +47,8 @@ ODOM_FRAME, BASE_FRAME, TF_STATIC = "odom", "base_link", "/tf_static"
 
 _SEARCH_BYTES = 1 << 22  # comments and PARAM lines come first: some hundred kilobytes at the most
 _MAX_LINE_BYTES = 1 << 20  # a line of 1,081 beams has 10 kB: a longer one is damaged
-_NO_TEXT = "piece that is no text"  # zeros in a line, as a disk leaves them after a crash
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no text, and in no encoding of one
+_NO_TEXT = "piece that is no text"  # such as zeros, as a disk leaves them after a crash
 _SOME_LASER = "laser line"  # its keyword is lost, so that nothing says which laser it was
 _SAME_MOUNT_M, _SAME_MOUNT_RAD = 0.01, 0.01  # poses are written with rounded digits
 
@@ -178,7 +180,7 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
     if lost_laser(words):
         return None, [*lost, _SOME_LASER]
     if keyword is None:
-        no_text = b"\0" in text and text.strip(b"\0\r\n")  # nothing but zeros is padding
+        no_text = _CONTROL.search(text) and text.strip(b"\0\r\n")  # all zeros is padding
         return None, lost or ([_NO_TEXT] if no_text else [])
     try:
         return parse_line(keyword, words), lost

@@ -341,7 +341,7 @@ def test_lines_of_other_kinds_are_no_damage(tmp_path: Path, line: str) -> None:
         assert log.damage == []
 
 
-@pytest.mark.parametrize("start", ["# a comm", "0.12 "])
+@pytest.mark.parametrize("start", ["# a comm", "0.12 ", "FL\x1f2.67 "])
 def test_zeros_inside_a_line_are_told(tmp_path: Path, start: str) -> None:
     """A hole in the file swallowed the end of a line and the lines after it."""
     log = tmp_path / "robot.log"
