@@ -15,6 +15,14 @@ Sweeps = Iterable[Sweep]
 Spoiling = Callable[[Sweeps], Iterator[Sweep]]
 
 
+def clocked(sweeps: Sweeps) -> Iterator[tuple[float, Sweep]]:
+    """Each sweep with the seconds since the first one."""
+    start_ns: int | None = None
+    for sweep in sweeps:
+        start_ns = sweep.stamp_ns if start_ns is None else start_ns
+        yield (sweep.stamp_ns - start_ns) * 1e-9, sweep
+
+
 def every_metres(distance_m: float, turn_rad: float = 1.0) -> Spoiling:
     """Keep a scan each time that odometry has moved so far, or turned so much, since the last."""
 
@@ -87,10 +95,7 @@ def dropped(start_s: float, seconds: float) -> Spoiling:
     """A hole in the recording of scans; the odometry goes on through it."""
 
     def drop(sweeps: Sweeps) -> Iterator[Sweep]:
-        start_ns: int | None = None
-        for sweep in sweeps:
-            start_ns = sweep.stamp_ns if start_ns is None else start_ns
-            after_s = (sweep.stamp_ns - start_ns) * 1e-9
+        for after_s, sweep in clocked(sweeps):
             if not start_s <= after_s < start_s + seconds:
                 yield sweep
 
@@ -101,15 +106,12 @@ def slipping(start_s: float, seconds: float, factor: float) -> Spoiling:
     """Wheels that turn faster than the robot moves for a while: motions are told longer."""
 
     def slip(sweeps: Sweeps) -> Iterator[Sweep]:
-        start_ns: int | None = None
-        before, now = IDENTITY, IDENTITY
-        for sweep in sweeps:
+        before: Pose2 | None = None
+        now = IDENTITY
+        for after_s, sweep in clocked(sweeps):
             assert sweep.odom_from_base is not None
-            if start_ns is None:
-                start_ns, before = sweep.stamp_ns, sweep.odom_from_base
-            step = before.inverse() @ sweep.odom_from_base
+            step = (before or sweep.odom_from_base).inverse() @ sweep.odom_from_base
             before = sweep.odom_from_base
-            after_s = (sweep.stamp_ns - start_ns) * 1e-9
             if start_s <= after_s < start_s + seconds:
                 step = Pose2(factor * step.x, factor * step.y, step.theta)
             now = now @ step
@@ -123,10 +125,7 @@ def accompanied(start_s: float, seconds: float, distance_m: float, width_rad: fl
 
     def hide(sweeps: Sweeps) -> Iterator[Sweep]:
         rng = np.random.default_rng(8)
-        start_ns: int | None = None
-        for sweep in sweeps:
-            start_ns = sweep.stamp_ns if start_ns is None else start_ns
-            after_s = (sweep.stamp_ns - start_ns) * 1e-9
+        for after_s, sweep in clocked(sweeps):
             if start_s <= after_s < start_s + seconds:
                 middle = 1.0 + 0.15 * np.sin(1.5 * after_s)  # radians to the left
                 hidden = np.abs(sweep.planar.bearings - middle) < width_rad / 2
@@ -143,13 +142,10 @@ def kidnapped(start_s: float, seconds: float) -> Spoiling:
     """Somebody carries the robot elsewhere: scans are missing, and the wheels did not turn."""
 
     def carry(sweeps: Sweeps) -> Iterator[Sweep]:
-        start_ns: int | None = None
         last: Pose2 | None = None
         offset: Pose2 | None = None
-        for sweep in sweeps:
+        for after_s, sweep in clocked(sweeps):
             assert sweep.odom_from_base is not None
-            start_ns = sweep.stamp_ns if start_ns is None else start_ns
-            after_s = (sweep.stamp_ns - start_ns) * 1e-9
             if after_s < start_s:
                 last = sweep.odom_from_base
                 yield sweep
@@ -165,11 +161,8 @@ def frozen(start_s: float, seconds: float) -> Spoiling:
     """The driver of the laser hangs: the same scan again and again while the robot drives on."""
 
     def freeze(sweeps: Sweeps) -> Iterator[Sweep]:
-        start_ns: int | None = None
         held: Sweep | None = None
-        for sweep in sweeps:
-            start_ns = sweep.stamp_ns if start_ns is None else start_ns
-            after_s = (sweep.stamp_ns - start_ns) * 1e-9
+        for after_s, sweep in clocked(sweeps):
             if start_s <= after_s < start_s + seconds:
                 held = sweep if held is None else held
                 ranges = held.planar.ranges

@@ -13,7 +13,7 @@ from specmap_cli.cli.targets import keep_inputs
 from specmap_cli.core.errors import BROKEN_RULE
 
 
-class Doubt(StrEnum):
+class FailingVerdict(StrEnum):
     """The verdicts that a build can be asked to fail on."""
 
     doubtful = "doubtful"
@@ -29,7 +29,7 @@ Explain = Annotated[
     typer.Option(help="Directory for a picture of every test that may split a submap."),
 ]
 FailOn = Annotated[
-    Doubt | None,
+    FailingVerdict | None,
     typer.Option(help="Exit with code 5 when the map is doubtful, or poor. It is written anyway."),
 ]
 Seed = Annotated[int | None, typer.Option(help="Seed of everything random.")]

@@ -70,7 +70,7 @@ class Bend:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
+class LayoutEvidence:
     """What was judged, what moved, and how the passes stand to each other before and after.
 
     `bends` holds every stretch of 10 m. `limits` counts by the name of a setting how often it cut

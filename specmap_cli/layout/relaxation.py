@@ -21,7 +21,7 @@ from specmap_cli.layout.closing import Closed, closed
 from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.evidence import (
     Choice,
-    Evidence,
+    LayoutEvidence,
     bends,
     part_moves,
     settled_verdicts,
@@ -66,7 +66,7 @@ class Layout:
     kept: tuple[Link, ...] = ()
     dropped: tuple[Link, ...] = ()
     loose: tuple[int, ...] = ()
-    evidence: Evidence = field(default_factory=Evidence)
+    evidence: LayoutEvidence = field(default_factory=LayoutEvidence)
 
     @property
     def limits(self) -> Mapping[str, int]:
@@ -166,7 +166,7 @@ def _layout(
     loose = loose_starts(graph, draft.loops)
     spent = [part for part, tries in draft.tries.items() if tries >= config.stray_tries]
     given_up = sum(part not in draft.tied for part in spent)
-    evidence = Evidence(
+    evidence = LayoutEvidence(
         choice=finished.choice,
         closures=found.judged,
         groups=found.groups,

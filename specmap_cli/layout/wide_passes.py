@@ -30,7 +30,7 @@ _WHOLE_MAP = -1  # the walls of a search here are not those of all parts older t
 
 
 @dataclass(frozen=True, slots=True)
-class Claims:
+class WideClaims:
     """Links found, and for each row that was searched, as a pair with itself, from where."""
 
     links: tuple[Link, ...]
@@ -39,10 +39,10 @@ class Claims:
 
 def wide_claims(
     graph: Graph, draft: Draft, walls: Walls, spread: Uncertainty, config: RelaxationConfig
-) -> Claims:
+) -> WideClaims:
     """What is found along the path, every `wide_every_m`, where no pass ties it well enough."""
     if not config.loops_per_node:
-        return Claims((), {})
+        return WideClaims((), {})
     ties = _ties(graph, draft)
     links: list[Link] = []
     guesses: dict[Pair, Pose2] = {}
@@ -59,7 +59,7 @@ def wide_claims(
         fit = _found(row, old, Guess(pose, error), draft.poses, walls, config)
         if fit is not None:
             links.append(_claim(graph, draft.poses, row, old, fit))
-    return Claims(tuple(links), guesses)
+    return WideClaims(tuple(links), guesses)
 
 
 def _ties(graph: Graph, draft: Draft) -> IntArray:

@@ -25,7 +25,7 @@ from specmap_cli.logs.messages import (
 )
 from specmap_cli.logs.readers.recording import Message, time_text
 from specmap_cli.logs.readers.typestore import NS_PER_S, TF_MESSAGE
-from specmap_cli.logs.sensors import Glimpse, Sensor
+from specmap_cli.logs.sensors import Glimpse, ScanSensor
 
 _FEWEST = 3  # stamps: two that are equal may be a scan that was sent twice
 _PAIRS = 20  # of scans and odometry: their median does not heed some late messages
@@ -167,7 +167,7 @@ def clock_warnings(clock: Clock, topic: str) -> Iterator[str]:
 
 
 def odometry_beside(
-    log: Log, scan_topic: str, sensor: Sensor, odometry: OdometrySource, config: LogConfig
+    log: Log, scan_topic: str, sensor: ScanSensor, odometry: OdometrySource, config: LogConfig
 ) -> list[Beside]:
     """The odometry ahead of each of the first scans of a sensor, in the order of the log."""
     found: list[Beside] = []

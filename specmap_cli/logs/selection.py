@@ -33,7 +33,7 @@ from specmap_cli.logs.messages import (
     decode_scan,
 )
 from specmap_cli.logs.readers.recording import Message, TopicInfo
-from specmap_cli.logs.sensors import Glimpse, Sensor, choose_sensor, sensors_of
+from specmap_cli.logs.sensors import Glimpse, ScanSensor, choose_sensor, sensors_of
 from specmap_cli.logs.topics import choose_odometry_topic, choose_scan_topic, dynamic_topics
 from specmap_cli.logs.transforms import TransformTree
 
@@ -49,8 +49,8 @@ class ScanSource:
     """
 
     topic: TopicInfo
-    sensor: Sensor
-    sensors: tuple[Sensor, ...]
+    sensor: ScanSensor
+    sensors: tuple[ScanSensor, ...]
     clock: Clock = field(default_factory=Clock)
     band_m: tuple[float, float] | None = None
 

@@ -49,7 +49,7 @@ class Glimpse(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sensor:
+class ScanSensor:
     """A sensor of a topic. `name` is what `--scan-frame` calls it: its frame, or `frame#number`.
 
     `count` is how many of the scans looked at are its own. `view` is set where the frame has
@@ -94,7 +94,7 @@ def view_of(layout: ScanLayout) -> View | None:
     return View(min(layout.angle_min, last), max(layout.angle_min, last))
 
 
-def sensors_of(glimpses: Sequence[Glimpse], config: LogConfig) -> list[Sensor]:
+def sensors_of(glimpses: Sequence[Glimpse], config: LogConfig) -> list[ScanSensor]:
     """The sensors among the scans that were looked at, in the order in which they appear."""
     groups: dict[tuple[str, bool], list[Glimpse]] = {}
     for glimpse in glimpses:
@@ -103,12 +103,12 @@ def sensors_of(glimpses: Sequence[Glimpse], config: LogConfig) -> list[Sensor]:
     for (frame, is_cloud), group in groups.items():
         kinds = [] if is_cloud else _kinds(group, config)
         if len(kinds) < 2:
-            alone = Sensor(name=frame, frame=frame, count=len(group), is_cloud=is_cloud)
+            alone = ScanSensor(name=frame, frame=frame, count=len(group), is_cloud=is_cloud)
             found.append(alone)
             continue
         for number, (view, count) in enumerate(kinds, start=1):
             found.append(
-                Sensor(
+                ScanSensor(
                     name=f"{frame}#{number}",
                     frame=frame,
                     count=count,
@@ -155,7 +155,7 @@ def _rival(
     return False
 
 
-def choose_sensor(where: str, sensors: Sequence[Sensor], config: LogConfig) -> Sensor:
+def choose_sensor(where: str, sensors: Sequence[ScanSensor], config: LogConfig) -> ScanSensor:
     """The sensor that the settings name, or the only one with more than a small share of the scans.
 
     `where` names log and topic. Raises UsageError with the sensors ready to paste.
@@ -179,7 +179,7 @@ def choose_sensor(where: str, sensors: Sequence[Sensor], config: LogConfig) -> S
     raise SeveralSensorsError(legible(several), best.name)
 
 
-def _told(sensor: Sensor, total: int, end: str = "") -> str:
+def _told(sensor: ScanSensor, total: int, end: str = "") -> str:
     """`laser (5 of the first 10 scans)`, with the view in degrees where the frame has several."""
     view = ""
     if sensor.view is not None:

@@ -12,7 +12,7 @@ from specmap_cli.layout.judging import judge, spread_of
 from specmap_cli.layout.path_graph import Graph, graph_of
 from specmap_cli.layout.strays import Guess
 from specmap_cli.layout.walls import Walls
-from specmap_cli.layout.wide_passes import Claims, wide_claims
+from specmap_cli.layout.wide_passes import WideClaims, wide_claims
 from tests.layout.driving import as_tracked, between, link, stored
 
 CONFIG = RelaxationConfig(wide_every_m=4.0)
@@ -26,7 +26,7 @@ def stretched(truth: FloatArray, metres: float, until: int = 450) -> FloatArray:
     return tracked
 
 
-def searched(drive: Drive, metres: float, config: RelaxationConfig) -> tuple[Graph, Claims]:
+def searched(drive: Drive, metres: float, config: RelaxationConfig) -> tuple[Graph, WideClaims]:
     """What is found where the second lap was put metres aside, by an error that is expected."""
     truth, scans = drive
     with stored(stretched(truth, metres), scans) as store:
@@ -60,7 +60,7 @@ def test_what_lies_metres_away_is_found(drive: Drive) -> None:
     ],
 )
 def test_nothing_is_searched_where_it_need_not_be(drive: Drive, config: RelaxationConfig) -> None:
-    assert searched(drive, 4.0, config)[1] == Claims((), {})
+    assert searched(drive, 4.0, config)[1] == WideClaims((), {})
 
 
 def test_a_path_that_is_tied_is_not_searched_and_nothing_twice(drive: Drive) -> None:
@@ -73,11 +73,11 @@ def test_a_path_that_is_tied_is_not_searched_and_nothing_twice(drive: Drive) -> 
         nodes = graph.nodes.tolist()
         ties = [link(nodes[0], node, (0.0, 0.0, 0.0)) for node in nodes[30:]]
         tied = as_tracked(graph, *ties)
-        assert wide_claims(graph, tied, walls, spread, CONFIG) == Claims((), {})
+        assert wide_claims(graph, tied, walls, spread, CONFIG) == WideClaims((), {})
         first = wide_claims(graph, draft, walls, spread, CONFIG)
         again = as_tracked(graph)
         again = type(again)(poses=again.poses, tied=again.tied, tried=first.guesses)
-        assert wide_claims(graph, again, walls, spread, CONFIG) == Claims((), {})
+        assert wide_claims(graph, again, walls, spread, CONFIG) == WideClaims((), {})
 
 
 def test_a_guess_reaches_along_its_error_and_turns_as_far() -> None:

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from specmap_cli.maps import schema
+from specmap_cli.maps.store import read_map
 
 
 def test_topology_follows_its_schema(stored: Path) -> None:
@@ -102,6 +103,14 @@ def test_no_key_may_be_missing(stored: Path, record: str) -> None:
         with pytest.raises(ValidationError, match=key):
             schema.TopologyRecord.model_validate(document)
         place[key] = value
+
+
+def test_a_map_that_was_never_judged_is_read(stored: Path) -> None:
+    """Maps of the first version hold no verdict."""
+    document = json.loads((stored / "topology.json").read_text())
+    del document["graph"]["quality"]
+    (stored / "topology.json").write_text(json.dumps(document))
+    assert read_map(stored).record.graph.quality is None
 
 
 def accepted(name: str) -> bool:

@@ -11,8 +11,7 @@ from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import QualityConfig
 from specmap_cli.layout.audit import Audit, Disagreement
 from specmap_cli.layout.contradictions import Standing
-from specmap_cli.layout.evidence import Evidence as LayoutEvidence
-from specmap_cli.layout.evidence import PartMove
+from specmap_cli.layout.evidence import LayoutEvidence, PartMove
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.quality.evidence import Evidence, graded

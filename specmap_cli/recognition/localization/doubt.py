@@ -12,14 +12,14 @@ from collections.abc import Sequence
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.recognition.localization.walls import Walls
-from specmap_cli.recognition.localization.witness import Evidence
+from specmap_cli.recognition.localization.walls import WallCheck
+from specmap_cli.recognition.localization.witness import Impression
 
 
 class Doubt:
     """Log likelihood of unknown over known, a view after another."""
 
-    def __init__(self, walls: Walls, config: LocalizationConfig) -> None:
+    def __init__(self, walls: WallCheck, config: LocalizationConfig) -> None:
         self.walls = walls
         self.config = config
         self._fits, self._looks = _Clue(config), _Clue(config)
@@ -35,7 +35,7 @@ class Doubt:
         self._fits, self._looks = _Clue(self.config), _Clue(self.config)
 
     def worth(
-        self, posed: PosedScan, evidence: Evidence, likely: Sequence[int], again: bool
+        self, posed: PosedScan, evidence: Impression, likely: Sequence[int], again: bool
     ) -> float:
         """Log likelihood of the view that the scan is of; `again` when it is the last scan's view.
 
@@ -47,7 +47,7 @@ class Doubt:
         self._looks.add(self._strange(evidence))
         return self._fits.worth + self._looks.worth
 
-    def _strange(self, evidence: Evidence) -> float | None:
+    def _strange(self, evidence: Impression) -> float | None:
         """Log likelihood of unknown by what a scan looks like."""
         if evidence.strange == -math.inf:
             return None

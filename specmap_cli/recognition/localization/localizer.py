@@ -16,9 +16,9 @@ from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.doubt import Doubt
 from specmap_cli.recognition.localization.filtering import SMALLEST, HiddenMarkovFilter
 from specmap_cli.recognition.localization.metric import MetricTracker
-from specmap_cli.recognition.localization.views import Views
-from specmap_cli.recognition.localization.walls import Ratio, Walls
-from specmap_cli.recognition.localization.witness import Evidence, Witness
+from specmap_cli.recognition.localization.views import ViewGrouping
+from specmap_cli.recognition.localization.walls import Ratio, WallCheck
+from specmap_cli.recognition.localization.witness import Impression, Witness
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,8 +53,8 @@ class Localizer:
         self.tracker = MetricTracker(grids, config)
         self._witness = Witness(classifiers, config)
         ratio = Ratio(classifiers.misfit, config)
-        self._doubt = Doubt(Walls(grids, self.tracker.field, ratio, config), config)
-        self._views = Views(config)
+        self._doubt = Doubt(WallCheck(grids, self.tracker.field, ratio, config), config)
+        self._views = ViewGrouping(config)
         self._labels: list[Label] = []
 
     @property
@@ -86,7 +86,7 @@ class Localizer:
         beliefs = self._views.of_scans(rows)
         return [self._filtered(a, b) for a, b in zip(self._labels, beliefs, strict=True)]
 
-    def _log_likelihoods(self, posed: PosedScan, evidence: Evidence, again: bool) -> FloatArray:
+    def _log_likelihoods(self, posed: PosedScan, evidence: Impression, again: bool) -> FloatArray:
         """(m + 1,) log likelihoods of every submap and, last, of unknown, of the scan's view."""
         known = self._views.mean(self.config.sharpness * evidence.all)
         if not self.config.unknown:
@@ -95,7 +95,7 @@ class Localizer:
         worth = self._doubt.worth(posed, evidence, likely, again)
         return self.filter.with_unknown(known, worth, again)
 
-    def _likely(self, evidence: Evidence, again: bool) -> list[int]:
+    def _likely(self, evidence: Impression, again: bool) -> list[int]:
         """The submaps that the scan may be from: by all scans, and by its own margins."""
         most = self.config.fit_submaps
         before = np.maximum(self.filter.predicted(again)[:-1], SMALLEST)
@@ -104,7 +104,7 @@ class Localizer:
         ranked = [*first[:1], *np.argsort(-evidence.all, kind="stable")[:most], *first[1:]]
         return [self.filter.ids[k] for k in dict.fromkeys(map(int, ranked))][:most]
 
-    def _raw_label(self, stamp_ns: int, evidence: Evidence) -> Label:
+    def _raw_label(self, stamp_ns: int, evidence: Impression) -> Label:
         """The label of the single scan by the most votes; nothing is filtered yet."""
         order = np.argsort(-evidence.raw, kind="stable")
         ids, margins = self.filter.ids, evidence.raw[order]
@@ -118,7 +118,7 @@ class Localizer:
             filtered_probability=0.0,
         )
 
-    def _is_strange(self, evidence: Evidence) -> bool:
+    def _is_strange(self, evidence: Impression) -> bool:
         """Whether a scan is of no place: it fits no walls, or, if that is not known, is strange."""
         of_walls = self._doubt.of_walls
         if of_walls is None:

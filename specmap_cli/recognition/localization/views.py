@@ -13,7 +13,7 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.core.tracks import moved
 
 
-class Views:
+class ViewGrouping:
     """The views of a log. A view begins where the robot moved, and lasts until it moves again.
 
     `mean` of what is said of the scans of a view is what the view says, however many they are.

@@ -55,7 +55,7 @@ class _Place:
     map_from_base: Pose2
 
 
-class Walls:
+class WallCheck:
     """How well successive scans fit the walls of submaps; `field` gives those of each grid."""
 
     def __init__(

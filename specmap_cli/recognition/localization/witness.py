@@ -16,7 +16,7 @@ from specmap_cli.recognition.localization.beam_sampler import BeamSampler
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
+class Impression:
     """What is said of one scan, and of the virtual one of the window before it.
 
     `raw` (m,) margins of the single scan, `all` (m,) those with the virtual scan; `strange` is how
@@ -50,7 +50,7 @@ class Witness:
         """Forget the window: the next pose has nothing to do with the last one."""
         self._recent.clear()
 
-    def evidence(self, posed: PosedScan) -> Evidence:
+    def evidence(self, posed: PosedScan) -> Impression:
         """What is said of the next scan. Raises InputError when its laser sees too little."""
         raw, virtual = self.classifiers.raw, self.classifiers.virtual
         features = scan_features(self._resampled(posed.planar), raw.feature_set)[None]
@@ -58,7 +58,7 @@ class Witness:
         strange = float(raw.strangeness(features)[0])
         if virtual is None or not self.config.virtual:
             planar = posed.planar
-            return Evidence(raw=margins, all=margins, strange=strange, seen=planar, shown=1.0)
+            return Impression(raw=margins, all=margins, strange=strange, seen=planar, shown=1.0)
         seen = self._virtual_scan(posed)
         features = scan_features(seen, virtual.feature_set)[None]
         # the virtual scan says less while the window fills
@@ -67,7 +67,7 @@ class Witness:
         if virtual.familiarity is not None:
             strange = float(virtual.strangeness(features)[0])
         view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
-        return Evidence(
+        return Impression(
             raw=margins,
             all=both,
             strange=strange,

@@ -9,12 +9,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import IDENTITY, Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.localization.doubt import Doubt
-from specmap_cli.recognition.localization.walls import Walls
-from specmap_cli.recognition.localization.witness import Evidence
+from specmap_cli.recognition.localization.walls import WallCheck
+from specmap_cli.recognition.localization.witness import Impression
+from tests.recognition.localization.posed import EMPTY, at
 
 CONFIG = LocalizationConfig(
     independent_m=1.0,
@@ -23,7 +23,6 @@ CONFIG = LocalizationConfig(
     strange_gain=2.0,
     strange_most=1.0,
 )
-EMPTY = PlanarScan(0, np.zeros(0), np.zeros(0), 10.0, full_circle=True)
 
 
 class Saying:
@@ -40,23 +39,12 @@ class Saying:
 
 
 def doubt(said: Sequence[float | None]) -> Doubt:
-    return Doubt(cast("Walls", Saying(said)), CONFIG)
+    return Doubt(cast("WallCheck", Saying(said)), CONFIG)
 
 
-def at(x: float, theta: float = 0.0, lost: bool = False) -> PosedScan:
-    return PosedScan(
-        index=0,
-        stamp_ns=0,
-        map_from_base=Pose2(x, 0.0, theta),
-        planar=EMPTY,
-        base_from_laser=IDENTITY,
-        lost=lost,
-    )
-
-
-def looks(strange: float = -math.inf, shown: float = 1.0) -> Evidence:
+def looks(strange: float = -math.inf, shown: float = 1.0) -> Impression:
     none = np.zeros(1)
-    return Evidence(raw=none, all=none, strange=strange, seen=EMPTY, shown=shown)
+    return Impression(raw=none, all=none, strange=strange, seen=EMPTY, shown=shown)
 
 
 def test_scans_of_one_view_are_averaged() -> None:

@@ -18,7 +18,7 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.matching import ScoreField, search_everywhere
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, pooled
-from specmap_cli.recognition.localization.walls import Ratio, Walls
+from specmap_cli.recognition.localization.walls import Ratio, WallCheck
 
 CONFIG = LocalizationConfig()
 
@@ -42,10 +42,10 @@ class Counted:
         return self.walls
 
 
-def walls_of(building: Any, **settings: float) -> tuple[Walls, Counted]:
+def walls_of(building: Any, **settings: float) -> tuple[WallCheck, Counted]:
     config, field = LocalizationConfig.model_validate(settings), Counted(building)
     grids = dict.fromkeys((7, 8, 9), field.grid)
-    return Walls(grids, field, Ratio(None, config), config), field
+    return WallCheck(grids, field, Ratio(None, config), config), field
 
 
 @pytest.mark.parametrize("typical", [0.0, 0.06, 0.3])
