@@ -46,7 +46,7 @@ def convert(
     logs, target = (paths, out) if out is not None else (paths[:-1], paths[-1])
     if not logs:
         raise UsageError(f"name the MCAP to write: specmap convert {target} -o OUT.mcap")
-    check_files([target], logs, overwrite=overwrite)
+    check_files([target], logs, common, overwrite=overwrite)
     bounds = settings.load().log
     with common.progress() as progress:
         conversion = convert_log(

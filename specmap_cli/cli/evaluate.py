@@ -157,7 +157,7 @@ def evaluate(
         "--confusion (--out) is of --protocol: leave it out here",
     )
     inputs = [*(logs or []), *truth.references, *truth.pictures]
-    check_files([out], inputs, overwrite=overwrite)
+    check_files([out], inputs, common, overwrite=overwrite)
     effective = settings.load()
     if task.trajectory is not None:
         found = _score_trajectory(task.trajectory, truth)

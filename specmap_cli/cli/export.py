@@ -40,7 +40,7 @@ def export(
     from specmap_cli.exports.table import export_map, exporters
     from specmap_cli.maps.store import read_map
 
-    check_files([out], [map_], overwrite=overwrite)
+    check_files([out], [map_], common, overwrite=overwrite)
     stored = read_map(map_, settings.load().limits)
     export_map(stored, format_, out, overwrite=overwrite)
     result = {

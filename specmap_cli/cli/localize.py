@@ -52,7 +52,7 @@ def localize(
     from specmap_cli.pipelines.localization_report import write_report
     from specmap_cli.pipelines.localize import localize_log, settings_for
 
-    check_files([out, plot], [*logs, *files_of_map(map_directory)], overwrite=overwrite)
+    check_files([out, plot], [*logs, *files_of_map(map_directory)], common, overwrite=overwrite)
     stored = read_map(map_directory, settings.load().limits)
     effective = settings_for(stored, settings.overrides(), settings.config, settings.preset)
     with common.progress() as progress:

@@ -41,7 +41,7 @@ def segment(
     from specmap_cli.pipelines.segment import segment_map
 
     effective = settings.load()
-    check_files([explain], [grid], overwrite=overwrite)
+    check_files([explain], [grid], common, overwrite=overwrite)
     keep_inputs([out], [grid])
     report = segment_map(
         grid, out, effective, resolution=resolution, overwrite=overwrite, explain=explain

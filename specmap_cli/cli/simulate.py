@@ -84,7 +84,7 @@ def simulate(
     limits = settings.load().limits
     options = simulation_options(**asdict(laser), **asdict(tour))
     truth = out.parent / f"{out.stem}.tum"
-    check_files([out, truth], [plan], overwrite=overwrite)
+    check_files([out, truth], [plan], common, overwrite=overwrite)
     with common.progress() as progress:
         made = record(read_grid(plan, resolution, limits), options, out, truth, progress)
     common.show(made.as_dict(), made.lines())

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from specmap_cli.core.errors import UsageError
 
+if TYPE_CHECKING:
+    from specmap_cli.cli.options import Common
+
 
 def check_files(
-    outputs: Iterable[Path | None], inputs: Iterable[Path], *, overwrite: bool = False
+    outputs: Iterable[Path | None],
+    inputs: Iterable[Path],
+    common: Common,
+    *,
+    overwrite: bool = False,
 ) -> None:
     """Refuse files that exist (unless `overwrite`), whose place cannot be written, or that are
     needed: an input, or another output.
 
-    Raises UsageError naming the first file at fault; None stands for an output not asked for.
+    What runs that were killed had begun to write in their places is removed, and told of. Raises
+    UsageError naming the first file at fault; None stands for an output not asked for.
     """
     wanted = [path for path in outputs if path is not None]
     for path in wanted:
@@ -32,6 +42,19 @@ def check_files(
     if len({path.resolve() for path in wanted}) < len(wanted):
         raise UsageError(f"{wanted[0]}: given for two outputs: each needs a file of its own")
     keep_inputs(wanted, inputs)
+    _clear(wanted, common)
+
+
+def _clear(outputs: Iterable[Path], common: Common) -> None:
+    from specmap_cli.core.files import remove_leftovers
+
+    for output in outputs:
+        with suppress(OSError):  # whoever writes the file is told of it
+            for left in remove_leftovers(output):
+                common.progress().note(
+                    f"{output}: an earlier run was killed: removed {left.name}, which it had begun "
+                    "to write"
+                )
 
 
 def files_of_map(directory: Path) -> list[Path]:

@@ -101,13 +101,16 @@ def partial_of(target: Path) -> Path:
     return target.with_name(f".{target.name}.partial-{os.getpid()}")
 
 
-def remove_leftovers(target: Path) -> None:
-    """Remove what runs that were killed had begun to write in the place of a file.
+def remove_leftovers(target: Path) -> tuple[Path, ...]:
+    """Remove what runs that were killed had begun to write in the place of a file; returns it.
 
     It has the name that `partial_of` gives, and no living run holds a lock on it. Raises OSError.
     """
+    removed = []
     ours = re.compile(re.escape(f".{target.name}.partial-") + r"\d+")
     for path in target.parent.iterdir():
         left = ours.fullmatch(path.name) and path.is_file() and not path.is_symlink()
         if left and is_nobody_s(path):
             path.unlink(missing_ok=True)
+            removed.append(path)
+    return tuple(removed)

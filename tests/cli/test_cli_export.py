@@ -40,6 +40,20 @@ def test_the_result_for_a_machine(house: Path, capsys: pytest.CaptureFixture[str
     }
 
 
+def test_what_a_killed_run_left_is_removed_and_told(
+    house: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = house.parent / "house.graphml"
+    left = house.parent / ".house.graphml.partial-12"
+    left.write_text("<graphml")
+    assert main(["export", str(house), "--format", "graphml", "-o", str(target)]) == 0
+    assert not left.exists()
+    assert capsys.readouterr().err == (
+        f"specmap: {target}: an earlier run was killed: removed {left.name}, "
+        "which it had begun to write\n"
+    )
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
