@@ -19,6 +19,7 @@ from fuzz.row_changes import change_rows
 from fuzz.seeds import Seeds
 from fuzz.token_changes import change_tokens
 from specmap_cli.logs.readers.recording import Message
+from specmap_cli.logs.readers.typestore import SCAN_TYPES
 
 MAP_EVERY, BUILD_EVERY, CONVERT_EVERY = 20, 20, 20  # every so many cases
 _NEEDLE_BYTES = 24  # from the middle of a scan: where they are left, so is most of the scan
@@ -152,10 +153,15 @@ def _excused(
     if clean and (not variant.counts or len(changes) > 1):
         return len(drive.stamps_ns)
     if variant.counts:
-        return 0
+        return sum(map(_is_another, drive.messages, messages))
     before = Counter(_needles(variant, variant.encode(messages), messages))
     unwritten = max(len(drive.stamps_ns) - before.total(), 0)  # in this format
     return unwritten + sum(count for needle, count in before.items() if needle not in data)
+
+
+def _is_another(before: Message, after: Message) -> bool:
+    """Whether a scan was recorded on another topic as something that is no scan."""
+    return before.topic == SCAN_TOPIC != after.topic and after.type not in SCAN_TYPES
 
 
 def _needles(variant: Variant, data: bytes, messages: Sequence[Message]) -> list[bytes]:

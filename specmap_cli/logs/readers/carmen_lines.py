@@ -119,6 +119,7 @@ def parse_line(keyword: str, words: list[bytes]) -> CarmenLine:
     """One line from its words; raises ValueError or IndexError when it is not whole."""
     if keyword == "ODOM":
         stamp = _stamp(words, 7, 9)
+        _check_host(words, 8)
         return CarmenLine(topic=ODOM_TOPIC, stamp_ns=stamp, odom_from_base=_pose(words, 1))
     topic = topic_of(keyword)
     return _robotlaser(topic, words) if keyword == "ROBOTLASER1" else _flaser(topic, words)
@@ -129,6 +130,7 @@ def _robotlaser(topic: str, words: list[bytes]) -> CarmenLine:
     count = int(words[8])
     end = 9 + count
     end += 1 + int(words[end])  # remissions
+    _check_host(words, end + 12)
     scan = LaserReading(
         odom_from_laser=_pose(words, end),
         angle_min=_finite(words[2]),
@@ -148,8 +150,7 @@ def _flaser(topic: str, words: list[bytes]) -> CarmenLine:
     """FLASER count ranges laser_x laser_y laser_theta x y theta ipc_time host logger_time."""
     count = int(words[1])
     end = 2 + count
-    if len(words) > end + 9 and _is_number(words[end + 7]):  # where the host should be
-        raise ValueError(count)
+    _check_host(words, end + 7)
     start, increment = flaser_angles(count)
     scan = LaserReading(
         odom_from_laser=_pose(words, end),
@@ -188,6 +189,15 @@ def _ranges(words: list[bytes], start: int, count: int) -> FloatArray:
 def _pose(words: list[bytes], start: int) -> Pose2:
     x, y, theta = (_finite(word) for word in words[start : start + 3])
     return Pose2(x, y, theta)
+
+
+def _check_host(words: list[bytes], place: int) -> None:
+    """Raise ValueError when a line is too long, and has a number where the host should be.
+
+    It has then lost the end of itself, and what follows is of another line.
+    """
+    if len(words) > place + 2 and _is_number(words[place]):
+        raise ValueError(words[place])
 
 
 def _is_number(word: bytes) -> bool:

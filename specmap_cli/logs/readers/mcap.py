@@ -151,13 +151,19 @@ class McapFile(ChunkedFile):
 
     def _behind(self, start: int) -> Iterator[Entry]:
         """What stands behind the end of the data: counts, and messages, which are read and told."""
-        if self.read_at(self.size - len(MAGIC), len(MAGIC)) != MAGIC:
+        cut = self.read_at(self.size - len(MAGIC), len(MAGIC)) != MAGIC
+        if cut:
             self.report(f"cut off in the index after byte {start}: no message is lost")
         offset = start
         while offset + RECORD_HEAD.size <= self.size:
             opcode, length = RECORD_HEAD.unpack(self.read_at(offset, RECORD_HEAD.size))
             ref = ChunkRef(offset=offset, length=RECORD_HEAD.size + length)
             offset += ref.length
+            if offset > self.size and not cut:
+                self.report(
+                    f"damaged in the index at byte {ref.offset}: no message should stand there, "
+                    "any that does is lost"
+                )
             if offset > self.size:
                 return
             if opcode == STATISTICS:
@@ -175,6 +181,7 @@ class McapFile(ChunkedFile):
                     f"{more:,} bytes follow the end of the file at byte {offset + len(MAGIC)}: "
                     "what they hold is lost"
                 )
+                return
 
     def _ends_data(self, opcode: int, length: int, end: int) -> bool:
         """Whether a record is the end of the data, or the footer of a file without such an end."""

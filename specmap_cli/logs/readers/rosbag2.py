@@ -5,6 +5,7 @@ The message definitions that newer ones carry are not needed: the types read her
 
 from __future__ import annotations
 
+import re
 import sqlite3
 from collections import Counter
 from collections.abc import Collection, Iterator
@@ -16,7 +17,7 @@ from urllib.parse import quote
 
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, legible
 from specmap_cli.logs.readers.compression import compression_of, decompress
 from specmap_cli.logs.readers.metadata import recorded_messages
 from specmap_cli.logs.readers.recording import (
@@ -32,6 +33,7 @@ from specmap_cli.logs.readers.rosbag2_rows import Fault, Rows
 from specmap_cli.logs.readers.typestore import normalized_type
 
 MAGIC = b"SQLite format 3\x00"
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+){1,2}")  # package/msg/Name
 
 # The same for the table and for an index that has all its rows: a sum that has no order. The primes
 # keep it exact for a thousand million messages.
@@ -99,8 +101,7 @@ class Rosbag2File(Recording):
             if not self.damage:
                 self.report("damaged or cut off: some messages are lost")
             return found
-        if not self._topics:
-            self.report("the list of topics is lost")
+        self._check_topics(table)
         try:
             self._check_numbers(table)
         except sqlite3.Error as error:
@@ -108,6 +109,18 @@ class Rosbag2File(Recording):
             self.report(f"{error}: whether messages are missing cannot be checked")
         counts = ((*topic, table.counts[number]) for number, topic in self._topics.items())
         return contents_of(counts, table.start_ns, table.end_ns)
+
+    def _check_topics(self, table: _Table) -> None:
+        """Tell of topics that are lost, or whose messages nobody can read."""
+        if not self._topics:
+            self.report("the list of topics is lost")
+        for number, (name, kind) in self._topics.items():
+            count = table.counts[number]
+            if count and _TYPE_NAME.fullmatch(kind) is None:
+                self.report(
+                    f"the type of topic {legible(name)} is damaged ({legible(kind)}): "
+                    f"{counted(count, 'message')} cannot be read"
+                )
 
     @cached_property
     def _table(self) -> _Table:

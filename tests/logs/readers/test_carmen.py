@@ -205,6 +205,7 @@ def test_nanoseconds_are_kept_to_the_last_digit(stamp_ns: int) -> None:
     "line",
     [
         "ODOM 1.0 2.0",
+        "ODOM 1.0 2.0 0.5 0 0 0 17.067 1.631 1.380 1.255 0 1.5 nohost 1700000003.2",
         odom("inf"),
         odom("nan"),
         odom("1e400"),

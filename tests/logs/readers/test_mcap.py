@@ -423,6 +423,20 @@ def test_what_stands_behind_the_end_of_the_data_is_read_and_told(
         ]
 
 
+def test_damage_behind_the_end_of_the_data_is_told(
+    tmp_path: Path, drive_messages: list[Message]
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, drive_messages, use_chunking=False)
+    behind, _ = end_of_data_moved_up(path)
+    data = bytearray(path.read_bytes())
+    data[behind : behind + 9] = b"\x05" + b"\xff" * 8  # a message longer than any file
+    path.write_bytes(data)
+    with open_log(path) as log:
+        assert len(list(log.messages())) == len(drive_messages) - 1
+        assert f"{path}: damaged in the index at byte {behind}: " in log.damage[-1]
+
+
 @pytest.mark.parametrize("checked", [True, False])
 def test_a_chunk_that_is_not_where_the_index_has_it_is_told(
     tmp_path: Path, drive_messages: list[Message], checked: bool

@@ -172,3 +172,15 @@ def test_a_table_with_a_byte_cut_out_is_survived(
         else:
             assert len(found) < len(drive_messages)
             assert damage
+
+
+def test_a_topic_whose_type_is_damaged_is_told(stored: Path) -> None:
+    with sqlite3.connect(stored) as db:
+        db.execute("UPDATE topics SET type = ? WHERE name = '/scan'", (str(-(2**63)),))
+    db.close()
+    with open_log(stored) as log:
+        count = next(topic.count for topic in log.topics() if topic.name == "/scan")
+        assert log.damage == [
+            f"{stored}: the type of topic /scan is damaged (-9223372036854775808): "
+            f"{count} messages cannot be read"
+        ]
