@@ -56,6 +56,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "groups": 0,
             "refresh_growth": 0.0,
             "verify": False,
+            "stays_kept": 1_000_000,
             "closure_rounds": 60,
         },
         "localization": {"virtual": False, "unknown": False},

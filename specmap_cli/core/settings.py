@@ -304,6 +304,9 @@ class RecognitionConfig(_Section):
     candidates: int = Field(3, ge=1, description="best ranked old submaps whose grids are matched")
     leftovers: int = Field(2, ge=0, description="pairs matched a submap in search of duplicates")
     members: int = Field(2, ge=1, description="visits of an old submap whose grids are matched")
+    stays_kept: int = Field(
+        16, ge=1, description="visits of a submap that are remembered, those that saw most"
+    )
     match_cell_m: float = Field(
         0.2, ge=0.02, description="two grids are first matched on cells of about this side"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,7 +15,6 @@ from specmap_cli.core.labels import Neighbours, neighbours
 from specmap_cli.core.records import Closure, IntArray, PosedScan, Trajectory
 from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config
-from specmap_cli.core.tracks import path_length
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.pipelines.stopwatch import Stopwatch
@@ -56,11 +56,16 @@ class Exploration:
         self.regions: dict[int, list[int]] = {}
         self.closures: list[Closure] = []
         self.breaks: dict[int, Bridge | None] = {}
+        self._way_m = array("d", [0.0])  # driven up to each keyframe
 
     def add(self, scan: PosedScan) -> list[Region]:
         """Add a scan to the current submap; the regions that the robot has left with it."""
+        keyframe = self.store.append(scan)
+        if keyframe:
+            step = self.store.pose(keyframe - 1).inverse() @ scan.map_from_base
+            self._way_m.append(self._way_m[-1] + step.distance)
         with self.clock.stage("segmentation"):
-            return self.segmenter.add(self.store.append(scan))
+            return self.segmenter.add(keyframe)
 
     def end_submap(self) -> list[Region]:
         """Close the current submap, where tracking was lost or the log has ended."""
@@ -114,7 +119,7 @@ class Exploration:
         first = region.keyframes[0]
         if self.breaks and first >= min(self.breaks):
             return math.inf
-        return path_length(self.store.poses_of(range(first + 1)))
+        return self._way_m[first]
 
     def _neighbours(self) -> Neighbours:
         """Which submaps the robot drove between."""

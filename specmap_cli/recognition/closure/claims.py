@@ -7,7 +7,7 @@ group that was left out. Negatives are capped and evenly spread.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,9 +86,14 @@ class ClaimRanker:
         """A submap with the features (n, F) of its scans becomes one of the old ones."""
         self._submaps[submap] = [_Scans(features)]
 
-    def merge(self, kept: int, gone: int) -> None:
-        """The stays of submap `gone` become stays of `kept`."""
-        self._submaps[kept].extend(self._submaps.pop(gone))
+    def merge(self, kept: int, gone: int, remembered: Iterable[int] | None = None) -> None:
+        """The stays of submap `gone` become stays of `kept`.
+
+        Only those `remembered` are kept (None: all), by their numbers when those of `kept` come
+        first.
+        """
+        stays = [*self._submaps[kept], *self._submaps.pop(gone)]
+        self._submaps[kept] = stays if remembered is None else [stays[k] for k in remembered]
         self._classifiers.pop(gone, None)
 
     def claims(self, features: FloatArray) -> dict[int, Claims]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -63,15 +63,18 @@ class LoopCloser:
         """Two submaps have become one, which keeps the smaller number.
 
         Either may be named by any of its stays. These keep their grids, and their features train
-        one classifier.
+        one classifier. Of more than `stays_kept` those that saw least are forgotten, so that a
+        robot that patrols is not compared with all its rounds.
         """
         kept, gone = sorted((self._submap_of[old], self._submap_of[new]))
         if kept == gone:
             return
-        stays = self._submaps.pop(gone)
+        stays = [*self._submaps[kept], *self._submaps.pop(gone)]
         self._submap_of.update({stay.number: kept for stay in stays})
-        self._submaps[kept].extend(stays)
-        self._ranker.merge(kept, gone)
+        most = _largest(stays, self.config.stays_kept)
+        self._submaps[kept] = [stays[k] for k in most]
+        self._ranker.merge(kept, gone, most)
+        self._forget({stay.number for stay in stays} - {stays[k].number for k in most})
 
     def consider_leftovers(self, adjacency: Mapping[int, Collection[int]]) -> list[Closure]:
         """Pairs of submaps that may be duplicates by the topology, verified; at most one merge.
@@ -93,6 +96,12 @@ class LoopCloser:
                 if closure is not None and closure.merged:
                     return found
         return found
+
+    def _forget(self, gone: set[int]) -> None:
+        """Nothing is kept of the stays `gone` but the submap that they are part of."""
+        if gone:
+            self._claims = {k: v for k, v in self._claims.items() if gone.isdisjoint(k)}
+            self._compared = {pair for pair in self._compared if gone.isdisjoint(pair)}
 
     def _leftover_pairs(self, adjacency: Mapping[int, Collection[int]]) -> list[tuple[int, int]]:
         """Pairs that may be duplicates, for each submap the best ranked of those near it."""
@@ -183,6 +192,12 @@ def _closure(new: int, old: int, claims: Claims, check: Check | None, found: Ver
         reason=found.reason,
         old_from_new=check.old_from_new if check is not None and found.verified else None,
     )
+
+
+def _largest(stays: Sequence[Stay], most: int) -> list[int]:
+    """Numbers, ascending, of the `most` stays that saw the largest area; the older of equals."""
+    by_area = sorted(range(len(stays)), key=lambda k: -stays[k].area_m2)  # sorted keeps their order
+    return sorted(by_area[:most])
 
 
 def _with_one_merge(closures: list[Closure]) -> list[Closure]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)  # without slots: the area is computed once
 class Stay:
     """What loop closure needs of a region that the robot has just left.
 
@@ -25,3 +26,8 @@ class Stay:
     track: FloatArray
     map_from_stay: Pose2 | None = None
     travelled_m: float = 0.0
+
+    @cached_property
+    def area_m2(self) -> float:
+        """The free area that was seen."""
+        return self.grid.free_area_m2

@@ -261,6 +261,22 @@ def test_a_few_stays_of_a_submap_are_matched_and_the_best_is_told(
     assert closure.score == max(oracle.scores[pair] for pair in oracle.asked)
 
 
+def test_of_many_stays_those_that_saw_most_are_remembered(building: Any, oracle: Oracle) -> None:
+    loop = closer(SMALL.model_copy(update={"members": 9, "stays_kept": 2}))
+    whole = building.visit(4, 0)
+    half = whole.grid.window(slice(0, whole.grid.cells.shape[0] // 2), slice(0, 10**6))
+    considered(loop, building, [0])
+    loop.consider(replace(whole, grid=half))
+    considered(loop, building, [8])
+    loop.merge(0, 4)
+    loop.merge(0, 8)
+    oracle.asked.clear()
+    considered(loop, building, [20])
+    assert {old for old, _ in oracle.asked} == {0, 8}
+    loop.merge(4, 20)  # what was forgotten is still known by its number
+    assert loop._submap_of[20] == 0
+
+
 def test_the_first_merge_with_a_submap_ends_the_search_in_it(building: Any, oracle: Oracle) -> None:
     loop = closer(SMALL.model_copy(update={"members": 9}))
     considered(loop, building, [0, 4, 8])
