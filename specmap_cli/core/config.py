@@ -51,6 +51,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "feature_set": "table1",
             "booster": "stumps",
             "rounds": 300,
+            "positives": 1_000_000,
             "negatives": 1_000_000,
             "closure_negatives": 1_000_000,
             "groups": 0,

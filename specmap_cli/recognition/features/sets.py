@@ -19,6 +19,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import FloatArray
@@ -106,20 +107,24 @@ def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
 
 
 class KeyframeFeatures:
-    """Features of the keyframes of a store, each computed once: some kilobytes a keyframe."""
+    """Features of the keyframes of a store, each computed once: a kilobyte a keyframe.
+
+    They are kept in single precision, to which they are rounded anyway.
+    """
 
     def __init__(self, store: KeyframeStore, feature_set: str) -> None:
         self.store = store
         self.feature_set = feature_set
-        self._rows: dict[int, FloatArray] = {}
+        self._rows: dict[int, NDArray[np.float32]] = {}
 
     def of(self, numbers: Sequence[int]) -> FloatArray:
         """(n, F) features of some keyframes, by their numbers."""
         for number in numbers:
             if number not in self._rows:
-                self._rows[number] = scan_features(self.store.scan(number), self.feature_set)
-        rows = [self._rows[number] for number in numbers]
-        return np.array(rows).reshape(len(rows), len(feature_names(self.feature_set)))
+                features = scan_features(self.store.scan(number), self.feature_set)
+                self._rows[number] = features.astype(np.float32)
+        rows = np.array([self._rows[number] for number in numbers], dtype=np.float64)
+        return rows.reshape(len(numbers), len(feature_names(self.feature_set)))
 
 
 def _groups_of(feature_set: str, setting: str = "feature_set") -> FeatureSet:

@@ -63,10 +63,14 @@ def train_raw(
     rng: np.random.Generator,
     features: KeyframeFeatures | None = None,
 ) -> Recogniser:
-    """What tells the submaps apart by raw scans; `features` are those known so far."""
-    feature_set = config.recognition.feature_set
+    """What tells the submaps apart by raw scans; `features` are those known so far.
+
+    A submap that was seen very often is learned from some of its scans, evenly spread.
+    """
+    feature_set, most = config.recognition.feature_set, config.recognition.positives
     features = features or KeyframeFeatures(store, feature_set)
-    samples = {i: features.of(numbers) for i, numbers in submaps.items()}
+    chosen = {i: evenly(np.asarray(numbers), most).tolist() for i, numbers in submaps.items()}
+    samples = {i: features.of(numbers) for i, numbers in chosen.items()}
     return train(samples, feature_set, config, rng)
 
 

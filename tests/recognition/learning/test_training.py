@@ -12,7 +12,7 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PosedScan
-from specmap_cli.core.settings import Config
+from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.recognition.features.sets import (
@@ -78,6 +78,23 @@ def grids(store: KeyframeStore) -> dict[int, GridMap]:
         track = compose(invert(store.poses[keyframes[0]]), store.poses[keyframes])
         made[submap] = integrate_keyframes(store, keyframes, track, Config().grid).snapshot()
     return made
+
+
+def test_a_submap_seen_very_often_is_learned_from_some_of_its_scans(
+    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[list[int]] = []
+    of = KeyframeFeatures.of
+
+    def watched(self: KeyframeFeatures, numbers: list[int]) -> FloatArray:
+        asked.append(numbers)
+        return of(self, numbers)
+
+    monkeypatch.setattr(KeyframeFeatures, "of", watched)
+    recognition = RecognitionConfig(rounds=2, positives=10)
+    train_raw(store, SUBMAPS, Config(recognition=recognition), np.random.default_rng(0))
+    assert [len(numbers) for numbers in asked] == [min(10, len(n)) for n in SUBMAPS.values()]
+    assert all(numbers[-1] == n[-1] for numbers, n in zip(asked, SUBMAPS.values(), strict=True))
 
 
 def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: KeyframeStore) -> None:
