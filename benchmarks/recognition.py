@@ -222,6 +222,7 @@ def localizer_of_tour(
         labels = rooms.at(store.poses)
         submaps = {int(i): np.flatnonzero(labels == i).tolist() for i in np.unique(labels) if i}
         grids: dict[int, GridMap] = {}
+        frames = {i: Pose2(*store.poses[numbers[0]].tolist()) for i, numbers in submaps.items()}
         for i, numbers in submaps.items():
             track = compose(invert(store.poses[numbers[0]]), store.poses[numbers])
             grids[i] = integrate_keyframes(store, numbers, track, config.grid).snapshot()
@@ -229,7 +230,7 @@ def localizer_of_tour(
         trained = train_localizer(store, submaps, store.poses, grids, config, rng)
     driven = pairwise(labels.tolist())
     adjacency = neighbours(submaps, [(a, b) for a, b in driven if a in submaps and b in submaps])
-    return lambda: Localizer(trained, adjacency, grids, config.localization)
+    return lambda: Localizer(trained, adjacency, grids, config.localization, frames)
 
 
 def cost(quick: bool) -> None:

@@ -164,7 +164,7 @@ def world_of(name: str) -> tuple[GridMap, RoomTruth]:
 
 def row_of_rooms(count: int, seed: int) -> tuple[GridMap, RoomTruth]:
     """Rooms of 3 to 8.5 m by 3 to 7.5 m in a row, with doors of 0.9 m and things at the walls."""
-    rng = np.random.default_rng(1000 + seed)
+    rng = np.random.default_rng(1000 * count + seed)  # no two rows begin with the same room
     sizes = [(int(rng.integers(60, 170)), int(rng.integers(60, 150))) for _ in range(count)]
     shape = max(h for _, h in sizes) + 20, sum(w for w, _ in sizes) + 6 * count + 10
     cells, labels = np.full(shape, OCCUPIED, dtype=np.uint8), np.zeros(shape, dtype=np.int32)
@@ -225,8 +225,10 @@ def _real_map(name: str) -> tuple[Callable[[], Localizer], list[PosedScan]]:
         stream = SweepStream(log, config.log)
         made = map_log(stream, config, store, Silent(), accepts=accepts)
     adjacency = neighbours(made.classifiers.ids, made.topology.edges)
-    grids = {i: submap.grid for i, submap in made.topology.submaps.items()}
-    return lambda: Localizer(made.classifiers, adjacency, grids, config.localization), seen
+    submaps = made.topology.submaps
+    grids = {i: submap.grid for i, submap in submaps.items()}
+    frames = {i: submap.map_from_submap for i, submap in submaps.items()}
+    return lambda: Localizer(made.classifiers, adjacency, grids, config.localization, frames), seen
 
 
 if __name__ == "__main__":

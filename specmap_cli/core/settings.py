@@ -545,6 +545,10 @@ class LocalizationConfig(_Section):
     fit_search_m: float = Field(
         1.0, gt=0, description="path between searches while a scan fits no walls"
     )
+    fit_step_m: float = Field(
+        0.2, ge=0, description="motion between looks at walls while a scan fits where it leads"
+    )
+    fit_step_rad: float = Field(0.2, ge=0, description="or turn between them")
     fit_most: float = Field(4.0, ge=0, description="log likelihood that walls give at the most")
     held_out_m: float = Field(
         1.0, gt=0, description="path before and after a view that is held out with it, training"
@@ -562,7 +566,7 @@ class LocalizationConfig(_Section):
         0.05, gt=0, le=1, description="of known places: people pass, and doors move"
     )
     unseen_weight: float = Field(
-        0.5, ge=0, le=1, description="of returns off the walls where the map saw nothing"
+        0.25, ge=0, le=1, description="of returns off the walls where the map saw nothing"
     )
     foreign_misfit: float = Field(
         0.32, gt=0, le=1, description="of other places where they fit best, on average"
@@ -580,6 +584,9 @@ class LocalizationConfig(_Section):
         0.4, gt=0, description="a pose in a submap is sought this near where motion says it is"
     )
     follow_rad: float = Field(0.2094, gt=0, description="and turned this much")
+    follow_score: float = Field(
+        0.8, ge=0, le=1, description="from it on, a pose to which the motion leads is not sought"
+    )
     lost_score: float = Field(0.55, ge=0, le=1, description="below it the whole submap is searched")
 
 

@@ -39,11 +39,13 @@ class Doubt:
     ) -> float:
         """Log likelihood of the view that the scan is of; `again` when it is the last scan's view.
 
-        `likely` are the submaps whose walls it may fit, the likeliest first.
+        `likely` are the submaps, the likeliest first.
         """
         for clue in (self._fits, self._looks):
             clue.see(posed, again)
-        self._fits.add(self.walls.unknown(posed, evidence.seen, likely) if likely else None)
+        if self.config.fit_submaps:
+            said = self.walls.unknown(posed, evidence.seen, likely)
+            self._fits.add(said, instead=self.walls.found)
         self._looks.add(self._strange(evidence))
         return self._fits.worth + self._looks.worth
 
@@ -86,12 +88,14 @@ class _Clue:
             self._motion += abs(step.theta) / self.config.independent_rad
         self._at = posed.map_from_base
 
-    def add(self, said: float | None) -> None:
-        """Take in what is said of a scan, if anything is."""
+    def add(self, said: float | None, instead: bool = False) -> None:
+        """Take in what is said of a scan, if anything is; `instead` of what was of its view."""
         if said is None:
             return
         if not self._scans:
             self._weight, self._motion = min(1.0, self._motion), 0.0
         self.last = said
+        if instead:
+            self._sum, self._scans = 0.0, 0
         self._sum += said
         self._scans += 1

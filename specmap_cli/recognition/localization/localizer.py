@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
@@ -38,7 +38,11 @@ class Label:
 
 
 class Localizer:
-    """Labels the scans of a log, one at a time, by the classifiers and topology of a map."""
+    """Labels the scans of a log, one at a time, by the classifiers and topology of a map.
+
+    `frames` are the submaps' frames in the layout: they say where a robot comes out that drives
+    from one submap into another.
+    """
 
     def __init__(
         self,
@@ -46,14 +50,16 @@ class Localizer:
         adjacency: Mapping[int, Collection[int]],
         grids: Mapping[int, GridMap],
         config: LocalizationConfig,
+        frames: Mapping[int, Pose2] | None = None,
     ) -> None:
         self.classifiers = classifiers
         self.config = config
         self.filter = HiddenMarkovFilter({i: adjacency.get(i, ()) for i in classifiers.ids}, config)
-        self.tracker = MetricTracker(grids, config)
+        self.tracker = MetricTracker(grids, config, frames)
         self._witness = Witness(classifiers, config)
         ratio = Ratio(classifiers.misfit, config)
-        self._doubt = Doubt(WallCheck(grids, self.tracker.field, ratio, config), config)
+        walls = WallCheck(grids, self.tracker.field, ratio, config, frames)
+        self._doubt = Doubt(walls, config)
         self._views = ViewGrouping(config)
         self._labels: list[Label] = []
 
@@ -96,13 +102,11 @@ class Localizer:
         return self.filter.with_unknown(known, worth, again)
 
     def _likely(self, evidence: Impression, again: bool) -> list[int]:
-        """The submaps that the scan may be from: by all scans, and by its own margins."""
-        most = self.config.fit_submaps
+        """The submaps, the one first that is likeliest by all scans, then by this one's margins."""
         before = np.maximum(self.filter.predicted(again)[:-1], SMALLEST)
         by_all = self.config.sharpness * evidence.all + np.log(before)
-        first = np.argsort(-by_all, kind="stable")[:most]
-        ranked = [*first[:1], *np.argsort(-evidence.all, kind="stable")[:most], *first[1:]]
-        return [self.filter.ids[k] for k in dict.fromkeys(map(int, ranked))][:most]
+        ranked = [int(by_all.argmax()), *np.argsort(-evidence.all, kind="stable").tolist()]
+        return [self.filter.ids[k] for k in dict.fromkeys(ranked)]
 
     def _raw_label(self, stamp_ns: int, evidence: Impression) -> Label:
         """The label of the single scan by the most votes; nothing is filtered yet."""

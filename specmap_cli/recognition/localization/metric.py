@@ -11,6 +11,7 @@ from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.matching import Match, ScoreField, Window, refine, search, search_everywhere
+from specmap_cli.recognition.localization.place import Place
 
 _MOST_POINTS = 180  # one every other degree: what a match costs grows with them
 # Steps of the searches: what the refinement after them mends (0.3 m at the most).
@@ -21,29 +22,43 @@ _SEARCH_STEP_M = 0.2
 class MetricTracker:
     """Poses of scans within the submaps they are labelled with, each with its score in [0, 1].
 
-    `grids` are in the submaps' frames. A submap newly entered, or a score too low to go on from,
-    is searched as a whole; otherwise the motion since the last scan says where to look.
+    `grids` are in the submaps' frames, and `frames` are these in the layout. The motion since the
+    last scan says where to look, also in a submap newly entered. Where that is not known, or its
+    score is too low to go on from, the submap is searched as a whole.
     """
 
-    def __init__(self, grids: Mapping[int, GridMap], config: LocalizationConfig) -> None:
+    def __init__(
+        self,
+        grids: Mapping[int, GridMap],
+        config: LocalizationConfig,
+        frames: Mapping[int, Pose2] | None = None,
+    ) -> None:
         self.grids = grids
         self.config = config
+        self.frames = frames or {}
         self._fields: dict[int, ScoreField] = {}
-        self._last: tuple[int, Pose2, Pose2] | None = None  # submap, its pose, map_from_base
+        self._last: Place | None = None
 
     def locate(self, posed: PosedScan, submap: int) -> Match:
         """`submap_from_base` and its score; call for successive scans."""
         points = posed.base_from_laser.apply(evenly(posed.planar.hits(), _MOST_POINTS))
         field = self.field(submap)
-        match: Match | None = None
-        if self._last is not None and self._last[0] == submap and not posed.restarted:
-            guess = self._last[1] @ (self._last[2].inverse() @ posed.map_from_base)
-            match = search(field, points, guess, self._window())
-            match = refine(field, points, match.pose)
+        guess = None
+        if self._last is not None and not posed.restarted:
+            guess = self._last.led_to(submap, posed.map_from_base, self.frames)
+        match = None if guess is None else self._near(field, points, guess)
         if match is None or match.score < self.config.lost_score:
             match = _anywhere(field, points, match)
-        self._last = (submap, match.pose, posed.map_from_base)
+        self._last = Place(submap, match.pose, posed.map_from_base)
         return match
+
+    def _near(self, field: ScoreField, points: FloatArray, guess: Pose2) -> Match:
+        """The match near a guess, which is searched for when the guess leads to none at once."""
+        match = refine(field, points, guess)
+        if match.score >= self.config.follow_score:
+            return match
+        match = search(field, points, guess, self._window())
+        return refine(field, points, match.pose)
 
     def _window(self) -> Window:
         """Where a scan is sought about the pose that the motion since the last one gives."""

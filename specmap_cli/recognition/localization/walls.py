@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.core.tracks import moved
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
-from specmap_cli.grids.matching import Match, ScoreField, refine, search_everywhere
+from specmap_cli.grids.matching import ScoreField, refine, search_everywhere
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, near_returns, pooled
+from specmap_cli.recognition.localization.place import Place
+from specmap_cli.recognition.localization.sight import Sightlines
 
 _LEAST_POINTS = 10  # fewer fit anywhere
 _OFF = 0.95  # a point that much off is a quarter of a metre from walls: behind none by noise
@@ -46,17 +49,12 @@ class Ratio:
         return min(max(unknown - known, -self.config.fit_most), self.config.fit_most)
 
 
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """Where the last scan fitted: `pose` in a submap, when the robot was at `map_from_base`."""
-
-    submap: int
-    pose: Pose2
-    map_from_base: Pose2
-
-
 class WallCheck:
-    """How well successive scans fit the walls of submaps; `field` gives those of each grid."""
+    """How well successive scans fit the walls of submaps; `field` gives those of each grid.
+
+    `frames` are the frames of the grids in the layout, where it is known. `found` tells whether the
+    last scan was found by a search.
+    """
 
     def __init__(
         self,
@@ -64,87 +62,125 @@ class WallCheck:
         field: Callable[[int], ScoreField],
         ratio: Ratio,
         config: LocalizationConfig,
+        frames: Mapping[int, Pose2] | None = None,
     ) -> None:
-        self.grids = grids
         self.field = field
         self.ratio = ratio
         self.config = config
-        self._place: _Place | None = None
-        self._patience = _Patience(config.fit_search_m)
+        self.frames = frames or {}
+        self.found = False
+        self._sight = Sightlines(grids, config.fit_range_m)
+        self._place: Place | None = None
+        self._patience = _Patience(config)
 
     def restart(self) -> None:
         """Forget the place: the next pose has nothing to do with the last one."""
         self._place = None
-        self._patience = _Patience(self.config.fit_search_m)
+        self._patience = _Patience(self.config)
 
     def unknown(self, posed: PosedScan, seen: PlanarScan, likely: Sequence[int]) -> float | None:
-        """Log likelihood of unknown over the submaps that are `likely`; None: nothing is known.
+        """Log likelihood of unknown over `likely` submaps, in their order; None: nothing is known.
 
         `seen` is what is matched: the scan, or better all that was seen of late from where it was
-        taken. What fits where the robot's motion leads is not sought. All else is, in one submap
-        after the other until it fits, but not at every scan: a search takes longer than the rest.
+        taken. What fits where the motion leads is not sought, and is looked at again only after
+        some motion. All else is sought, in one submap after the other until it fits, but not at
+        every scan: a search takes longer than the rest.
         """
+        self.found = False
+        self._patience.drive(posed.map_from_base)
+        before = self._place
+        if before is not None and self._drives_on(before, posed.map_from_base):
+            return None
         points = posed.base_from_laser.apply(near_returns(seen, self.config.fit_range_m))
         if posed.lost or len(points) < _LEAST_POINTS:
             return None
-        self._patience.drive(posed.map_from_base)
-        before = self._place
-        found = self._followed(posed, points)
-        if found is not None and found[0] < 0.0:
-            return found[0]
+        followed = None
+        if before is not None:
+            followed = self._followed(before, before.submap, posed, points)
+            if followed is not None and followed[0] < 0.0:
+                self._place = followed[1]
+                return followed[0]
         self._place = None
-        if before is None and not self._patience.is_over():
-            return None
-        return self._sought(posed, points, likely, found)
+        due = self._patience.due(likely, at_once=before is not None)
+        return self._sought(posed, points, due, before, followed) if due else None
 
-    def _followed(self, posed: PosedScan, points: FloatArray) -> tuple[float, _Place] | None:
-        """What the place says to which the motion since the last scan leads, when it is known."""
-        if self._place is None:
+    def _drives_on(self, place: Place, map_from_base: Pose2) -> bool:
+        """Whether the robot left a place where a scan fitted, but is not yet at the next to look.
+
+        A robot that stands still looks at every scan: people pass.
+        """
+        config, before = self.config, place.map_from_base
+        left = moved(before, map_from_base, config.view_m, config.view_rad)
+        return left and not moved(before, map_from_base, config.fit_step_m, config.fit_step_rad)
+
+    def _followed(
+        self, before: Place, submap: int, posed: PosedScan, points: FloatArray
+    ) -> tuple[float, Place] | None:
+        """What the place in a submap says to which the motion leads; None when it is not known."""
+        guess = before.led_to(submap, posed.map_from_base, self.frames)
+        if guess is None:
             return None
-        last = self._place
-        guess = last.pose @ (last.map_from_base.inverse() @ posed.map_from_base)
-        match = refine(self.field(last.submap), points, guess)
-        self._place = _Place(last.submap, match.pose, posed.map_from_base)
-        return self.ratio.of(self._misfit(last.submap, points, match.pose)), self._place
+        match = refine(self.field(submap), points, guess)
+        return self._said(posed, points, Place(submap, match.pose, posed.map_from_base))
 
     def _sought(
         self,
         posed: PosedScan,
         points: FloatArray,
         likely: Sequence[int],
-        best: tuple[float, _Place] | None,
+        before: Place | None,
+        best: tuple[float, Place] | None,
     ) -> float | None:
         """What the best place in the likely submaps says, which is followed if it fits."""
         for submap in likely:
-            match = _anywhere(self.field(submap), points)
-            ratio = self.ratio.of(self._misfit(submap, points, match.pose))
-            if best is None or ratio < best[0]:
-                best = ratio, _Place(submap, match.pose, posed.map_from_base)
-            if ratio < 0.0:
+            said = None
+            if before is not None and submap != before.submap:
+                said = self._followed(before, submap, posed, points)
+            if said is None or said[0] >= 0.0:
+                found = _anywhere(self.field(submap), points)
+                places = [Place(submap, pose, posed.map_from_base) for pose in found]
+                said = min((self._said(posed, points, each) for each in places), key=itemgetter(0))
+            if best is None or said[0] < best[0]:
+                best = said
+            if said[0] < 0.0:
                 break
         if best is None:
             return None
-        fits = best[0] < 0.0
-        self._place = best[1] if fits else None
-        self._patience.searched(fits)
+        self.found = best[0] < 0.0
+        self._place = best[1] if self.found else None
+        self._patience.searched(self.found)
         return best[0]
 
-    def _misfit(self, submap: int, points: FloatArray, pose: Pose2) -> float:
-        """How far off the walls points (N, 2) are; those where the map saw nothing count less."""
-        placed = pose.apply(points)
-        off = 1.0 - np.asarray(self.field(submap).at(placed), dtype=np.float64)
-        unseen = (self.grids[submap].values_at(placed) == UNKNOWN) & (off > _OFF)
-        return float(np.mean(np.where(unseen, self.config.unseen_weight, 1.0) * off))
+    def _said(self, posed: PosedScan, points: FloatArray, place: Place) -> tuple[float, Place]:
+        """Log likelihood of unknown when a scan is at a place, and the place."""
+        return self.ratio.of(self._misfit(posed, points, place)), place
+
+    def _misfit(self, posed: PosedScan, points: FloatArray, place: Place) -> float:
+        """How far off the walls points (N, 2) are, and what share of the scan is behind walls.
+
+        Points where the map saw nothing count less.
+        """
+        placed = place.pose.apply(points)
+        off = 1.0 - np.asarray(self.field(place.submap).at(placed), dtype=np.float64)
+        unseen = (self._sight.grids[place.submap].values_at(placed) == UNKNOWN) & (off > _OFF)
+        on_walls = 1.0 - float(np.mean(np.where(unseen, self.config.unseen_weight, 1.0) * off))
+        return 1.0 - on_walls * (1.0 - self._sight.behind(place.submap, posed, place.pose))
 
 
 class _Patience:
-    """When to search again: after some path, or, standing, after twice as many scans as before."""
+    """Which submaps to search, and when: after some path, or, standing, after a while.
 
-    def __init__(self, path_m: float) -> None:
-        self.path_m = path_m
-        self._driven_m = path_m
+    A robot that stands still has them searched in turn, those first that are likeliest. After all
+    of them it waits for twice as many scans as before.
+    """
+
+    def __init__(self, config: LocalizationConfig) -> None:
+        self.config = config
+        self._driven_m = config.fit_search_m
         self._scans, self._wait = 0, 1
         self._at: Pose2 | None = None
+        self._tried: tuple[int, ...] = ()
+        self._left: tuple[int, ...] = ()
 
     def drive(self, map_from_base: Pose2) -> None:
         """Take in where the next scan was taken."""
@@ -153,18 +189,32 @@ class _Patience:
         self._at = map_from_base
         self._scans += 1
 
-    def is_over(self) -> bool:
-        """Whether it is time to search."""
-        return self._driven_m >= self.path_m or self._scans >= self._wait
+    def due(self, likely: Sequence[int], at_once: bool) -> tuple[int, ...]:
+        """The submaps to search now, some of the `likely` ones; none when it is not time."""
+        stands = self._driven_m < self.config.view_m
+        left = tuple(i for i in likely if i not in self._tried) if stands else ()
+        over = self._driven_m >= self.config.fit_search_m or self._scans >= self._wait
+        if not (at_once or over or (stands and self._tried and left)):
+            return ()
+        if not left or at_once:
+            self._tried, left = (), tuple(likely)
+        due, self._left = left[: self.config.fit_submaps], left[self.config.fit_submaps :]
+        self._tried += due
+        return due
 
     def searched(self, found: bool) -> None:
-        """Begin anew; after a search in vain the next one without motion comes later."""
+        """Begin anew; after a search of all in vain the next one without motion comes later."""
         self._driven_m, self._scans = 0.0, 0
-        self._wait = 1 if found else 2 * self._wait
+        if found:
+            self._tried, self._wait = (), 1
+        elif not self._left:
+            self._wait *= 2
 
 
-def _anywhere(field: ScoreField, points: FloatArray) -> Match:
-    """The best refined match of points (N, 2) anywhere on a field."""
+def _anywhere(field: ScoreField, points: FloatArray) -> list[Pose2]:
+    """The poses of points (N, 2) anywhere on a field that fit it best, refined; at least one.
+
+    The best by the field alone may be wrong: it does not know where the map saw nothing.
+    """
     found = search_everywhere(field, points, count=_PLACES, step=_STEP_M, angle_step=_STEP_RAD)
-    refined = [refine(field, points, match.pose) for match in found]
-    return max(refined, key=lambda match: match.score, default=Match(Pose2(0.0, 0.0, 0.0), 0.0))
+    return [refine(field, points, match.pose).pose for match in found] or [IDENTITY]

@@ -69,7 +69,41 @@ def test_a_pose_is_found_anywhere_and_then_followed(
         match = tracker.locate(scan, 2)
         assert off_by(building, 2, scan, match.pose) < 0.1
         assert match.score > 0.8
-    assert searches == {"near": 5, "everywhere": 1}
+    assert searches == {"near": 0, "everywhere": 1}
+
+
+@pytest.mark.parametrize(("score", "near"), [(0.0, 0), (1.0, 5)])
+def test_what_fits_where_the_motion_leads_is_not_sought(
+    building: Any, searches: dict[str, int], score: float, near: int
+) -> None:
+    config = LocalizationConfig(follow_score=score)
+    tracker = MetricTracker({2: building.visit(0, 2).grid}, config)
+    for scan in walk(building, 2):
+        assert off_by(building, 2, scan, tracker.locate(scan, 2).pose) < 0.1
+    assert searches == {"near": near, "everywhere": 1}
+
+
+def test_the_layout_says_where_a_robot_comes_into_another_submap(
+    building: Any, searches: dict[str, int]
+) -> None:
+    grids = {room: building.visit(0, room).grid for room in (1, 2)}
+    frames = {room: Pose2(*building.path(room, 0)[0].tolist()) for room in (1, 2)}
+    tracker = MetricTracker(grids, CONFIG, frames)
+    for room in (1, 2, 1):
+        scan = walk(building, room)[0]
+        assert off_by(building, room, scan, tracker.locate(scan, room).pose) < 0.1
+    assert searches == {"near": 0, "everywhere": 1}
+
+
+def test_a_layout_that_leads_astray_is_mended_by_a_search(
+    building: Any, searches: dict[str, int]
+) -> None:
+    grids = {room: building.visit(0, room).grid for room in (1, 2)}
+    tracker = MetricTracker(grids, CONFIG, {1: IDENTITY, 2: Pose2(90.0, 0.0, 2.0)})
+    for room in (1, 2):
+        scan = walk(building, room)[0]
+        assert off_by(building, room, scan, tracker.locate(scan, room).pose) < 0.1
+    assert searches == {"near": 1, "everywhere": 2}
 
 
 def test_a_submap_newly_entered_is_searched_as_a_whole(

@@ -86,24 +86,16 @@ def test_own_scans_fit_and_those_of_another_room_do_not(building: Any) -> None:
 
 
 def test_a_scan_that_fits_where_motion_leads_is_not_sought_again(
-    building: Any, monkeypatch: pytest.MonkeyPatch
+    building: Any, searches: list[Any]
 ) -> None:
-    searched = []
-
-    def counting(*given: Any, **more: Any) -> Any:
-        searched.append(given)
-        return search_everywhere(*given, **more)
-
-    module = "specmap_cli.recognition.localization.walls.search_everywhere"
-    monkeypatch.setattr(module, counting)
     walls, _ = walls_of(building)
     poses = building.path(0, 3)
     for pose, scan in zip(poses, building.scans(poses), strict=True):
         walls.unknown(posed(scan, Pose2(*pose.tolist())), scan, [7])
-    assert len(searched) == 1
+    assert len(searches) == 1
     walls.restart()
     walls.unknown(posed(scan, Pose2(*pose.tolist())), scan, [7])
-    assert len(searched) == 2
+    assert len(searches) == 2
 
 
 def test_standing_elsewhere_is_searched_ever_more_rarely(building: Any) -> None:
@@ -133,15 +125,125 @@ def test_the_likeliest_submap_that_fits_ends_the_search(building: Any) -> None:
     assert set(field.asked) == {7}
 
 
+@pytest.fixture
+def searches(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """One item for each search of a whole submap."""
+    made: list[Any] = []
+
+    def counting(*given: Any, **more: Any) -> Any:
+        made.append(given)
+        return search_everywhere(*given, **more)
+
+    module = "specmap_cli.recognition.localization.walls.search_everywhere"
+    monkeypatch.setattr(module, counting)
+    return made
+
+
+def rooms_of(building: Any, frames: dict[int, Pose2] | None = None, **settings: float) -> WallCheck:
+    """The walls of all rooms of the building, each a submap."""
+    config = LocalizationConfig.model_validate(settings)
+    grids = {room: building.walk(room, 0, "pairs").grid for room in range(4)}
+    fields = {room: ScoreField.from_grid(grid) for room, grid in grids.items()}
+    return WallCheck(grids, fields.__getitem__, Ratio(None, config), config, frames)
+
+
+def test_a_standing_robot_has_one_submap_after_the_other_searched(building: Any) -> None:
+    """Its own is the last that the classifiers think of, and it is found in a few scans."""
+    walls = rooms_of(building, fit_submaps=1)
+    pose = building.path(0, 3)[:1]
+    scan = building.scans(pose)[0]
+    here, said, found = posed(scan, Pose2(*pose[0].tolist())), [], []
+    for _ in range(6):
+        said.append(walls.unknown(here, scan, [2, 3, 1, 0]))
+        found.append(walls.found)
+    assert [ratio is not None and ratio < 0.0 for ratio in said] == [False] * 3 + [True] * 3
+    assert None not in said
+    assert found == [False, False, False, True, False, False]
+
+
+def test_after_all_submaps_a_standing_robot_waits(building: Any) -> None:
+    walls = rooms_of(building, fit_submaps=2)
+    scan = building.scans(building.path(0, 3)[:1])[0]
+    said = [walls.unknown(posed(scan, IDENTITY), scan, [2, 3, 1]) for _ in range(12)]
+    assert [k for k, ratio in enumerate(said) if ratio is not None] == [0, 1, 3, 4, 8, 9]
+
+
+def test_while_a_scan_fits_the_next_look_comes_after_some_motion(
+    building: Any, searches: list[Any]
+) -> None:
+    walls = rooms_of(building, fit_step_m=0.2, fit_step_rad=9.0, view_m=0.05, view_rad=9.0)
+    start = building.path(0, 3)[0]
+    said = []
+    for k in range(9):
+        pose = start + (0.06 * k, 0.0, 0.0)
+        scan = building.scans(pose[None])[0]
+        said.append(walls.unknown(posed(scan, Pose2(*pose.tolist())), scan, [0]) is not None)
+    assert said == [True, False, False, False, True, False, False, False, True]
+    assert walls.unknown(posed(scan, Pose2(*pose.tolist())), scan, [0]) is not None  # it stands
+    assert len(searches) == 1
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_layout_leads_from_one_submap_into_another(
+    building: Any, searches: list[Any], known: bool
+) -> None:
+    """A robot that drives from one room into the other is searched there only without it."""
+    frames = {room: Pose2(*building.path(room, 0)[0].tolist()) for room in range(4)}
+    walls = rooms_of(building, frames if known else None)
+    for room in (0, 2):
+        pose = building.path(room, 3)[:1]
+        scan = building.scans(pose)[0]
+        said = walls.unknown(posed(scan, Pose2(*pose[0].tolist())), scan, [room])
+        assert said is not None
+        assert said < 0.0
+    assert len(searches) == (1 if known else 2)
+
+
+def test_what_is_seen_behind_walls_speaks_for_unknown(building: Any) -> None:
+    """Half a circle that sees one wall and, where the map has another, farther than that."""
+    walls = rooms_of(building)
+    pose = building.path(0, 3)[:1]
+    whole = building.scans(pose)[0]
+    ahead = np.abs(whole.bearings) < np.radians(60.0)
+    said = []
+    for more in (0.0, 3.0):
+        scan = replace(whole, ranges=whole.ranges + more * ahead)
+        walls.restart()
+        said.append(walls.unknown(posed(scan, Pose2(*pose[0].tolist())), whole, [0]))
+    assert said[0] is not None
+    assert said[1] is not None
+    assert said[0] < 0.0 < said[1]
+
+
+def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
+    building: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a map of half a room the true place may score less than a wrong one."""
+    pose = building.path(0, 3)[:1]
+    scan, submap = building.scans(pose)[0], Pose2(*building.path(0, 0)[0].tolist())
+    right = submap.inverse() @ Pose2(*pose[0].tolist())
+    wrong = right @ Pose2(1.0, 0.8, 1.0)
+    for order in ([wrong, right], [right, wrong]):
+        walls, _ = walls_of(building)
+        monkeypatch.setattr(
+            "specmap_cli.recognition.localization.walls._anywhere", lambda *_, o=order: o
+        )
+        said = walls.unknown(posed(scan, Pose2(*pose[0].tolist())), scan, [7])
+        assert said is not None
+        assert said < -1.0
+
+
 def test_returns_where_the_map_saw_nothing_count_less(building: Any) -> None:
     """The scan of a room against a map of its left half."""
     ratios = []
     for weight in (0.0, 1.0):
-        walls, field = walls_of(building, unseen_weight=weight)
+        field = Counted(building)
         cells = field.grid.cells.copy()
         cells[:, cells.shape[1] // 2 :] = UNKNOWN
-        field.walls = ScoreField.from_grid(GridMap(cells, field.grid.resolution, field.grid.origin))
-        walls.grids = {7: GridMap(cells, field.grid.resolution, field.grid.origin)}
+        half = GridMap(cells, field.grid.resolution, field.grid.origin)
+        field.walls = ScoreField.from_grid(half)
+        config = LocalizationConfig(unseen_weight=weight)
+        walls = WallCheck({7: half}, field, Ratio(None, config), config)
         pose = building.path(0, 3)[:1]
         scan = building.scans(pose)[0]
         ratios.append(walls.unknown(posed(scan, Pose2(*pose[0].tolist())), scan, [7]))

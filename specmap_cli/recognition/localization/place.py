@@ -1,0 +1,31 @@
+"""Where a scan was found: a pose in a submap, and where the robot's motion leads from there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from specmap_cli.core.geometry import Pose2
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A scan was found at `pose` in a submap, when the robot's track was at `map_from_base`."""
+
+    submap: int
+    pose: Pose2
+    map_from_base: Pose2
+
+    def led_to(
+        self, submap: int, map_from_base: Pose2, frames: Mapping[int, Pose2]
+    ) -> Pose2 | None:
+        """Where in `submap` the motion since leads; None when that is not known.
+
+        `frames` are the submaps' frames in the layout; without them only the same submap is known.
+        """
+        pose = self.pose @ (self.map_from_base.inverse() @ map_from_base)
+        if submap == self.submap:
+            return pose
+        if submap not in frames or self.submap not in frames:
+            return None
+        return frames[submap].inverse() @ frames[self.submap] @ pose
