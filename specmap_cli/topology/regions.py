@@ -13,7 +13,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.grids.gridmap import BoolArray, GridMap
@@ -43,6 +42,8 @@ class Regions:
     @classmethod
     def of(cls, grid: GridMap, owner: OwnerArray) -> Regions:
         """The regions with their outlines."""
+        from scipy import ndimage  # takes a fifth of a second to load, and `localize` never asks
+
         outlines = {}
         for id_, window in enumerate(ndimage.find_objects(owner + 1)):
             if window is not None:
