@@ -3,7 +3,8 @@
     python -m benchmarks.hard_logs [--only TEXT ...] [--set KEY=VALUE ...] [--keep DIR] [--list]
 
 Each line: scans, the share that was lost, breaks of the tracking, metres off the truth, the verdict
-that the map gives itself, seconds of processor time, and whether the bounds of the case are kept.
+that the map gives itself, seconds of processor time, of these the seconds of the layout with its
+audit, and whether the bounds of the case are kept.
 `told` is a case that misses its bounds, and says so by its verdict or by an error.
 """
 
@@ -25,13 +26,16 @@ from specmap_cli.pipelines.build import build_map
 
 HEADER = (
     f"{'case':52} {'scans':>6} {'lost':>6} {'breaks':>6} {'error m':>8} {'verdict':>9} "
-    f"{'s':>6}  result"
+    f"{'s':>6} {'layout':>6}  result"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of a case; `said` is its error, if it ended with one."""
+    """What came of a case; `said` is its error, if it ended with one.
+
+    `doubts` are the codes of the findings that make its map doubtful or poor.
+    """
 
     scans: int = 0
     lost: int = 0
@@ -39,6 +43,8 @@ class Outcome:
     error_m: float = math.nan
     verdict: str = ""
     said: str = ""
+    doubts: tuple[str, ...] = ()
+    layout_s: float = 0.0
 
     def result(self, case: Case) -> str:
         """`kept`, `told`, or what was missed."""
@@ -80,7 +86,8 @@ def main() -> None:
         tally[result.partition(":")[0]] += 1
         print(
             f"{case.name:52} {found.scans:6} {found.lost / max(1, found.scans):6.1%} "
-            f"{found.breaks:6} {found.error_m:8.3f} {found.verdict:>9} {spent:6.1f}  {result}",
+            f"{found.breaks:6} {found.error_m:8.3f} {found.verdict:>9} {spent:6.1f} "
+            f"{found.layout_s:6.1f}  {result}",
             flush=True,
         )
     print(", ".join(f"{count} {name}" for name, count in tally.items()))
@@ -100,7 +107,9 @@ def outcome(case: Case, folder: Path, settings: Sequence[str]) -> Outcome:
         lost=counts["lost"],
         breaks=counts["breaks"],
         error_m=recording.score(read_tum(folder / "map" / "trajectory.tum")),
-        verdict=report.run.get("quality", {}).get("verdict", ""),
+        verdict=report.quality.verdict,
+        layout_s=sum(report.run["seconds"].get(stage, 0.0) for stage in ("layout", "audit")),
+        doubts=tuple(one.code for one in report.quality.findings if one.severity != "note"),
     )
 
 

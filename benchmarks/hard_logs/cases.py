@@ -27,6 +27,7 @@ from specmap_cli.simulation.simulator import SimulatedTour, simulated_tour, simu
 
 NOISY = OdometryErrors(distance_scale=0.05, turn_scale=0.05, veer_per_m=0.01)
 TWO_PERCENT = OdometryErrors(distance_scale=0.02, turn_scale=0.02)
+FOUR_PERCENT = OdometryErrors(distance_scale=0.04, turn_scale=0.04)
 SPACINGS_M, PERIODS_S = (0.25, 0.5, 1.0), (0.5, 1.0)
 TOURS = ("office", "lab_c_scan", "office_h_furnitures")
 
@@ -51,7 +52,11 @@ def cases() -> Iterator[Case]:
     yield Case("fr101_sparse", partial(of_itself, sparse), 0.0, 0.06)
     yield from spoiled_tours()
     yield from corridor_loops()
-    yield Case("1.5 km of corridors, odometry 2 % off", long_building, error_m=0.5)
+    for errors in (TWO_PERCENT, FOUR_PERCENT):
+        name = f"1.5 km of corridors, odometry {errors.distance_scale:.0%} off".replace("%", " %")
+        yield Case(name, partial(long_building, errors, iter), error_m=0.5)
+    name = "1.5 km of corridors, carried off seven times"
+    yield Case(name, partial(long_building, TWO_PERCENT, s.carried_off(1500.0, 7)), error_m=0.5)
     yield from clouds()
 
 
@@ -95,6 +100,7 @@ def spoiled_tours() -> Iterator[Case]:
         yield tour_case(world, s.first_scans_spoiled(5), "first five scans spoiled")
         yield tour_case(world, s.dropped(60.0, 5.0), "5 s dropped")
         yield tour_case(world, s.slipping(60.0, 5.0, 3.0), "wheels slip for 5 s")
+        yield tour_case(world, s.carried_off(400.0, 7), "carried off seven times")
         yield tour_case(world, s.accompanied(40.0, 120.0, 0.8, 0.6), "a person walks beside")
         for settings in ((), ("log.scan_frame=laser_0",)):
             chosen = ", one chosen" if settings else ""
@@ -173,7 +179,7 @@ def corridor_loop(niche_every_m: float | None, spoil: s.Spoiling, path: Path) ->
     return simulated(tour, spoil, path)
 
 
-def long_building(path: Path) -> Recording:
+def long_building(errors: OdometryErrors, spoil: s.Spoiling, path: Path) -> Recording:
     """Corridors of 720 m, driven in loops for 1.5 km."""
     columns, rows = (0.0, 60.0, 140.0), (0.0, 50.0, 100.0)
     ways = [((columns[0], y), (columns[-1], y)) for y in rows]
@@ -189,11 +195,11 @@ def long_building(path: Path) -> Recording:
         range_max_m=20.0,
         rate_hz=5.0,
         speed_mps=1.0,
-        errors=TWO_PERCENT,
+        errors=errors,
         field_of_view_deg=180.0,
         beams=181,
     )
-    return simulated(tour, iter, path)
+    return simulated(tour, spoil, path)
 
 
 def clouds() -> Iterator[Case]:

@@ -157,6 +157,12 @@ def kidnapped(start_s: float, seconds: float) -> Spoiling:
     return carry
 
 
+def carried_off(duration_s: float, times: int, seconds: float = 20.0) -> Spoiling:
+    """Somebody carries the robot elsewhere several times in a log of that length."""
+    starts = [duration_s * (number + 1) / (times + 1) for number in range(times)]
+    return chained(*(kidnapped(start_s, seconds) for start_s in starts))
+
+
 def frozen(start_s: float, seconds: float) -> Spoiling:
     """The driver of the laser hangs: the same scan again and again while the robot drives on."""
 

@@ -157,7 +157,8 @@ class RegistrationConfig(_Section):
     window_keyframes: int = Field(80, ge=1, description="keyframes in the local map")
     keyframe_m: float = Field(0.3, gt=0, description="motion between keyframes of the local map")
     keyframe_rad: float = Field(0.25, gt=0, description="turn between them")
-    points_per_voxel: int = Field(20, ge=1, description="most points kept in a voxel; 10 is faster")
+    points_per_voxel: int = Field(10, ge=1, description="most points kept in a voxel; planar")
+    cloud_points_per_voxel: int = Field(20, ge=1, description="as points_per_voxel, for 3D clouds")
     rebuild_keyframes: int = Field(
         4, ge=1, description="keyframes between rebuilds of the voxels, which forget older ones"
     )
@@ -183,6 +184,11 @@ class RegistrationConfig(_Section):
         (2.0, 1.0, 0.5, 0.25),
         min_length=1,
         description="widths of the robust kernel, in voxels, coarse to fine",
+    )
+    quick_kernel_voxels: tuple[Annotated[float, Field(gt=0)], ...] = Field(
+        (1.5, 0.25),
+        min_length=1,
+        description="kernels tried first; kernel_voxels follow only if their result is in doubt",
     )
     max_shift_m: float = Field(
         1.5, gt=0, description="an alignment that ends farther from its guess is refused"
@@ -376,7 +382,7 @@ class RelaxationConfig(_Section):
         0.001, ge=0, description="radians per metre by which tracking may turn on and on"
     )
     stray_tries: int = Field(
-        30, ge=0, description="searches to rejoin a piece of the path after tracking was lost"
+        20, ge=0, description="searches to rejoin a piece of the path after tracking was lost"
     )
     stray_votes: int = Field(3, ge=1, description="finds that must agree on where the piece lies")
     stray_cells: int = Field(
@@ -417,6 +423,9 @@ class RelaxationConfig(_Section):
     )
     judge_rounds: int = Field(
         6, ge=1, description="closures are judged, and passes searched, this often at the most"
+    )
+    heal_rounds: int = Field(
+        3, ge=0, description="walls drawn twice are matched and solved again this often at the most"
     )
     kernel_sigmas: float = Field(
         2.0, gt=0, description="closures and passes farther off than this pull less and less"
@@ -484,7 +493,28 @@ class QualityConfig(_Section):
         1.0, gt=0, description="a piece that the layout moved farther is told of"
     )
     moved_votes: int = Field(3, ge=1, description="and doubtful when fewer matches say so")
-    same_place_m: float = Field(5.0, gt=0, description="disagreements this near are one finding")
+    same_place_m: float = Field(
+        5.0, gt=0, description="disagreements, and matches, this near are of one place"
+    )
+    hole_s: float = Field(
+        5.0, gt=0, description="without scans: in less nobody carries a robot to another room"
+    )
+    hole_intervals: float = Field(
+        5.0, gt=1, description="and so many usual intervals: robots that stand may record little"
+    )
+    hole_walls_m: float = Field(
+        0.15, gt=0, description="walls this near to those seen before a hole are the same"
+    )
+    hole_walls_share: float = Field(
+        0.6, ge=0, le=1, description="of the walls around a robot that stood, the rest moved or new"
+    )
+    still_m: float = Field(
+        0.15, gt=0, description="motion over a hole of a robot that stood: noise, and a first step"
+    )
+    still_rad: float = Field(0.1, gt=0, description="its turn")
+    tie_m: float = Field(
+        10.0, ge=0, description="way after a hole from which on matches confirm it: out of a room"
+    )
 
 
 class LocalizationConfig(_Section):
@@ -564,6 +594,9 @@ class LocalizationConfig(_Section):
     )
     least_misfit: float = Field(
         0.05, gt=0, le=1, description="of known places: people pass, and doors move"
+    )
+    behind_usual: float = Field(
+        0.2, ge=0, lt=1, description="share of a scan behind walls of its own place that moved"
     )
     unseen_weight: float = Field(
         0.25, ge=0, le=1, description="of returns off the walls where the map saw nothing"

@@ -221,8 +221,10 @@ def _filtered_labels(
     """Filtered labels of the held-out scans in turn, started afresh after every gap."""
     classifiers = finished.classifiers
     adjacency = neighbours(classifiers.ids, finished.topology.edges)
-    grids = {i: submap.grid for i, submap in finished.topology.submaps.items()}
-    localizer = Localizer(classifiers, adjacency, grids, config.localization)
+    submaps = finished.topology.submaps
+    grids = {i: submap.grid for i, submap in submaps.items()}
+    frames = {i: submap.map_from_submap for i, submap in submaps.items()}
+    localizer = Localizer(classifiers, adjacency, grids, config.localization, frames)
     labels: list[int | None] = []
     for k in range(len(held_out)):
         place = Pose2(*poses[k].tolist())

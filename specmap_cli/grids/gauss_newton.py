@@ -7,13 +7,15 @@ Kohlbrecher et al., "A Flexible and Scalable SLAM System with Full 3D Motion Est
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
-from specmap_cli.grids.score_field import ScoreField
+from specmap_cli.core.records import BoolArray
+from specmap_cli.grids.score_field import FieldArray, ScoreField
 
 _FEWEST_POINTS = 3  # as many as unknowns
 _DAMPING = 1e-6  # a point, added to the normal matrix: along a single wall it is singular
@@ -33,12 +35,14 @@ def descend(
     """
     if len(points) < _FEWEST_POINTS:
         return guess
-    pose, cost = guess, _cost(field, points, guess)
+    pose, here = guess, Sample.of(field, points, guess)
+    cost = here.cost()
     for _ in range(iterations):
-        step = _step(field, points, pose)
+        step = _step(here)
         for _ in range(_HALVINGS):
             trial = Pose2(*(np.array(pose) + step).tolist())
-            trial_cost = _cost(field, points, trial)
+            there = Sample.of(field, points, trial)
+            trial_cost = there.cost()
             if trial_cost < cost:
                 break
             step = step / 2
@@ -46,17 +50,17 @@ def descend(
             break
         if math.hypot(trial.x - guess.x, trial.y - guess.y) > max_shift_m:
             break
-        pose, cost = trial, trial_cost
+        pose, cost, here = trial, trial_cost, there
         if float(np.abs(step).max()) < _SHORTEST_STEP:
             break
     return Pose2(pose.x, pose.y, wrap_angle(pose.theta))
 
 
-def _step(field: ScoreField, points: NDArray[Any], pose: Pose2) -> FloatArray:
+def _step(here: Sample) -> FloatArray:
     """The Gauss-Newton step (3,) from a pose, cut to the longest allowed."""
-    values, jacobian = interpolated(field, points, pose)
-    normal = product(jacobian.T, jacobian) + _DAMPING * len(points) * np.eye(3)
-    step = _solved(normal, product(jacobian.T, (1.0 - values)[:, None])[:, 0])
+    jacobian = here.jacobian()
+    normal = product(jacobian.T, jacobian) + _DAMPING * len(jacobian) * np.eye(3)
+    step = _solved(normal, product(jacobian.T, (1.0 - here.values)[:, None])[:, 0])
     return np.asarray(step * min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), _TINY)))
 
 
@@ -76,34 +80,58 @@ def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
     return np.array([x / a - low * y - last * z, y, z])
 
 
-def _cost(field: ScoreField, points: NDArray[Any], pose: Pose2) -> float:
-    """Sum over the points of (1 - interpolated value)^2."""
-    values, _ = interpolated(field, points, pose)
-    return float(((1.0 - values) ** 2).sum())
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    """A field under points at a pose: `values` (N,), 0 outside the outermost cell centres.
 
-
-def interpolated(
-    field: ScoreField, points: NDArray[Any], pose: Pose2
-) -> tuple[FloatArray, FloatArray]:
-    """Bilinear values (N,) under points (N, 2) at `pose`, and their derivative (N, 3) by it.
-
-    Both are 0 for points outside the outermost cell centres of the field.
+    `corners` (4, N) are those of the cells around each point, lower left, lower right, upper left,
+    upper right; `share` (2, N) is where it lies between them, `turned` (N, 2) the points about the
+    pose, `inside` (N,) whether they lie on the field.
     """
-    placed = pose.apply(points)
-    u = (placed - field.origin) / field.resolution - 0.5
-    height, width = field.values.shape
-    if min(height, width) < 2:
-        return np.zeros(len(u)), np.zeros((len(u), 3))
-    inside = np.all((u >= 0) & (u < (width - 1, height - 1)), axis=1)
-    base = np.clip(np.floor(u).astype(np.intp), 0, (width - 2, height - 2))
-    fx, fy = np.clip(u - base, 0.0, 1.0).T
-    start = base[:, 1] * width + base[:, 0]
-    flat = field.values.ravel()
-    v00, v01 = flat.take(start), flat.take(start + 1)
-    v10, v11 = flat.take(start + width), flat.take(start + width + 1)
-    low, high = v00 + (v01 - v00) * fx, v10 + (v11 - v10) * fx
-    dx = ((v01 - v00) * (1 - fy) + (v11 - v10) * fy) / field.resolution
-    dy = (high - low) / field.resolution
-    turned = placed - (pose.x, pose.y)
-    jacobian = np.column_stack([dx, dy, dy * turned[:, 0] - dx * turned[:, 1]])
-    return (low + (high - low) * fy) * inside, jacobian * inside[:, None]
+
+    values: FloatArray
+    corners: FieldArray
+    share: FloatArray
+    turned: FloatArray
+    inside: BoolArray
+    cell_m: float
+
+    @classmethod
+    def of(cls, field: ScoreField, points: NDArray[Any], pose: Pose2) -> Sample:
+        """Looked up at points (N, 2)."""
+        placed = pose.apply(points)
+        u = (placed - field.origin) / field.resolution - 0.5
+        height, width = field.values.shape
+        if min(height, width) == 1:  # nothing lies between the centres of cells
+            inside, base = np.zeros(len(u), dtype=bool), np.zeros((len(u), 2), dtype=np.intp)
+        else:
+            inside = np.all((u >= 0) & (u < (width - 1, height - 1)), axis=1)
+            base = np.clip(np.floor(u).astype(np.intp), 0, (width - 2, height - 2))
+        fx, fy = share = np.clip(u - base, 0.0, 1.0).T
+        start = base[:, 1] * width + base[:, 0]
+        flat = field.values.ravel()
+        ends = np.array([[0], [1], [width], [width + 1]])
+        corners = flat.take(start + ends, mode="clip")
+        v00, v01, v10, v11 = corners
+        low, high = v00 + (v01 - v00) * fx, v10 + (v11 - v10) * fx
+        return cls(
+            values=(low + (high - low) * fy) * inside,
+            corners=corners,
+            share=share,
+            turned=placed - (pose.x, pose.y),
+            inside=inside,
+            cell_m=field.resolution,
+        )
+
+    def cost(self) -> float:
+        """Sum over the points of (1 - value)^2."""
+        return float(((1.0 - self.values) ** 2).sum())
+
+    def jacobian(self) -> FloatArray:
+        """(N, 3) derivatives of the values by the pose."""
+        (v00, v01, v10, v11), (fx, fy), turned = self.corners, self.share, self.turned.T
+        low, high = v00 + (v01 - v00) * fx, v10 + (v11 - v10) * fx
+        dx = ((v01 - v00) * (1 - fy) + (v11 - v10) * fy) / self.cell_m
+        dy = (high - low) / self.cell_m
+        columns = np.column_stack([dx, dy, dy * turned[0] - dx * turned[1]])
+        return columns * self.inside[:, None]

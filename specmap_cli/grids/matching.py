@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
+from specmap_cli.core.records import IntArray
 from specmap_cli.grids.correlation import Target, cell_counts, local_maxima, peaks
 from specmap_cli.grids.gauss_newton import descend
 from specmap_cli.grids.score_field import ScoreField, thinned
@@ -217,20 +218,40 @@ def _lattice_scores(
     offsets = np.round(shifts / field.resolution).astype(np.intp)
     reach = int(np.abs(offsets).max(initial=0))
     border = 2 * reach + 1
+    low, high = _touched(field, points, guess, reach)
     padded = cv2.copyMakeBorder(
-        field.values, border, border, border, border, cv2.BORDER_CONSTANT, value=0.0
+        field.values[low[1] : high[1], low[0] : high[0]],
+        *(border, border, border, border),
+        cv2.BORDER_CONSTANT,
+        value=0.0,
     )
     height, width = padded.shape
     flat, jumps = padded.ravel(), offsets[:, 1] * width + offsets[:, 0]
     corner = np.asarray(field.origin) - border * field.resolution
     for angle in angles.tolist():
         placed = Pose2(guess.x, guess.y, guess.theta + angle).apply(points)
-        columns, rows = ((placed - corner) / field.resolution).astype(np.intp).T
+        columns, rows = (((placed - corner) / field.resolution).astype(np.intp) - low).T
         # a point too far outside to be shifted onto the field waits on the border of noughts
         np.clip(columns, reach, width - 1 - reach, out=columns)
         np.clip(rows, reach, height - 1 - reach, out=rows)
         cells = jumps[:, None] + (rows * width + columns)[None, :]
         yield angle, flat.take(cells).sum(axis=1, dtype=np.float64) / len(points)
+
+
+def _touched(
+    field: ScoreField, points: NDArray[Any], guess: Pose2, reach: int
+) -> tuple[IntArray, IntArray]:
+    """First and last column and row (2,), the last excluded, that points may touch at any angle.
+
+    `reach` is that of their shifts, in cells. At least one cell is told.
+    """
+    size = np.array(field.values.shape[::-1])
+    far = float(np.sqrt((np.asarray(points) ** 2).sum(axis=1)).max(initial=0.0))
+    middle = (np.array([guess.x, guess.y]) - field.origin) / field.resolution
+    around = far / field.resolution + reach + 2
+    low = np.clip(np.floor(middle - around), 0, size - 1).astype(np.int64)
+    high = np.clip(np.ceil(middle + around), low + 1, size).astype(np.int64)
+    return low, high
 
 
 def _everywhere(

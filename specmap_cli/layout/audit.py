@@ -103,6 +103,16 @@ class Audit:
     compared: int = 0
     disagreements: tuple[Disagreement, ...] = ()
 
+    @property
+    def walls_m(self) -> float:
+        """Metres of wall that are contradicted, over all pairs."""
+        return sum(one.walls_m for one in self.disagreements)
+
+    @property
+    def share(self) -> float:
+        """Of the pairs that were compared, those that disagree."""
+        return len(self.disagreements) / max(1, self.compared)
+
 
 def audit(
     store: KeyframeStore, poses: FloatArray, breaks: Collection[int], config: AuditConfig

@@ -70,6 +70,18 @@ class Bend:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Healing:
+    """What the audit mended: `links` between passes that drew their walls twice.
+
+    `walls_m` of wall were contradicted before. No keyframe was moved farther than `moved_m`.
+    """
+
+    links: tuple[Link, ...]
+    walls_m: float
+    moved_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LayoutEvidence:
     """What was judged, what moved, and how the passes stand to each other before and after.
 

@@ -16,7 +16,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_a
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.path_graph import Draft, Graph, Pair
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.solving import solved
+from specmap_cli.layout.solving import renewed
 from specmap_cli.layout.stops import stops
 from specmap_cli.layout.strays import Search, rejoin
 from specmap_cli.layout.wall_matching import match_walls, nearby_link
@@ -34,7 +34,7 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, config: RelaxationConf
     Goes along the path. Where a part hangs on the others by a guess only, it is looked for among
     all older walls first. Pairs that the draft was tried on are matched again only when they moved.
     """
-    tried, tied_m, renewed = dict(draft.tried), 0.0, len(draft.loops)
+    tried, tied_m, solved = dict(draft.tried), 0.0, len(draft.loops)
     renew_after = max(config.solve_every, len(graph.nodes) // _NODES_A_LINK)
     search: Search | None = None
     for node in stops(graph.path, config.loop_every_m):
@@ -50,8 +50,8 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, config: RelaxationConf
             found = search.finds if search is not None and part in draft.tied else ()
         if found:
             draft, tied_m = replace(draft, loops=(*draft.loops, *found)), way_m
-        if len(draft.loops) - renewed >= renew_after:
-            draft, renewed = solved(graph, draft, config), len(draft.loops)
+        if len(draft.loops) - solved >= renew_after:
+            draft, solved = renewed(graph, draft, config), len(draft.loops)
     return replace(draft, tried=tried)
 
 

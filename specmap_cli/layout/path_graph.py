@@ -87,10 +87,19 @@ def graph_of(
     """The graph of a store's keyframes, with nodes at the `ends` of constraints and at `breaks`."""
     known = breaks if isinstance(breaks, Mapping) else dict.fromkeys(breaks)
     fresh = {number: bridge for number, bridge in known.items() if number != 0}
-    tracked = store.poses
-    nodes = chosen_nodes(tracked, {*ends, *fresh}, config)
-    after = np.isin(nodes, sorted(fresh))
-    loose = np.isin(nodes, sorted(number for number, bridge in fresh.items() if bridge is None))
+    nodes = chosen_nodes(store.poses, {*ends, *fresh}, config)
+    return joined(store.poses, nodes, motion_links(store, nodes, fresh, config), config)
+
+
+def joined(
+    tracked: FloatArray, nodes: IntArray, odometry: tuple[Link, ...], config: RelaxationConfig
+) -> Graph:
+    """The graph of the keyframes `nodes` (M,), of all at poses `tracked` (n, 3), and its motions.
+
+    `odometry` are the M - 1 links from each node to the next.
+    """
+    after = [False, *(motion.kind != "odometry" for motion in odometry)]
+    loose = [False, *(motion.kind == "loose" for motion in odometry)]
     steps = np.concatenate([[0.0], step_lengths(tracked[nodes])])
     return Graph(
         nodes=nodes,
@@ -98,7 +107,7 @@ def graph_of(
         tracked=tracked,
         parts=np.cumsum(loose).astype(np.int64),
         path=np.cumsum(np.where(after, 2 * config.loop_path_m, steps)),
-        odometry=motion_links(store, nodes, fresh, config),
+        odometry=odometry,
     )
 
 

@@ -3,14 +3,14 @@
 Hess et al., "Real-Time Loop Closure in 2D LIDAR SLAM" (ICRA 2016), section V: level h of the
 pyramid holds, at each cell, the largest value of the field in the 2^h x 2^h cells that begin there.
 Points summed on it are never below their score at any of the shifts the cell stands for, so that
-whole blocks of shifts are ruled out at once. Scores are sums of bytes: exact, and the same on any
-processor.
+whole blocks of shifts are ruled out at once, as are those from where the robot would stand in a
+wall. Scores are sums of bytes: exact, and the same on any processor.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,9 @@ from specmap_cli.grids.matching import Match, ScoreField
 
 _TOP = 3  # level the search begins on: blocks of 8 cells, wide rooms still rule them out
 _FULL = 255  # of a byte: a cell whose score is 1
-_AT_ONCE = 2_000_000  # lookups in one go: some 16 MB
+_AT_ONCE = 500_000  # lookups in one go: some 4 MB
+_SOME = 0.125  # of the points: what the search begins with, to find out what is hopeless
+_GOLDEN = 0.5 * (5**0.5 - 1.0)  # steps of this share spread points evenly over any part of them
 _BEAM = 64  # blocks followed down to a first good place, whose score prunes the others
 
 
@@ -31,9 +33,11 @@ class Pyramid:
     """Maxima of a score field: `levels[h]` (H, W) in bytes, over 2^h x 2^h cells from each cell.
 
     Noughts surround the field on `border` cells. `corner` (2,) is where the cells begin, metres.
+    `free`, of the same form, holds 1 where a robot may stand; it may stand anywhere when empty.
     """
 
     levels: tuple[NDArray[np.uint8], ...]
+    free: tuple[NDArray[np.uint8], ...]
     border: int
     corner: FloatArray
     cell_m: float
@@ -44,15 +48,18 @@ class Pyramid:
         return float((self.border - 2**_TOP - 1) * self.cell_m)
 
     @classmethod
-    def of(cls, field: ScoreField, reach_m: float) -> Pyramid:
-        """The pyramid of a field, for points within `reach_m` of their origin."""
+    def of(
+        cls, field: ScoreField, reach_m: float, free: NDArray[np.bool_] | None = None
+    ) -> Pyramid:
+        """The pyramid of a field, for points within `reach_m` of their origin.
+
+        `free` marks the cells of the field where a robot may stand.
+        """
         border = math.ceil(reach_m / field.resolution) + 2**_TOP + 1
-        cells = np.pad(np.round(field.values * _FULL).astype(np.uint8), border)
-        levels = [cells]
-        for level in range(_TOP):
-            levels.append(_maxima(levels[-1], 2**level))
+        cells = np.round(field.values * _FULL).astype(np.uint8)
         return cls(
-            levels=tuple(levels),
+            levels=_levels(np.pad(cells, border)),
+            free=() if free is None else _levels(np.pad(free.astype(np.uint8), border)),
             border=border,
             corner=np.asarray(field.origin) - border * field.resolution,
             cell_m=field.resolution,
@@ -110,9 +117,9 @@ def best_places(
 ) -> tuple[list[Match], bool]:
     """The `count` best poses of points (N, 2), best first, and whether the search was cut short.
 
-    Their middle is looked for in the `blocks` (B, 2) of the top level, at `angles` (A,). Exact on
-    the lattice of cells and angles, unless it was cut short. Points farther from their middle than
-    the pyramid's reach do not count.
+    Their middle is looked for in the `blocks` (B, 2) of the top level, at `angles` (A,), their
+    origin, where the robot stands, in free cells. Exact on the lattice of cells and angles, unless
+    it was cut short. Points farther from their middle than the pyramid's reach do not count.
     """
     if not len(points) or not len(blocks) or not len(angles):
         return [], False
@@ -120,7 +127,7 @@ def best_places(
     local = np.asarray(points, dtype=np.float64) - middle
     local = local[np.hypot(local[:, 0], local[:, 1]) <= pyramid.reach_m]
     back = Pose2(-float(middle[0]), -float(middle[1]), 0.0)
-    found = _descend(pyramid, _jumps(pyramid, local, angles), blocks, wanted)
+    found = _descend(_Task.of(pyramid, local, -middle, angles), blocks, wanted)
     places = pyramid.corner + (found.cell + 0.5) * pyramid.cell_m
     centres: list[Pose2] = []
     kept: list[Match] = []
@@ -134,11 +141,62 @@ def best_places(
     return kept, found.cut_short
 
 
+def _levels(cells: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], ...]:
+    """The cells, and the maxima over blocks of them, level after level."""
+    levels = [cells]
+    for level in range(_TOP):
+        levels.append(_maxima(levels[-1], 2**level))
+    return tuple(levels)
+
+
 def _maxima(cells: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
     """The largest of four values `step` apart, from each cell on."""
     padded = np.pad(cells, ((0, step), (0, step)))
     rows = np.maximum(padded[:-step], padded[step:])
     return np.maximum(rows[:, :-step], rows[:, step:])
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """Turned points in a flat field: `points` (A, N) and the robot (A,), cells from their middle.
+
+    `robot` is None where it may stand anywhere.
+    """
+
+    pyramid: Pyramid
+    points: NDArray[np.int32]
+    robot: NDArray[np.int32] | None
+
+    @classmethod
+    def of(
+        cls, pyramid: Pyramid, points: FloatArray, robot: FloatArray, angles: FloatArray
+    ) -> _Task:
+        """Of points (N, 2) about their middle, and the robot (2,) seen from there."""
+        spread = np.argsort(np.arange(len(points)) * _GOLDEN % 1.0, kind="stable")
+        jumps = _jumps(pyramid, np.concatenate([points[spread], robot[None]]), angles)
+        known = pyramid.free and np.hypot(robot[0], robot[1]) <= pyramid.reach_m
+        return cls(pyramid, jumps[:, :-1], jumps[:, -1] if known else None)
+
+    @property
+    def full(self) -> int:
+        """The sum of a perfect fit."""
+        return int(_FULL * self.points.shape[1])
+
+    def some(self) -> _Task:
+        """The same of some of the points, which lie all over."""
+        return replace(self, points=self.points[:, : math.ceil(_SOME * self.points.shape[1])])
+
+    def starts(self, cell: IntArray) -> IntArray:
+        """(K,) cells (K, 2) in the flat field."""
+        return np.asarray(cell[:, 1] * self.pyramid.levels[0].shape[1] + cell[:, 0])
+
+    def allowed(self, level: int, number: IntArray, cell: IntArray) -> tuple[IntArray, IntArray]:
+        """Those of the blocks in which the robot may stand somewhere."""
+        if self.robot is None:
+            return number, cell
+        free = self.pyramid.free[level].ravel()
+        kept = free.take(self.robot[number] + self.starts(cell)) > 0
+        return number[kept], cell[kept]
 
 
 def _jumps(pyramid: Pyramid, points: NDArray[Any], angles: FloatArray) -> NDArray[np.int32]:
@@ -150,63 +208,77 @@ def _jumps(pyramid: Pyramid, points: NDArray[Any], angles: FloatArray) -> NDArra
     return np.asarray(rows * pyramid.levels[0].shape[1] + columns, dtype=np.int32)
 
 
-def _descend(
-    pyramid: Pyramid, jumps: NDArray[np.int32], blocks: IntArray, wanted: Wanted
-) -> Places:
+def _descend(task: _Task, blocks: IntArray, wanted: Wanted) -> Places:
     """All cells and angles that score enough, by pruning blocks level after level."""
-    number = np.repeat(np.arange(len(jumps)), len(blocks))
-    cell = np.tile(blocks, (len(jumps), 1))
-    full = _FULL * jumps.shape[1]
-    sums = _sums(pyramid, _TOP, jumps, number, cell)
-    floor, cut_short = math.ceil(wanted.least * full), False
+    number = np.repeat(np.arange(len(task.points)), len(blocks))
+    number, cell = task.allowed(_TOP, number, np.tile(blocks, (len(task.points), 1)))
+    some, lead = task.some(), math.floor(wanted.lead * task.full)
+    rough = _sums(some, _TOP, number, cell, 0)
+    floor, cut_short = math.ceil(wanted.least * task.full), False
+    floor = max(floor, _greedy(task, _TOP, number, cell, rough) - lead)
+    kept = np.flatnonzero(rough + task.full - some.full >= floor)
+    number, cell = number[kept], cell[kept]
+    sums = _sums(task, _TOP, number, cell, floor)
     for level in range(_TOP, 0, -1):
-        floor = max(floor, _greedy(pyramid, level, jumps, number, cell, sums) - wanted.lead * full)
+        floor = max(floor, _greedy(task, level, number, cell, sums) - lead)
         kept = np.flatnonzero(sums >= floor)
         if len(kept) > wanted.most:
             kept = np.sort(kept[np.argsort(-sums[kept], kind="stable")[: wanted.most]])
             cut_short = True
-        number, cell = _children(number[kept], cell[kept], 2 ** (level - 1))
-        sums = _sums(pyramid, level - 1, jumps, number, cell)
-    kept = np.flatnonzero(sums >= max(floor, sums.max(initial=0) - wanted.lead * full))
+        number, cell = _children(task, level - 1, number[kept], cell[kept])
+        sums = _sums(task, level - 1, number, cell, floor)
+    kept = np.flatnonzero(sums >= max(floor, sums.max(initial=0) - wanted.lead * task.full))
     kept = kept[np.argsort(-sums[kept], kind="stable")]
-    return Places(angle=number[kept], cell=cell[kept], score=sums[kept] / full, cut_short=cut_short)
+    return Places(
+        angle=number[kept], cell=cell[kept], score=sums[kept] / task.full, cut_short=cut_short
+    )
 
 
-def _greedy(
-    pyramid: Pyramid,
-    level: int,
-    jumps: NDArray[np.int32],
-    number: IntArray,
-    cell: IntArray,
-    sums: IntArray,
-) -> int:
+def _greedy(task: _Task, level: int, number: IntArray, cell: IntArray, sums: IntArray) -> int:
     """The score of a good place below the most promising blocks of a level."""
     for below in range(level - 1, -1, -1):
-        best = np.argsort(-sums, kind="stable")[:_BEAM]
-        number, cell = _children(number[best], cell[best], 2**below)
-        sums = _sums(pyramid, below, jumps, number, cell)
+        best = _best(sums)
+        number, cell = _children(task, below, number[best], cell[best])
+        sums = _sums(task, below, number, cell, 0)
     return int(sums.max(initial=0))
 
 
-def _children(number: IntArray, cell: IntArray, step: int) -> tuple[IntArray, IntArray]:
-    """The four blocks of half the side in each block."""
+def _best(sums: IntArray) -> IntArray:
+    """Which of the blocks are followed down: the first of the best."""
+    if len(sums) > _BEAM:
+        least = np.partition(sums, -_BEAM)[-_BEAM]
+        among = np.flatnonzero(sums >= least)
+    else:
+        among = np.arange(len(sums))
+    return np.asarray(among[np.argsort(-sums[among], kind="stable")[:_BEAM]], dtype=np.int64)
+
+
+def _children(
+    task: _Task, level: int, number: IntArray, cell: IntArray
+) -> tuple[IntArray, IntArray]:
+    """The four blocks of half the side in each block, where the robot may stand in them."""
+    step = 2**level
     quarters = np.array([[0, 0], [step, 0], [0, step], [step, step]])
     cells = (cell[:, None, :] + quarters).reshape(-1, 2)
-    return np.repeat(number, 4), cells
+    return task.allowed(level, np.repeat(number, 4), cells)
 
 
-def _sums(
-    pyramid: Pyramid, level: int, jumps: NDArray[np.int32], number: IntArray, cell: IntArray
-) -> IntArray:
-    """(K,) sums of the field's bytes under the points, at each angle and cell."""
-    field = pyramid.levels[level]
-    flat, starts = field.ravel(), cell[:, 1] * field.shape[1] + cell[:, 0]
-    sums = np.empty(len(starts), dtype=np.int64)
-    chunk = max(1, _AT_ONCE // jumps.shape[1])
-    for first in range(0, len(starts), chunk):
-        part = slice(first, first + chunk)
-        places = jumps[number[part]] + starts[part, None]
-        sums[part] = flat.take(places).sum(axis=1, dtype=np.int64)
+def _sums(task: _Task, level: int, number: IntArray, cell: IntArray, floor: int) -> IntArray:
+    """(K,) sums of the field's bytes under the points, at each angle and cell.
+
+    Where they cannot reach `floor` any more the sum is that of some of the points.
+    """
+    flat, starts = task.pyramid.levels[level].ravel(), task.starts(cell)
+    count = task.points.shape[1]
+    first = math.ceil(_SOME * count)
+    sums = np.zeros(len(starts), dtype=np.int64)
+    chunk = max(1, _AT_ONCE // count)
+    for start in range(0, len(starts), chunk):
+        left = np.arange(start, min(start + chunk, len(starts)))
+        for columns in (slice(0, first), slice(first, count)):
+            places = task.points[number[left], columns] + starts[left, None]
+            sums[left] += flat.take(places).sum(axis=1, dtype=np.uint32)
+            left = left[sums[left] + _FULL * (count - first) >= floor]
     return sums
 
 

@@ -16,7 +16,7 @@ from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, product, wrap_angles
-from specmap_cli.core.records import IntArray
+from specmap_cli.core.records import BoolArray, IntArray
 
 # odometry: the front end's motion; bridge: a motion over a break of the tracking that something
 # else measured; loose: one that nothing did, a guess; closure: two submaps recognised as one;
@@ -28,7 +28,7 @@ LinkKind = Literal["odometry", "bridge", "loose", "closure", "nearby"]
 _DAMPING_FIRST, _DAMPING_FACTOR, _DAMPING_LAST = 1e-3, 10.0, 1e6
 _DAMPING_NONE = 1e-4
 _STILL = 1e-7  # metres and radians of a step that changes nothing
-_SETTLED = 1e-6  # share of the cost that a last step gained
+SETTLED = 1e-6  # share of the cost that a last step gained
 _RIDGE = 1e-9  # keeps a direction that no edge holds from making the matrix singular
 
 
@@ -72,6 +72,16 @@ class LinkArrays:
             width=np.array([width.get(link.kind, np.inf) for link in links]),
         )
 
+    def some(self, rows: BoolArray) -> LinkArrays:
+        """Those of the links."""
+        return LinkArrays(
+            i=self.i[rows],
+            j=self.j[rows],
+            z=self.z[rows],
+            w=self.w[rows],
+            width=self.width[rows],
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
@@ -98,11 +108,14 @@ def squared(poses: FloatArray, edges: LinkArrays) -> FloatArray:
     return np.asarray(np.einsum("ea,eab,eb->e", e, edges.w, e), dtype=np.float64)
 
 
-def solve(poses: FloatArray, edges: LinkArrays, iterations: int = 20) -> Solution:
+def solve(
+    poses: FloatArray, edges: LinkArrays, iterations: int = 20, settled: float = SETTLED
+) -> Solution:
     """Poses (n, 3) that minimise the edges' robust cost, the first one held fixed.
 
     Gauss-Newton with a sparse LU factorisation, damped (Levenberg) only when a step does not
-    lower the cost; `iterations` steps at the most. Deterministic. Every pose must hang on the
+    lower the cost; `iterations` steps at the most, until one gains less than the share `settled` of
+    the cost. Deterministic. Every pose must hang on the
     first by some chain of edges.
     """
     current = np.array(poses, dtype=np.float64)
@@ -116,7 +129,7 @@ def solve(poses: FloatArray, edges: LinkArrays, iterations: int = 20) -> Solutio
         if float(np.abs(step).max()) < _STILL:  # rounding would decide which cost is less
             converged = True
         elif trial_cost < cost:
-            converged = cost - trial_cost < _SETTLED * (1.0 + cost)
+            converged = cost - trial_cost < settled * (1.0 + cost)
             current, cost = trial, trial_cost
             damping = damping / _DAMPING_FACTOR if damping > _DAMPING_NONE else 0.0
         else:

@@ -21,6 +21,7 @@ from specmap_cli.layout.closing import Closed, closed
 from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.evidence import (
     Choice,
+    Healing,
     LayoutEvidence,
     bends,
     part_moves,
@@ -54,10 +55,10 @@ class Layout:
     `nodes` are the keyframe numbers in the graph; `odometry`, `kept` and `dropped` its edges, the
     last two being closures and nearby passes. `loose` are the keyframes at which tracking restarted
     and whose place, and that of what follows, is a guess. `evidence` tells what was judged and how
-    far things moved. Its `limits` count passes searched less far than the path may have drifted
-    (`loop_search_max_m`), parts given up (`stray_tries`), searches made coarser (`stray_cells`),
-    sets of closures that may not be the largest (`clique_steps`), solutions stopped before they had
-    settled (`solve_iterations`).
+    far things moved, `healing` what the audit mended, if anything. `limits` count passes searched
+    less far than the path may have drifted (`loop_search_max_m`), parts given up (`stray_tries`),
+    searches made coarser (`stray_cells`), sets of closures that may not be the largest
+    (`clique_steps`), solutions stopped before they had settled (`solve_iterations`).
     """
 
     poses: FloatArray
@@ -67,6 +68,7 @@ class Layout:
     dropped: tuple[Link, ...] = ()
     loose: tuple[int, ...] = ()
     evidence: LayoutEvidence = field(default_factory=LayoutEvidence)
+    healing: Healing | None = None
 
     @property
     def limits(self) -> Mapping[str, int]:

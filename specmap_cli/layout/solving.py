@@ -6,12 +6,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import Pose2, compose, invert
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.path_graph import Draft, Graph
-from specmap_cli.layout.pose_graph import Link, LinkArrays, Solution, solve
+from specmap_cli.layout.pose_graph import (
+    SETTLED,
+    Link,
+    LinkArrays,
+    Solution,
+    errors,
+    solve,
+    squared,
+)
 
 _HASTY = 5  # steps at a width that the next one replaces
+_ROUGHLY = 1e-3  # share of the cost below which a step moves nodes by a millimetre or two
+_EXACT = 1e-8  # metres and radians: what rounding makes of a motion that fits
 _DECIMALS = 9  # of poses solved: a nanometre; libraries differ from the fourteenth on
 _NARROWER = 3.0  # from one width of the kernel to the next: outvoted closures let go one by one
 
@@ -19,6 +29,11 @@ _NARROWER = 3.0  # from one width of the kernel to the next: outvoted closures l
 def solved(graph: Graph, draft: Draft, config: RelaxationConfig) -> Draft:
     """The draft with the poses that fit its links best."""
     return _with(draft, _solution(graph, draft, config.kernel_sigmas, config))
+
+
+def renewed(graph: Graph, draft: Draft, config: RelaxationConfig) -> Draft:
+    """The draft solved roughly, good enough to look for more from there."""
+    return _with(draft, _solution(graph, draft, config.kernel_sigmas, config, _ROUGHLY))
 
 
 def tighten(graph: Graph, draft: Draft, config: RelaxationConfig) -> Draft:
@@ -54,12 +69,34 @@ def settle(graph: Graph, draft: Draft, config: RelaxationConfig) -> tuple[Draft,
             return draft, tuple(dropped)
 
 
-def _solution(graph: Graph, draft: Draft, width: float, config: RelaxationConfig) -> Solution:
+def _solution(
+    graph: Graph,
+    draft: Draft,
+    width: float,
+    config: RelaxationConfig,
+    settled: float = SETTLED,
+) -> Solution:
     """The solution with Cauchy's kernel of `width` sigmas on the loops."""
     usual = config.kernel_sigmas
     widths = {"closure": width, "nearby": width, "loose": usual, "bridge": usual}
     links = LinkArrays.of((*_motions(graph, draft), *draft.loops), graph.row, widths)
-    return solve(draft.poses, links, config.solve_iterations)
+    count = _first_rows(draft.poses, links, len(graph.odometry))
+    among = (links.i < count) & (links.j < count)
+    found = solve(draft.poses[:count], links.some(among), config.solve_iterations, settled)
+    tail = compose(invert(draft.poses[count - 1]), draft.poses[count:])
+    poses = np.concatenate([found.poses, compose(found.poses[-1], tail)])
+    return replace(found, poses=poses, chi2=squared(poses, links))
+
+
+def _first_rows(poses: FloatArray, links: LinkArrays, motions: int) -> int:
+    """How many rows there are up to the last one that a link may move.
+
+    What follows hangs on it by motions alone, the first of the links, and lies where they say: it
+    goes with it as it is.
+    """
+    pulls = np.abs(errors(poses, links)).max(axis=1, initial=0.0) > _EXACT
+    pulls[motions:] = True
+    return 1 + int(np.maximum(links.i, links.j)[pulls].max(initial=0))
 
 
 def _motions(graph: Graph, draft: Draft) -> tuple[Link, ...]:

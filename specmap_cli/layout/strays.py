@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert
+from specmap_cli.core.records import BoolArray
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.matching import Match, ScoreField, Window, search, thinned
 from specmap_cli.layout.parts import place_part
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.place_search import Pyramid, Wanted, best_places
 from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.seen_space import seen_free
 from specmap_cli.layout.uncertainty import within_ellipse
 from specmap_cli.layout.wall_matching import (
     FINE_POINTS_M,
@@ -34,6 +38,8 @@ _BLOCK_M = 2.4  # side of the blocks that search begins with
 _GUESS_SIGMAS = 3.0  # of a guess that are searched
 _SPARSE_M = 0.4  # between the points of that search: some 100 of them tell a place
 _REACH_RANGES = 1.5  # from a node to the farthest wall seen from the nodes around it
+_SPREAD_TRIES = 20  # so many are twice as far along the part as if they were made at every stop
+_EVERY = 2  # nodes: from every other one nearly the same is seen
 _NEAR_RANGES = 2.0  # walls this many ranges around a place are those seen from it
 
 
@@ -74,8 +80,14 @@ class OlderWalls:
     coarsened: bool
 
     @classmethod
-    def of(cls, part: int, points: FloatArray, config: RelaxationConfig) -> OlderWalls:
-        """The walls with their field."""
+    def of(
+        cls,
+        part: int,
+        points: FloatArray,
+        config: RelaxationConfig,
+        seen: Callable[[ScoreField], BoolArray] | None = None,
+    ) -> OlderWalls:
+        """The walls with their field; `seen` says in which of its cells a robot may stand."""
         field = ScoreField.from_points(points, _CELL_M, _BLUR_M, _SIDE * config.match_range_m)
         side_m = float(np.sqrt(field.values.size * field.resolution**2))
         needed_m = side_m / config.stray_cells
@@ -86,7 +98,7 @@ class OlderWalls:
             part=part,
             points=points,
             field=field,
-            pyramid=Pyramid.of(coarse, reach_m),
+            pyramid=Pyramid.of(coarse, reach_m, None if seen is None else seen(coarse)),
             step_m=step_m,
             coarsened=needed_m > _STEP_M,
         )
@@ -158,14 +170,17 @@ def rejoin(
     """One more try to find the part of row `node` by the walls around that node.
 
     No pose of the part is trusted, so that the fit must be good, and the part is moved only when
-    `stray_votes` finds agree where to; it is tied then. `search` holds the earlier finds. A part is
-    given up after `stray_tries`.
+    `stray_votes` finds agree where to; it is tied then. `search` holds the earlier finds. The more
+    tries have failed, the farther the robot must have come for the next. A part is given up after
+    `stray_tries`.
     """
     part = int(graph.parts[node])
     if search is None or search.older.part != part:
         search = None
     tries = draft.tries.get(part, 0)
-    if tries < config.stray_tries:
+    way_m = float(graph.path[node] - graph.path[np.argmax(graph.parts == part)])
+    due_m = config.loop_every_m * tries * (1.0 + tries / _SPREAD_TRIES)
+    if tries < config.stray_tries and way_m >= due_m:
         draft = replace(draft, tries={**draft.tries, part: tries + 1})
         if search is None:
             search = Search(older=_older_walls(part, graph, draft.poses, walls, config))
@@ -180,8 +195,9 @@ def rejoin(
 def _older_walls(
     part: int, graph: Graph, poses: FloatArray, walls: Walls, config: RelaxationConfig
 ) -> OlderWalls:
-    rows = np.flatnonzero(graph.parts < part).tolist()
-    return OlderWalls.of(part, walls.of_all(rows, poses), config)
+    rows = np.flatnonzero(graph.parts < part)[::_EVERY].tolist()
+    seen = partial(seen_free, walls, rows, poses)
+    return OlderWalls.of(part, walls.of_all(rows, poses), config, seen)
 
 
 def _find(

@@ -8,7 +8,15 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
 from specmap_cli.core.settings import RelaxationConfig
-from specmap_cli.grids.matching import ScoreField, Window, covariance, refine, search, thinned
+from specmap_cli.grids.matching import (
+    SPREAD_M,
+    ScoreField,
+    Window,
+    covariance,
+    refine,
+    search,
+    thinned,
+)
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.walls import CELL_M
@@ -25,6 +33,8 @@ _TURN_PER_M, _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.15, 0.06, 0.35
 _PENALTY_PER_M2, _PENALTY_PER_RAD2 = 0.01, 0.05
 _SIDE = 4.0  # of the field of a place, in ranges: stray points beyond it cost no memory
 # Error of the best match: a cell's side over the root of 12, and what people and furniture moved.
+_WINDOW_M2 = SPREAD_M**2 / 3  # variance of a window that fits all over
+_OPEN_M2 = 2.0**2  # of a place along a corridor that shows nothing: the wall is still that wall
 _FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])
 
 
@@ -77,10 +87,26 @@ def confirmed(
     if near.score < least_score:
         return None
     pose = refine(field.sharper(), thinned(source, CELL_M), near.pose).pose
-    spread = covariance(field, few, pose)
+    spread = opened(covariance(field, few, pose))
     turn = np.eye(3)
     turn[:2, :2] = pose.rotation().T  # errors are weighed in the source's own frame
     return WallFit(pose, inverse3(product(product(turn, spread), turn.T) + _FLOOR))
+
+
+def opened(spread: FloatArray) -> FloatArray:
+    """A covariance (3, 3) of a match without what it owes to the window that was looked at.
+
+    Along a bare corridor all of the window fits alike: nothing is known of the way there, and the
+    spread is that of the window. Information is what is known beyond that.
+    """
+    half = 0.5 * (spread[0, 0] - spread[1, 1])
+    turn = 0.5 * np.arctan2(spread[0, 1], half)  # of the longer axis
+    axis = np.array([np.cos(turn), np.sin(turn)])
+    longest = 0.5 * (spread[0, 0] + spread[1, 1]) + np.hypot(half, spread[0, 1])
+    known = max(1.0 / longest - 1.0 / _WINDOW_M2, 1.0 / _OPEN_M2)
+    result = np.array(spread)
+    result[:2, :2] += max(0.0, 1.0 / known - longest) * axis[:, None] * axis
+    return result
 
 
 def nearby_link(graph: Graph, old: int, new: int, fit: WallFit) -> Link:

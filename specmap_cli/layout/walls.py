@@ -15,7 +15,7 @@ from specmap_cli.layout.path_graph import Graph
 PLACE_NODES = 8  # nodes on either side whose walls make one place: some 2 m of path
 CELL_M = 0.05  # points are thinned to one in a cell of the fields they are matched on
 _REMEMBERED = 256  # nodes whose points stay in memory: some 2 MB
-_GATHERED = 50  # nodes whose points are thinned together
+_GATHERED = 10_000  # points that are thinned together: 160 kB
 
 
 class Walls:
@@ -24,7 +24,7 @@ class Walls:
     def __init__(self, store: KeyframeStore, graph: Graph, range_m: float) -> None:
         self._store, self._graph, self._range_m = store, graph, range_m
         self._pieces = graph.pieces
-        self._points = lru_cache(_REMEMBERED)(self._read)
+        self.points = lru_cache(_REMEMBERED)(self._read)
 
     def around(self, node: int, reach: int, poses: FloatArray) -> FloatArray:
         """Points (N, 2) seen from nodes within `reach` of row `node`, in the frame of `node`.
@@ -36,21 +36,23 @@ class Walls:
         others = [k for k in range(low, high) if pieces[k] == pieces[node]]
         relative = compose(invert(poses[node]), poses[others])
         clouds = [
-            Pose2(*pose.tolist()).apply(self._points(k))
+            Pose2(*pose.tolist()).apply(self.points(k))
             for k, pose in zip(others, relative, strict=True)
         ]
         return np.concatenate(clouds)
 
     def of_all(self, nodes: Sequence[int], poses: FloatArray) -> FloatArray:
         """Points (N, 2) seen from all rows `nodes`, in the map, thinned as they are gathered."""
-        gathered = np.zeros((0, 2))
-        for start in range(0, len(nodes), _GATHERED):
-            fresh = [
-                Pose2(*poses[k].tolist()).apply(self._points(k))
-                for k in nodes[start : start + _GATHERED]
-            ]
-            gathered = thinned(np.concatenate([gathered, *fresh]), CELL_M)
-        return gathered
+        clouds: list[FloatArray] = [np.zeros((0, 2))]
+        count, most = 0, _GATHERED
+        for k in nodes:
+            clouds.append(Pose2(*poses[k].tolist()).apply(self.points(k)))
+            count += len(clouds[-1])
+            if count > most:  # twice what was left the last time: each point is thinned a few times
+                clouds = [thinned(np.concatenate(clouds), CELL_M)]
+                count = len(clouds[0])
+                most = max(_GATHERED, 2 * count)
+        return thinned(np.concatenate(clouds), CELL_M)
 
     def _read(self, node: int) -> FloatArray:
         """Points of one node in its base frame."""

@@ -1,4 +1,4 @@
-"""The last question to a map: is it right? The audit of its layout, and the verdict."""
+"""The last question to a map: is it right? The verdict on it."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.audit import audit
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.carrying import keyframe_rows
+from specmap_cli.layout.healing import Audited
 from specmap_cli.pipelines.exploration import Explored
 from specmap_cli.quality.evidence import Evidence
+from specmap_cli.quality.holes import holes_of
 from specmap_cli.quality.verdict import judged
 
 
 def assess(
     store: KeyframeStore,
     explored: Explored,
-    layout: Layout,
+    audited: Audited,
     trajectory: Trajectory,
     beyond: int,
     warnings: tuple[str, ...],
@@ -25,17 +26,20 @@ def assess(
 ) -> Quality:
     """What is thought of a map.
 
-    `trajectory` is that of all scans in the layout; `beyond` keyframes did not fit into the grid;
-    `warnings` are those of reading and registration.
+    `audited` is the layout, `trajectory` that of all scans in it; `beyond` keyframes did not fit
+    into the grid; `warnings` are those of reading and registration.
     """
+    rows = keyframe_rows(explored.trajectory, store)
+    layout, breaks = audited.layout, tuple(explored.breaks)
     evidence = Evidence(
         trajectory=trajectory,
         keyframes_ns=store.stamps_ns,
-        breaks=tuple(explored.breaks),
+        breaks=breaks,
         layout=layout,
-        audit=audit(store, layout.poses, explored.breaks, config.audit),
+        audit=audited.audit,
         beyond=beyond,
         warnings=warnings,
+        holes=holes_of(store, rows, trajectory, layout, breaks, config.quality),
     )
     return judged(evidence, config.quality)
 

@@ -1,8 +1,8 @@
 """From a recorded log to a topological map: Algorithm 1 of the paper, and what follows it.
 
 Brunskill, Kollar and Roy, "Topological Mapping Using Spectral Clustering and Classification"
-(IROS 2007). While the log lasts: track, segment, recognise. After it: relax, refute, divide,
-assess, learn, write.
+(IROS 2007). While the log lasts: track, segment, recognise. After it: relax, heal, refute,
+divide, assess, learn, write.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from specmap_cli.core.records import Labels, PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.layout.healing import healed
 from specmap_cli.layout.relaxation import corrected, relax
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
@@ -151,11 +152,14 @@ def finish(
     progress: Progress,
     clock: Stopwatch,
 ) -> FinishedMap:
-    """What follows Algorithm 1: relax the layout, refute, divide the map, assess it, learn."""
+    """What follows Algorithm 1: relax the layout, heal it, refute, divide, assess, learn."""
     progress.start("layout", None)
     with clock.stage("layout"):
         constraints = constraints_of(explored.closures, explored.regions, store, config.relaxation)
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
+    with clock.stage("audit"):
+        audited = healed(store, layout, explored.breaks, config.relaxation, config.audit)
+        layout = audited.layout
         trajectory = corrected(explored.trajectory, store, layout)
     closures = refute(explored.closures, constraints, layout)
     with clock.stage("grids"):
@@ -163,7 +167,7 @@ def finish(
     with clock.stage("segmentation"):
         submaps = divide(whole, layout, explored, closures, config)
     with clock.stage("audit"):
-        quality = assess(store, explored, layout, trajectory, beyond, tracking.warnings, config)
+        quality = assess(store, explored, audited, trajectory, beyond, tracking.warnings, config)
     grids, classifiers = learn(store, explored, submaps, layout.poses, config, progress, clock)
     stamps = np.array(store.stamps_ns, dtype=np.int64)
     labels = Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps)

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.core.text import counted
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.registration.frontend import FrontEnd
+from specmap_cli.registration.repeats import Repeats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,15 +27,31 @@ class Tracking:
 
 
 def track(stream: SweepStream, config: RegistrationConfig) -> Generator[PosedScan, None, Tracking]:
-    """Yield every scan of a log with its pose; return how it went."""
-    front_end, clock = FrontEnd(config), Stopwatch()
+    """Yield every scan of a log with its pose; return how it went.
+
+    Scans that a hanging driver repeats say nothing of where the robot is: they are left out.
+    """
+    front_end, clock, repeats = FrontEnd(config), Stopwatch(), Repeats()
+    stale = 0
     for sweep in stream:
+        if repeats.stale(sweep):
+            stale += 1
+            continue
         with clock.stage("registration"):
             scans = front_end.take(sweep)
         yield from scans
     yield from front_end.rest()
     return Tracking(
-        counts={**stream.counts, **front_end.counts},
-        warnings=(*stream.warnings, *front_end.warnings),
+        counts={**stream.counts, **front_end.counts, "stale_scans": stale},
+        warnings=(*stream.warnings, *_told(stale), *front_end.warnings),
         seconds=clock.seconds.get("registration", 0.0),
     )
+
+
+def _told(stale: int) -> list[str]:
+    if not stale:
+        return []
+    return [
+        f"{counted(stale, 'scan')} repeat the one before although odometry says that the robot "
+        "moved, and were left out: the driver of the laser hung"
+    ]

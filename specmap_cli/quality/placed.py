@@ -14,6 +14,7 @@ from specmap_cli.layout.audit import Disagreement
 from specmap_cli.quality.evidence import Evidence, graded
 
 LOOSE, WALLS, REFUTED = "loose-part", "walls-disagree", "closures-refuted"
+MENDED = "walls-mended"
 BEYOND, MOVED, LAYOUT = "beyond-grid", "part-moved", "layout-refused"
 
 
@@ -78,6 +79,20 @@ def contradictions(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
             message=f"{standing.share:.1%} of the walls that two passes saw contradict each other",
             advice="the map is bent, or much moved meanwhile",
             value=standing.share,
+        )
+
+
+def mended(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
+    """Walls that the layout drew twice and the audit brought together; what is left is told."""
+    healing = evidence.layout.healing
+    if healing is not None:
+        yield Finding(
+            code=MENDED,
+            severity="note",
+            message=f"{healing.walls_m:.1f} m of wall were drawn twice: matched again in "
+            f"{counted(len(healing.links), 'place')}, the map moved by up to {healing.moved_m:.2f} "
+            "m",
+            value=healing.moved_m,
         )
 
 

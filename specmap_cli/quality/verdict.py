@@ -10,11 +10,13 @@ from collections.abc import Callable, Iterator
 from specmap_cli.core.findings import INPUT, Finding, Quality, Severity
 from specmap_cli.core.settings import QualityConfig
 from specmap_cli.quality.evidence import Evidence
+from specmap_cli.quality.holes import unwatched
 from specmap_cli.quality.measured import odometry_disagrees, unmeasured_way
 from specmap_cli.quality.placed import (
     beyond_grid,
     contradictions,
     loose_parts,
+    mended,
     moved_parts,
     refused_layout,
     refuted,
@@ -27,12 +29,14 @@ Check = Callable[[Evidence, QualityConfig], Iterator[Finding]]
 CHECKS: tuple[Check, ...] = (
     lost_scans,
     breaks,
+    unwatched,
     unmeasured_way,
     odometry_disagrees,
     loose_parts,
     moved_parts,
     refused_layout,
     walls,
+    mended,
     contradictions,
     refuted,
     beyond_grid,

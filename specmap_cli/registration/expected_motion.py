@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-import numpy as np
-
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import RegistrationConfig
@@ -147,4 +145,4 @@ class MotionModel:
             max(config.carried_sideways_m, _FASTER * largest.sideways_m[1]),
             max(config.carried_rad, _FASTER * largest.turn_rad[1]),
         )
-        return Pose2(*(float(np.clip(v, -m, m)) for v, m in zip(motion, limits, strict=True)))
+        return Pose2(*(max(-m, min(m, v)) for v, m in zip(motion, limits, strict=True)))

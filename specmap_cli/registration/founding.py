@@ -8,7 +8,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from specmap_cli.core.records import PosedScan
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
+
+_BEHIND_M = 0.3  # a beam that ends farther behind a wall has looked through it: noise is less
 
 
 class Founding:
@@ -45,3 +50,27 @@ class Founding:
         """The scans that are held, which no later one will settle."""
         held, self._held = tuple(self._held), []
         return held
+
+
+def looked_through(walls: FloatArray, scan: PlanarScan, map_from_laser: Pose2) -> float:
+    """Share in [0, 1] of the walls (N, 2) of a map that a scan looks through, of those in its view.
+
+    Two neighbouring beams must end well behind a wall. A beam without a return says nothing.
+    """
+    seen = map_from_laser.inverse().apply(walls)
+    first = float(scan.bearings[0])
+    bearings = first + np.mod(np.arctan2(seen[:, 1], seen[:, 0]) - first, 2 * np.pi)
+    ranges = np.where(np.isfinite(scan.ranges), scan.ranges, 0.0)
+    after = np.searchsorted(scan.bearings, bearings)
+    if scan.full_circle:
+        between = after > 0
+        after = after % len(ranges)
+    else:
+        between = (after > 0) & (after < len(ranges))
+        after = np.minimum(after, len(ranges) - 1)
+    reach = np.minimum(ranges[after - 1], ranges[after])
+    in_view = between & (reach > 0.0)
+    if not in_view.any():
+        return 0.0
+    through = np.hypot(seen[:, 0], seen[:, 1]) + _BEHIND_M < reach
+    return float(np.count_nonzero(through & in_view) / np.count_nonzero(in_view))

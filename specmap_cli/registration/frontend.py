@@ -4,6 +4,7 @@ Per sweep: guess the motion from odometry (or from the motion before), register 
 judge the result by how well the sweep's walls lie on the local map's. A doubtful result calls the
 correlative search, a bad one a wider search; what fits nowhere is lost: it keeps the guess and does
 not enter the map. After a run of lost sweeps the map starts afresh, joined to the old by a guess.
+Where no wall is in sight, trusted odometry carries the robot on, as far as it can be followed.
 
 Planar sweeps are points with z = 0; a 3D cloud is registered as a whole in space.
 """
@@ -11,6 +12,8 @@ Planar sweeps are points with z = 0; a 3D cloud is registered as a whole in spac
 from __future__ import annotations
 
 from dataclasses import replace
+
+import numpy as np
 
 from specmap_cli.core.geometry import Pose2, product
 from specmap_cli.core.records import PosedScan, Sweep
@@ -20,7 +23,7 @@ from specmap_cli.grids.observability import weakest_direction
 from specmap_cli.registration.aligner import SensorKind
 from specmap_cli.registration.expected_motion import ExpectedMotion, MotionModel
 from specmap_cli.registration.fixed_directions import fixed_directions
-from specmap_cli.registration.founding import Founding
+from specmap_cli.registration.founding import Founding, looked_through
 from specmap_cli.registration.judgement import Verdict, judge
 from specmap_cli.registration.local_map import LocalMap
 from specmap_cli.registration.locating import locate
@@ -31,6 +34,8 @@ from specmap_cli.registration.scene import Fit, Scene
 from specmap_cli.registration.sweep_view import SweepView, view_of
 from specmap_cli.registration.tally import COUNTS, warnings_of
 from specmap_cli.registration.track import Track
+
+_REFUTING_SHARE = 0.5  # of a first sweep's walls that another one looks through: few can move
 
 
 class FrontEnd:
@@ -111,9 +116,10 @@ class FrontEnd:
         self._count(odometry_jumps=expected.jumped, shortened_motions=expected.shortened)
         before = self._track.pose
         guess = product(before, expected.motion.matrix())
-        if len(view.probe) < self.config.min_points:
+        if self._sees_little(view):
             self._count(few_points=1)
-            return Verdict(fit=Fit(pose=guess, score=0.0), lost=True)
+            carried = self._track.is_carried(self.config) and _has_looked(view)
+            return Verdict(fit=Fit(pose=guess, score=0.0), lost=not carried)
         if not len(local):
             return Verdict(fit=Fit(pose=guess, score=1.0))  # a new map begins at the guess
         scene = Scene(view=view, local=local, config=self.config)
@@ -133,8 +139,11 @@ class FrontEnd:
 
     def _founder(self, verdict: Verdict, view: SweepView, local: LocalMap) -> Verdict:
         """The verdict, unless the sweep refutes the first one of a map: then it begins a map."""
-        few = len(view.probe) < self.config.min_points
-        if not verdict.refutes or few or self._track.founded or not len(local):
+        if self._sees_little(view) or self._track.founded or not len(local):
+            return verdict
+        laser = verdict.fit.planar @ view.base_from_laser
+        empty = looked_through(local.walls, view.planar, laser)
+        if not verdict.refutes and empty <= _REFUTING_SHARE:
             return verdict
         local.clear()
         self._track = replace(self._track, keyframe=None)
@@ -150,7 +159,8 @@ class FrontEnd:
         self._count(registered=not verdict.lost, lost=verdict.lost)
         lost_in_a_row = track.lost_in_a_row + 1 if verdict.lost else 0
         founded = track.founded or verdict.founds
-        if not verdict.lost and not blind:
+        walls = not verdict.lost and not self._sees_little(view)
+        if walls and not blind:
             track = track.with_steady(step)
         track = replace(track, pose=fit.pose, lost_in_a_row=lost_in_a_row, founded=founded)
         if lost_in_a_row == config.lost_limit and len(local):
@@ -159,7 +169,7 @@ class FrontEnd:
             left = track.left if track.keyframe is None else track.keyframe
             track = replace(track, keyframe=None, left=left, broken=True, founded=False)
         due = moved(track.keyframe, fit.planar, config.keyframe_m, config.keyframe_rad)
-        if due and not verdict.lost:
+        if due and walls:
             local.insert(view, fit.pose)
             track = track.with_keyframe(fit.planar, self._reliance(track, verdict, view))
         self._track = track
@@ -173,10 +183,20 @@ class FrontEnd:
         fixed = fixed_directions(view.planar, view.base_from_laser, motion)
         return track.reliance.after(motion, away, fixed)
 
+    def _sees_little(self, view: SweepView) -> bool:
+        """Whether a sweep has too few walls to be registered."""
+        return len(view.probe) < self.config.min_points
+
     def _count(self, **hits: int) -> None:
         """Add to the counts of these names."""
         for name, number in hits.items():
             self.counts[name] += number
+
+
+def _has_looked(view: SweepView) -> bool:
+    """Whether a sweep with few walls saw that there are none: most beams are valid."""
+    invalid = int(np.count_nonzero(np.isnan(view.planar.ranges)))
+    return 2 * invalid < len(view.planar.ranges)
 
 
 def _is_blind(sweep: Sweep, view: SweepView) -> bool:

@@ -44,7 +44,8 @@ class KissIcpAligner:
         self._fine = Registration(config.iterations, converged, max_num_threads=1)
         self._coarse = Registration(config.iterations, _NEARLY_CONVERGED, max_num_threads=1)
         reach_m = _KEPT_RANGES * sensor.range_m
-        self._voxels = VoxelHashMap(sensor.voxel_m, reach_m, config.points_per_voxel)
+        most = config.cloud_points_per_voxel if sensor.in_space else config.points_per_voxel
+        self._voxels = VoxelHashMap(sensor.voxel_m, reach_m, most)
         self._clouds: deque[FloatArray] = deque(maxlen=config.window_keyframes)
         self._rebuild_keyframes = config.rebuild_keyframes
         self._inserted = 0

@@ -55,17 +55,21 @@ class LocalMap:
         self._field = self._seen = None
 
     @property
+    def walls(self) -> FloatArray:
+        """The walls (N, 2) of all keyframes, those of the last one first."""
+        return np.concatenate(self._walls)
+
+    @property
     def field(self) -> ScoreField:
         """The score field of the walls, built when first asked for.
 
         Walls too far from the last keyframe for a field of `field_ranges` are left out.
         """
         if self._field is None:
-            walls = np.concatenate(self._walls)
             cell_m = _CELL_SPACINGS * self._spacing_m
             sigma_m = _SIGMA_SPACINGS * self._spacing_m
             x, y = self._outlines[0][0].tolist()  # the last laser
-            self._field = ScoreField.from_points(walls, cell_m, sigma_m, self._side_m, (x, y))
+            self._field = ScoreField.from_points(self.walls, cell_m, sigma_m, self._side_m, (x, y))
         return self._field
 
     @property

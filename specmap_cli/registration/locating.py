@@ -28,6 +28,8 @@ _NEARLY_ALL = 0.9  # share of a sweep's walls that could be seen, from which on 
 # odometry that is trusted.
 _NEARLY, _ROUGHLY = 2.0, 3.0
 _PER_SLACK = 0.05  # score that a place must have more for each slack away from odometry's
+# Score that another place must have more to refute trusted odometry's: wheels that slip make 0.4.
+_REFUTES = 0.25
 _BACKED_UP = (1.0, 0.5)  # shares of a step that are tried as driven backwards
 
 
@@ -51,7 +53,7 @@ def locate(scene: Scene, prospect: Prospect) -> Located:
     """The best pose found for a sweep, never farther from its guess than the bounds allow."""
     config, guess = scene.config, prospect.guess
     kernels, bounds = config.kernel_voxels, Bounds.around(guess, config)
-    fit = scene.align(guess, kernels, bounds)
+    fit = _first_fit(scene, prospect, bounds)
     doubted = _is_doubted(guess, fit, config) and not _is_settled(scene, prospect, fit)
     if doubted:
         window = _window(config, measured=prospect.expected.measured)
@@ -74,6 +76,21 @@ def locate(scene: Scene, prospect: Prospect) -> Located:
     return _concluded(scene, prospect, fit, searched=doubted, wide_searched=wide)
 
 
+def _first_fit(scene: Scene, prospect: Prospect, bounds: Bounds) -> Fit:
+    """The alignment from the guess: by few kernels where that leaves no doubt, else by all.
+
+    A motion carried on may err by more than few kernels mend, and streets look alike.
+    """
+    config, guess = scene.config, prospect.guess
+    if prospect.expected.measured:
+        quick = scene.align(guess, config.quick_kernel_voxels, bounds)
+        sure = quick.score >= BEYOND_DOUBT and not quick.refused
+        same = config.quick_kernel_voxels == config.kernel_voxels
+        if same or (sure and not _is_far(guess, quick, config)):
+            return quick
+    return scene.align(guess, config.kernel_voxels, bounds)
+
+
 def _concluded(
     scene: Scene, prospect: Prospect, fit: Fit, *, searched: bool, wide_searched: bool
 ) -> Located:
@@ -81,14 +98,12 @@ def _concluded(
     support = _support(scene, fit)
     near = prospect.agrees(fit) or _agrees_with_walls(scene, prospect, fit, support)
     unaligned = False
-    if prospect.trusted and not near and fit.score < scene.config.sure_score:
-        guess, refused = prospect.guess, fit.refused
-        closer = scene.align(guess, _FINE_KERNELS)
-        if not prospect.agrees(closer):
-            closer = Fit(pose=guess, score=scene.score(Pose2.from_matrix(guess)))
-        there = scene.support(closer.planar)
-        if not _speaks_against(there, scene.config):
-            fit, support, near = replace(closer, refused=refused), there, True
+    doubted = searched or fit.score < scene.config.sure_score
+    if prospect.trusted and doubted and not near:
+        own = _by_odometry(scene, prospect)
+        there = scene.support(own.planar)
+        if _is_tenable(scene, own, there, fit):
+            fit, support, near = replace(own, refused=fit.refused), there, True
             unaligned = True
     return Located(
         fit=fit,
@@ -98,6 +113,30 @@ def _concluded(
         support=support,
         unaligned=unaligned,
     )
+
+
+def _by_odometry(scene: Scene, prospect: Prospect) -> Fit:
+    """Odometry's own place, on walls near by if that agrees with it."""
+    guess = prospect.guess
+    closer = scene.align(guess, _FINE_KERNELS)
+    if prospect.agrees(closer):
+        return closer
+    return Fit(pose=guess, score=scene.score(Pose2.from_matrix(guess)))
+
+
+def _is_tenable(scene: Scene, own: Fit, support: Support, other: Fit) -> bool:
+    """Whether trusted odometry's own place may be the right one, and not another far from it.
+
+    The walls may object to it only if they are clearly better explained at the other place, over
+    those that could be seen from both. Rooms and corridors that look alike explain new walls well.
+    """
+    config = scene.config
+    if _speaks_against(support, config):
+        return False
+    explained = support.share >= ENOUGH and support.score >= config.sure_score
+    if other.score < config.sure_score or explained:
+        return True
+    return scene.gain(own.planar, other.planar) < _REFUTES
 
 
 def _agrees_with_walls(scene: Scene, prospect: Prospect, fit: Fit, support: Support) -> bool:
@@ -165,7 +204,8 @@ def _backed_up(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
         window = _window(config, measured=True)
         bounds = Bounds.around(place, config)
         found = scene.search(place, window, config.kernel_voxels, bounds)
-        fit = _better(scene, prospect, fit, found, place)
+        if found.score >= BEYOND_DOUBT:
+            fit = _better(scene, prospect, fit, found, place)
     return fit
 
 
@@ -197,9 +237,13 @@ def _wide_bounds(guess: FloatArray, config: RegistrationConfig) -> Bounds:
 
 def _is_doubted(guess: FloatArray, fit: Fit, config: RegistrationConfig) -> bool:
     """Whether an alignment scores too low, or ended too far from its guess, to be just taken."""
+    return _is_far(guess, fit, config) or fit.score <= config.good_score
+
+
+def _is_far(guess: FloatArray, fit: Fit, config: RegistrationConfig) -> bool:
+    """Whether an alignment ended farther from its guess than most do."""
     away = Pose2.from_matrix(guess).inverse() @ fit.planar
-    far = away.distance >= config.doubt_m or abs(away.theta) >= config.doubt_rad
-    return far or fit.score <= config.good_score
+    return away.distance >= config.doubt_m or abs(away.theta) >= config.doubt_rad
 
 
 def _window(config: RegistrationConfig, *, measured: bool) -> Window:

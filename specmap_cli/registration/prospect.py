@@ -10,6 +10,8 @@ from specmap_cli.registration.expected_motion import ExpectedMotion
 from specmap_cli.registration.reliance import UNKNOWN, Reliance
 from specmap_cli.registration.scene import Fit, Scene
 
+# What alignments mend at any scan: half a voxel, and as much at the walls of a room.
+_SMALL_M, _SMALL_RAD = 0.05, 0.02
 BEYOND_DOUBT = 0.85  # score of a place that is right without odometry: most right ones have more
 
 
@@ -53,7 +55,7 @@ def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> Fl
         return guess
     other = product(before, expected.carried.matrix())
     apart = expected.motion.inverse() @ expected.carried
-    if abs(apart.theta) > scene.config.search_rad:
+    if abs(apart.theta) > scene.config.search_rad or _is_small(apart):
         return guess
     margin, places = scene.config.guess_margin, [Pose2.from_matrix(p) for p in (guess, other)]
     by_odometry, by_motion = (scene.score(place) for place in places)
@@ -61,6 +63,11 @@ def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> Fl
     if better and by_motion < BEYOND_DOUBT:  # there may be new space
         better = scene.gain(*places) > margin
     return other if better else guess
+
+
+def _is_small(apart: Pose2) -> bool:
+    """Whether an alignment leads to the same place from either of two guesses so far apart."""
+    return apart.distance < _SMALL_M and abs(apart.theta) < _SMALL_RAD
 
 
 def reversed_guess(before: FloatArray, expected: ExpectedMotion) -> FloatArray | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ _CLEARLY_BETTER = 0.02  # score that a search must gain: as much as scores of on
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
-    """A pose (4, 4) of the base in the map and its score in [0, 1].
+    """A pose (4, 4) of the base in the map, the same in the plane, and its score in [0, 1].
 
     `refused` alignments on the way to it ran off and were not followed.
     """
@@ -28,11 +28,10 @@ class Fit:
     pose: FloatArray
     score: float
     refused: int = 0
+    planar: Pose2 = field(init=False)
 
-    @property
-    def planar(self) -> Pose2:
-        """The pose in the plane."""
-        return Pose2.from_matrix(self.pose)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "planar", Pose2.from_matrix(self.pose))
 
     def or_better(self, other: Fit) -> Fit:
         """The other fit when it is clearly better, else this one; refusals of both count."""
@@ -109,8 +108,8 @@ class Scene:
         both = self.local.seen.holds(here) & self.local.seen.holds(there)
         if not both.any():
             return 0.0
-        field = self.local.field
-        return float(field.at(there[both]).mean() - field.at(here[both]).mean())
+        walls = self.local.field
+        return float(walls.at(there[both]).mean() - walls.at(here[both]).mean())
 
     def align(
         self, start: FloatArray, kernels: Sequence[float], bounds: Bounds | None = None

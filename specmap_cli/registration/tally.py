@@ -15,7 +15,7 @@ COUNTS: Mapping[str, str] = {
     "breaks": "runs of lost sweeps that ended a map",
     "odometry_jumps": "odometry increments too large to be a motion",
     "shortened_motions": "sweeps whose guess or de-skewing was held to what may be carried on",
-    "few_points": "sweeps with fewer than min_points walls; they are lost",
+    "few_points": "sweeps with fewer than min_points walls: lost, or placed by odometry alone",
     "refused_alignments": "alignments that moved or tilted farther than allowed",
     "walls_left_out": "sweeps scored on a field too small for all walls of the local map",
 }
@@ -35,8 +35,8 @@ _SENTENCES: Mapping[str, tuple[str, str]] = {
     ),
     "few_points": (
         "scan",
-        "registration lost {hits} with fewer than {limits.min_points} wall points "
-        "(registration.min_points)",
+        "registration met {hits} with fewer than {limits.min_points} wall points "
+        "(registration.min_points): they are placed by odometry that is trusted, or lost",
     ),
     "refused_alignments": (
         "alignment",

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration.reliance import UNKNOWN, Reliance
 
 _STEADY = 15  # latest motions that walls fixed: the last few before a bare corridor are too short
@@ -62,6 +63,18 @@ class Track:
             return None
         slack = self.reliance.slack(self.left.inverse() @ self.by_motion)
         return math.hypot(slack.along_m, slack.across_m), slack.turn_rad
+
+    def is_carried(self, config: RegistrationConfig) -> bool:
+        """Whether odometry alone tells the place well enough to go on with it.
+
+        Since the last keyframe of a founded map it measured every motion, and what it has been
+        worth leaves it no farther off than a result may be from its guess.
+        """
+        if self.keyframe is None or not (self.founded and self.measured and self.reliance.trusted):
+            return False
+        slack = self.reliance.slack(self.keyframe.inverse() @ self.by_motion)
+        near = math.hypot(slack.along_m, slack.across_m) <= config.max_shift_m
+        return near and slack.turn_rad <= config.max_shift_rad
 
     def with_keyframe(self, keyframe: Pose2, reliance: Reliance) -> Track:
         """The state after a keyframe was put at a pose."""

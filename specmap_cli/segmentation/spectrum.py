@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.sparse.linalg import eigsh
+from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
 from specmap_cli.core.geometry import FloatArray
 
@@ -25,14 +25,22 @@ def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]
     size = matrix.shape[0]
     count = min(count, size)
     if size <= _DENSE or count > size // 2:
-        values, vectors = np.linalg.eigh(matrix.toarray())
-        values, vectors = values[::-1][:count], vectors[:, ::-1][:, :count]
+        values, vectors = _all_at_once(matrix, count)
     else:
         start = np.random.default_rng(_START_SEED).uniform(*_START_RANGE, size)
-        values, vectors = eigsh(matrix, k=count, which="LA", v0=start, tol=_TOLERANCE)
+        try:
+            values, vectors = eigsh(matrix, k=count, which="LA", v0=start, tol=_TOLERANCE)
+        except ArpackNoConvergence:  # of a long corridor many eigenvalues are nearly the same
+            values, vectors = _all_at_once(matrix, count)
         order = np.argsort(-values, kind="stable")
         values, vectors = values[order], vectors[:, order]
     return np.asarray(values), with_fixed_signs(vectors)
+
+
+def _all_at_once(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]:
+    """The `count` largest eigenpairs of a sparse matrix, falling, by solving for all of them."""
+    values, vectors = np.linalg.eigh(matrix.toarray())
+    return values[::-1][:count], vectors[:, ::-1][:, :count]
 
 
 def two_largest(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:

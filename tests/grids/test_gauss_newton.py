@@ -10,7 +10,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.grids.gauss_newton import _solved, descend, interpolated
+from specmap_cli.grids.gauss_newton import Sample, _solved, descend
 from specmap_cli.grids.score_field import ScoreField
 from tests.strategies import seeds
 
@@ -19,7 +19,7 @@ small = st.floats(-0.06, 0.06)
 
 def cost(field: ScoreField, points: FloatArray, pose: Pose2) -> float:
     """Sum (1 - M(p))^2."""
-    return float(((1.0 - interpolated(field, points, pose)[0]) ** 2).sum())
+    return float(((1.0 - Sample.of(field, points, pose).values) ** 2).sum())
 
 
 def random_field(seed: int) -> ScoreField:
@@ -38,7 +38,7 @@ def test_values_between_cell_centres_are_scipy_s(seed: int) -> None:
         -1.0 + 0.5 * (np.arange(width) + 0.5),
     )
     oracle = RegularGridInterpolator(centres, field.values, bounds_error=False, fill_value=0.0)
-    values, _ = interpolated(field, points, pose)
+    values = Sample.of(field, points, pose).values
     np.testing.assert_allclose(values, oracle(pose.apply(points)[:, ::-1]), atol=1e-6)
 
 
@@ -47,13 +47,13 @@ def test_the_derivative_is_that_of_finite_differences(seed: int) -> None:
     field = random_field(seed)
     rng = np.random.default_rng(seed + 1)
     pose, points = Pose2(*rng.uniform(-1, 1, 3).tolist()), rng.uniform(0, 5, (50, 2))
-    _, jacobian = interpolated(field, points, pose)
+    jacobian = Sample.of(field, points, pose).jacobian()
     step = 1e-5
     for axis in range(3):
         ahead, behind = (np.array(pose) + sign * step * np.eye(3)[axis] for sign in (1, -1))
         numeric = (
-            interpolated(field, points, Pose2(*ahead.tolist()))[0]
-            - interpolated(field, points, Pose2(*behind.tolist()))[0]
+            Sample.of(field, points, Pose2(*ahead.tolist())).values
+            - Sample.of(field, points, Pose2(*behind.tolist())).values
         ) / (2 * step)
         smooth = np.abs(numeric - jacobian[:, axis]) < 0.02
         assert smooth.mean() >= 0.95  # all but those that pass from cell to cell in the step

@@ -87,6 +87,51 @@ def test_a_search_that_follows_too_few_blocks_says_so() -> None:
     assert len(found) == 2
 
 
+@settings(max_examples=4)
+@given(seeds)
+def test_the_robot_stands_in_free_cells_alone(seed: int) -> None:
+    """The best score is that of trying every cell from which the robot stands in a free one."""
+    field, source = field_of(scatter(seed)), scatter(seed + 1, 12, 4.0)
+    height, width = field.values.shape
+    free = np.random.default_rng(seed).random((height, width)) < 0.05
+    pyramid = Pyramid.of(field, 8.0, free)
+    found, _ = best_places(pyramid, source, pyramid.blocks(), np.zeros(1), ALL, 1)
+    bytes_, middle = np.pad(np.round(field.values * 255).astype(int), 200), source.mean(axis=0)
+    x, y = np.round((source - middle) / CELL_M).astype(int).T
+    across, down = np.round(-middle / CELL_M).astype(int)
+    best = 0.0
+    for row, column in np.argwhere(np.pad(free, 60)) - 60 - (down, across):
+        if 0 <= row < height and 0 <= column < width:
+            best = max(best, bytes_[y + row + 200, x + column + 200].mean() / 255)
+    assert found[0].score >= best - 1e-12
+    at = np.round((np.array(found[0].pose[:2]) - pyramid.corner) / CELL_M).astype(int)
+    near = np.pad(free, pyramid.border)[at[1] - 1 : at[1] + 2, at[0] - 1 : at[0] + 2]
+    assert near.any(), "to a cell: the robot's place is rounded, as points are"
+
+
+def test_of_two_rooms_alike_that_one_is_taken_where_the_robot_can_be() -> None:
+    room = scatter(4, 60, 5.0)
+    field = field_of(np.vstack([room, room + (8.0, 0.0)]))
+    free = np.zeros(field.values.shape, dtype=bool)
+    free[:, round((7.5 - field.origin[0]) / CELL_M) :] = True
+    wanted = Wanted(least=0.5, lead=0.1, most=10**6)
+    for allowed, places in ((free, {8}), (None, {0, 8}), (np.zeros_like(free), set())):
+        pyramid = Pyramid.of(field, 8.0, allowed)
+        found, _ = best_places(pyramid, room, pyramid.blocks(), np.zeros(1), wanted, 5)
+        assert {round(match.pose.x) for match in found} == places
+
+
+def test_a_robot_beyond_the_border_may_stand_anywhere() -> None:
+    """Its walls are all on one side, farther off than the pyramid reaches."""
+    room = scatter(4, 60, 5.0)
+    field = field_of(room)
+    pyramid = Pyramid.of(field, 4.0, np.zeros(field.values.shape, dtype=bool))
+    far = room + (60.0, 0.0)
+    wanted = Wanted(least=0.5, lead=0.1, most=10**6)
+    found, _ = best_places(pyramid, far, pyramid.blocks(), np.zeros(1), wanted, 1)
+    assert found[0].pose.x == pytest.approx(-60.0, abs=CELL_M)
+
+
 def test_nothing_is_found_of_nothing() -> None:
     pyramid = Pyramid.of(field_of(scatter(5)), 8.0)
     blocks, none = pyramid.blocks(), np.zeros((0, 2))

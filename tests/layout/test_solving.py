@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.path_graph import Graph
-from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.solving import settle, solved, tighten
+from specmap_cli.layout.pose_graph import Link, LinkArrays, solve
+from specmap_cli.layout.solving import renewed, settle, solved, tighten
 from tests.layout.driving import as_tracked, drifted, graph_by_hand, link, true_link
 
 CONFIG = RelaxationConfig()
@@ -125,3 +128,36 @@ def test_the_frame_of_the_map_does_not_matter(x: float, y: float, turn: float) -
     other, same = settle(moved, as_tracked(moved, *loops), CONFIG)
     assert dropped == same
     assert np.allclose(compose(motion, plain.poses)[:, :2], other.poses[:, :2], atol=5e-3)
+
+
+@pytest.mark.parametrize("starts", [(0,), (0, 9), (5, 30, 55)])
+def test_what_follows_the_last_loop_goes_with_it(starts: tuple[int, ...]) -> None:
+    """Only the rows before are solved; all rows solved at once lie the same."""
+    truth, graph = driven()
+    draft = as_tracked(graph, *rightly(truth, *starts))
+    widths = {"nearby": CONFIG.kernel_sigmas}
+    links = LinkArrays.of((*graph.odometry, *draft.loops), graph.row, widths)
+    whole = solve(draft.poses, links, 100)
+    assert np.abs(whole.poses - draft.poses).max() > 0.05
+    after = solved(graph, draft, CONFIG)
+    assert np.allclose(after.poses, whole.poses, atol=1e-4)
+
+
+def test_a_bent_end_is_straightened_again() -> None:
+    """Its loop was dropped: nothing but the motions holds it."""
+    truth, graph = driven()
+    (right,) = rightly(truth, 0)
+    bent = graph.poses
+    bent[100:] = compose(np.array([0.5, 0.2, 0.05]), bent[100:])
+    after = solved(graph, replace(as_tracked(graph, right), poses=bent), CONFIG)
+    straight = solved(graph, as_tracked(graph, right), CONFIG)
+    assert np.allclose(after.poses, straight.poses, atol=1e-4)
+
+
+def test_a_rough_solution_is_near_the_fine_one() -> None:
+    truth, graph = driven()
+    draft = as_tracked(graph, *rightly(truth, 0, 15, 30, 45))
+    rough, fine = renewed(graph, draft, CONFIG), solved(graph, draft, CONFIG)
+    assert np.abs(fine.poses - draft.poses).max() > 0.2
+    assert np.allclose(rough.poses, fine.poses, atol=0.01)
+    assert rough.limits == {}

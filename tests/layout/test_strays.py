@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given, settings
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose
+from specmap_cli.core.records import BoolArray
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.path_graph import Draft, Graph, graph_of
 from specmap_cli.layout.strays import OlderWalls, Search, rejoin
 from specmap_cli.layout.walls import Walls
@@ -140,3 +142,38 @@ def test_a_part_is_given_up_and_the_finds_of_another_part_do_not_count(perfect: 
     assert nothing is None
     assert never.tries == {}
     assert len(whole.part_numbers) == 2
+
+
+def test_the_more_tries_fail_the_farther_apart_they_are(perfect: Perfect) -> None:
+    store, _ = perfect
+    config = RelaxationConfig(stray_tries=4, stray_votes=9, loop_every_m=0.6)
+    graph = graph_of(store, [], [480], config)
+    rows = np.flatnonzero(graph.parts == 1).tolist()
+    draft, search, at = Draft(poses=graph.poses), None, []
+    walls = Walls(store, graph, config.match_range_m)
+    for row in rows:
+        before = draft.tries.get(1, 0)
+        draft, search = rejoin(row, graph, draft, walls, search, config)
+        if draft.tries[1] > before:
+            at.append(float(graph.path[row] - graph.path[rows[0]]))
+    due = [0.6 * tries * (1.0 + tries / 20) for tries in range(4)]
+    assert len(at) == 4
+    assert all(
+        0.0 <= way - least <= config.node_m + 0.2 for way, least in zip(at, due, strict=True)
+    )
+
+
+def test_no_place_is_taken_where_the_robot_would_stand_in_the_wall() -> None:
+    """Two rooms alike, one of them a drawing on a wall: nobody saw the space in it free."""
+    source = rooms((60, 90))
+    walls = rooms((60, 90), (60, 90))
+
+    def first_room(field: ScoreField) -> BoolArray:
+        columns = field.origin[0] + field.resolution * np.arange(field.values.shape[1])
+        return np.broadcast_to(columns < 4.5, field.values.shape)
+
+    middle = source - (2.5, 3.0)  # the robot stands amid them
+    assert OlderWalls.of(1, walls, CONFIG).place_of(middle, CONFIG) is None
+    found = OlderWalls.of(1, walls, CONFIG, first_room).place_of(middle, CONFIG)
+    assert found is not None
+    assert found.target_from_source[:2] == pytest.approx((2.5, 3.0), abs=0.1)

@@ -9,8 +9,9 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.matching import SPREAD_M
 from specmap_cli.layout.path_graph import Graph
-from specmap_cli.layout.wall_matching import WallFit, match_walls, nearby_link
+from specmap_cli.layout.wall_matching import WallFit, match_walls, nearby_link, opened
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import between, scans_of
 
@@ -98,6 +99,31 @@ def test_along_a_corridor_a_match_is_loose_in_the_frame_of_the_source(
     assert deviation[1 - open_axis] < 0.05
 
 
+def spread_of(along_m: float, across_m: float, heading: float) -> FloatArray:
+    """A covariance that is long at a heading."""
+    turn = Pose2(0.0, 0.0, heading).rotation()
+    spread = np.diag([0.0, 0.0, 0.01**2])
+    spread[:2, :2] = turn @ np.diag([along_m**2, across_m**2]) @ turn.T
+    return spread
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.7, np.pi / 2, 2.5])
+def test_a_window_that_fits_all_over_says_nothing_of_the_way(heading: float) -> None:
+    window_m = SPREAD_M / np.sqrt(3)
+    axis, across = (
+        np.array([np.cos(heading + turn), np.sin(heading + turn)]) for turn in (0.0, np.pi / 2)
+    )
+    bare = opened(spread_of(window_m, 0.02, heading))
+    assert axis @ bare[:2, :2] @ axis == pytest.approx(4.0)
+    assert across @ bare[:2, :2] @ across == pytest.approx(0.02**2)
+    sharp = spread_of(0.02, 0.01, heading)
+    assert np.allclose(opened(sharp), sharp, rtol=0.02, atol=1e-9)
+    half = opened(spread_of(0.1, 0.02, heading))
+    known = 1.0 / 0.1**2 - 1.0 / window_m**2
+    assert axis @ half[:2, :2] @ axis == pytest.approx(1.0 / known)
+    assert half[2, 2] == 0.01**2
+
+
 def test_in_a_bare_corridor_the_nearest_of_equal_places_is_taken() -> None:
     short = corridor(500)
     short = short[np.abs(short[:, 0]) < 3.0]
@@ -105,6 +131,8 @@ def test_in_a_bare_corridor_the_nearest_of_equal_places_is_taken() -> None:
     assert fit is not None
     assert abs(fit.target_from_source.x - 0.5) < 0.35
     assert abs(fit.target_from_source.y) < 0.03
+    assert deviations(fit)[0] > 0.5, "more than the window that was looked at"
+    assert deviations(fit)[1] < 0.05
 
 
 def test_a_link_names_the_keyframes_of_its_rows(perfect: Perfect) -> None:

@@ -11,7 +11,7 @@ from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import QualityConfig
 from specmap_cli.layout.audit import Audit, Disagreement
 from specmap_cli.layout.contradictions import Standing
-from specmap_cli.layout.evidence import LayoutEvidence, PartMove
+from specmap_cli.layout.evidence import Healing, LayoutEvidence, PartMove
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.quality.evidence import Evidence, graded
@@ -241,6 +241,16 @@ def test_a_piece_that_was_moved_far_is_told_of(votes: int, severity: Severity) -
         f"({votes}) put it"
     )
     assert finding.value == pytest.approx(4.2)
+
+
+def test_walls_that_were_mended_are_a_note() -> None:
+    base = evidence()
+    healing = Healing(links=(closure("nearby"),), walls_m=4.2, moved_m=0.25)
+    finding = only(replace(base, layout=replace(base.layout, healing=healing)))
+    assert (finding.code, finding.severity, finding.value) == ("walls-mended", "note", 0.25)
+    assert finding.message == (
+        "4.2 m of wall were drawn twice: matched again in 1 place, the map moved by up to 0.25 m"
+    )
 
 
 def test_contradictions_all_over_the_map_make_it_doubtful() -> None:

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import IDENTITY
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration import FrontEnd
-from specmap_cli.registration.founding import Founding
+from specmap_cli.registration.founding import Founding, looked_through
 from tests.registration.drives import circle, path, sweeps, worst
 
 
@@ -96,3 +96,46 @@ def test_scans_come_out_one_by_one_once_a_map_stands(world: GridMap) -> None:
     front_end = FrontEnd(RegistrationConfig())
     sizes = [len(front_end.take(sweep)) for sweep in sweeps(world, path()[:8])]
     assert sizes == [0, 2, 1, 1, 1, 1, 1, 1]
+
+
+def ring(radius_m: float, first: float = -3.0, last: float = 3.0) -> FloatArray:
+    angles = np.linspace(first, last, 200)
+    return radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+@pytest.mark.parametrize(
+    ("walls", "share"),
+    [
+        (ring(2.0), 1.0),
+        (ring(3.8), 0.0),  # as near the ends of the beams as noise brings them
+        (ring(6.0), 0.0),
+        (np.concatenate([ring(2.0), ring(4.0)]), 0.5),
+    ],
+)
+@pytest.mark.parametrize("laser", [IDENTITY, Pose2(3.0, -1.0, 2.0)])
+def test_a_scan_that_looks_through_walls_refutes_them(
+    walls: FloatArray, share: float, laser: Pose2
+) -> None:
+    scan = circle(0, np.full(90, 4.0)).planar
+    assert looked_through(laser.apply(walls), scan, laser) == pytest.approx(share)
+
+
+def test_walls_out_of_view_and_beams_without_return_say_nothing() -> None:
+    full = circle(0, np.full(90, 4.0)).planar
+    ahead = dataclasses.replace(
+        full, bearings=np.linspace(-0.8, 0.8, 90), full_circle=False, stamp_ns=0
+    )
+    assert looked_through(ring(2.0, 1.0, 3.0), ahead, IDENTITY) == 0.0
+    assert looked_through(ring(2.0, -0.7, 0.7), ahead, IDENTITY) == 1.0
+    blank = dataclasses.replace(full, ranges=np.full(90, np.inf))
+    assert looked_through(ring(2.0), blank, IDENTITY) == 0.0
+    assert looked_through(np.zeros((0, 2)), full, IDENTITY) == 0.0
+
+
+@pytest.mark.parametrize("count", [1, 4, 5, 6, 7])
+def test_a_spoiled_scan_amid_a_hall_is_no_keyframe_of_its_map(count: int) -> None:
+    """What the first good scan sees lies where the spoiled ones did not look."""
+    items = spoiled([circle(k, np.full(90, 6.0), IDENTITY) for k in range(12)], count)
+    front_end = FrontEnd(RegistrationConfig())
+    scans = [each for sweep in items for each in front_end.take(sweep)] + [*front_end.rest()]
+    assert [each.index for each in scans if each.lost] == list(range(count))

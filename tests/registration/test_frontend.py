@@ -63,13 +63,17 @@ def test_a_kidnapped_robot_is_noticed_and_goes_on_from_a_guess(world: GridMap) -
     assert jumps.max() < 0.3
 
 
-def test_blank_scans_keep_the_odometry_pose(world: GridMap) -> None:
+@pytest.mark.parametrize(("reading", "lost"), [(np.nan, [10, 11]), (np.inf, [])])
+def test_blank_scans_keep_the_odometry_pose(
+    world: GridMap, reading: float, lost: list[int]
+) -> None:
+    """Without a valid reading nothing was seen; without a return, that there are no walls."""
     items = sweeps(world, path()[:30])
     for k in (10, 11):
-        blank = dataclasses.replace(items[k].planar, ranges=np.full(240, np.inf))
+        blank = dataclasses.replace(items[k].planar, ranges=np.full(240, reading))
         items[k] = dataclasses.replace(items[k], planar=blank)
     front_end, scans = run(items)
-    assert [scan.index for scan in scans if scan.lost] == [10, 11]
+    assert [scan.index for scan in scans if scan.lost] == lost
     assert worst(scans, path()[:30])[0] < 0.1
     assert front_end.counts["breaks"] == 0
 

@@ -16,8 +16,10 @@ from tests.registration.drives import turned
 KERNELS_M = (0.4, 0.2, 0.1, 0.05)
 
 
-def aligner(voxel_m: float = 0.2, range_m: float = 20.0, **settings: int) -> KissIcpAligner:
-    sensor = SensorKind(in_space=True, voxel_m=voxel_m, range_m=range_m)
+def aligner(
+    voxel_m: float = 0.2, range_m: float = 20.0, in_space: bool = True, **settings: int
+) -> KissIcpAligner:
+    sensor = SensorKind(in_space=in_space, voxel_m=voxel_m, range_m=range_m)
     return KissIcpAligner(RegistrationConfig.model_validate(settings), sensor)
 
 
@@ -111,13 +113,17 @@ def test_a_cleared_map_is_as_good_as_new() -> None:
         assert pulled_m(cleared, 20.0) == pulled_m(new, 20.0) > 0.05
 
 
-def test_a_full_voxel_keeps_the_newest_keyframe_s_points() -> None:
+@pytest.mark.parametrize(
+    ("in_space", "name"), [(False, "points_per_voxel"), (True, "cloud_points_per_voxel")]
+)
+def test_a_full_voxel_keeps_the_newest_keyframe_s_points(in_space: bool, name: str) -> None:
     """Two keyframes of one room 8 cm apart, with one point a voxel: the newer decides."""
-    method = aligner(points_per_voxel=1, rebuild_keyframes=1)
+    one = {name: 1}
+    method = aligner(in_space=in_space, rebuild_keyframes=1, **one)
     method.insert(room(0), np.eye(4))
     method.insert(room(0), Pose2(0.08, 0.0, 0.0).matrix())
     newest = aligned(method, room(1), np.eye(4))[0, 3]
-    later = aligner(points_per_voxel=1, rebuild_keyframes=4)  # not rebuilt: the older stays
+    later = aligner(in_space=in_space, rebuild_keyframes=4, **one)  # not rebuilt: the older stays
     later.insert(room(0), np.eye(4))
     later.insert(room(0), Pose2(0.08, 0.0, 0.0).matrix())
     oldest = aligned(later, room(1), np.eye(4))[0, 3]

@@ -52,7 +52,8 @@ def test_a_run_within_all_limits_has_nothing_to_say(world: GridMap) -> None:
         (
             "few_points",
             3,
-            "registration lost 3 scans with fewer than 12 wall points (registration.min_points)",
+            "registration met 3 scans with fewer than 12 wall points (registration.min_points): "
+            "they are placed by odometry that is trusted, or lost",
         ),
         (
             "refused_alignments",
@@ -98,17 +99,56 @@ def test_a_robot_too_fast_for_the_motion_to_be_carried_on_is_told(world: GridMap
     assert worst(scans, straight(0.6, 6))[0] < 0.1
 
 
-def test_scans_with_too_few_walls_are_counted(world: GridMap) -> None:
-    items = sweeps(world, path()[:10])
+def with_few_walls(world: GridMap, *, odometry: bool = True) -> list[Sweep]:
+    """A drive on which the scans 4 and 7 see next to nothing."""
+    items = sweeps(world, path()[:10], odometry=odometry)
     for k in (4, 7):
         ranges = np.where(np.arange(240) < 9, items[k].planar.ranges, np.inf)
         planar = dataclasses.replace(items[k].planar, ranges=ranges)
         items[k] = dataclasses.replace(items[k], planar=planar)
+    return items
+
+
+def test_scans_with_too_few_walls_are_counted(world: GridMap) -> None:
+    items = with_few_walls(world, odometry=False)
     front_end, scans = run(items)
     assert hit(front_end) == {"few_points": 2}
     assert [scan.index for scan in scans if scan.lost] == [4, 7]
     assert [(scan.score, scan.agrees) for scan in scans if scan.lost] == [(0.0, True)] * 2
     assert run(items, min_points=3)[0].counts["few_points"] == 0
+
+
+def test_odometry_carries_the_robot_on_where_it_sees_no_walls(world: GridMap) -> None:
+    items = with_few_walls(world)
+    front_end, scans = run(items)
+    assert hit(front_end) == {"few_points": 2}
+    assert not any(scan.lost for scan in scans)
+    assert [scan.index for scan in scans if scan.score == 0.0] == [4, 7]
+    assert worst(scans, path()[:10])[0] < 0.05
+
+
+@pytest.mark.parametrize(("way_m", "lost"), [(3.0, False), (12.0, True)])
+def test_odometry_carries_no_farther_than_it_can_be_followed(
+    world: GridMap, way_m: float, lost: bool
+) -> None:
+    """An odometry of which nothing is known errs by 5 cm and a fifth of the way: 1.5 m in 5 m."""
+    seen = sweeps(world, np.tile(path()[0], (3, 1)))
+    planar = dataclasses.replace(seen[0].planar, ranges=np.full(240, np.inf))
+    base = seen[-1].odom_from_base
+    assert base is not None
+    blank = [
+        dataclasses.replace(
+            seen[-1],
+            index=3 + k,
+            stamp_ns=seen[-1].stamp_ns + (k + 1) * 10**8,
+            planar=planar,
+            odom_from_base=base @ Pose2(step_m, 0.0, 0.0),
+        )
+        for k, step_m in enumerate(np.arange(0.5, way_m + 0.1, 0.5).tolist())
+    ]
+    _, scans = run([*seen, *blank])
+    assert scans[-1].lost == lost
+    assert not scans[3].lost
 
 
 def test_alignments_that_run_off_are_counted(

@@ -21,6 +21,11 @@ from specmap_cli.registration.scene import Scene
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import scene_in, scene_of, turned
 
+ONE_KERNEL: dict[str, tuple[float, ...]] = {
+    "kernel_voxels": (1.0,),
+    "quick_kernel_voxels": (1.0,),
+}
+
 
 def expecting(
     motion: Pose2 = IDENTITY, carried: Pose2 = IDENTITY, *, measured: bool = True
@@ -62,7 +67,30 @@ def test_a_good_result_near_its_guess_calls_for_no_search(world: GridMap) -> Non
     assert not located.searched
     assert not located.wide_searched
     assert np.array_equal(located.fit.pose, np.eye(4))
-    assert kernels_m(scene) == pytest.approx([0.2, 0.1, 0.05, 0.025])
+    assert kernels_m(scene) == pytest.approx([0.15, 0.025])
+
+
+QUICK, ALL = [0.15, 0.025], [0.2, 0.1, 0.05, 0.025]
+
+
+@pytest.mark.parametrize(
+    ("expected", "answer", "kernels"),
+    [
+        (expecting(), np.eye(4), QUICK),
+        (expecting(measured=False), np.eye(4), ALL),
+        (expecting(), turned(0.0, 0.05, 0.0), [*QUICK, *ALL]),
+        (expecting(), turned(0.16, 0.0, 0.0), [*QUICK, *ALL]),
+        (expecting(), turned(2.0, 0.0, 0.0), [0.15, 0.2]),  # refused, and so are all others
+    ],
+)
+def test_few_kernels_are_enough_where_they_leave_no_doubt(
+    world: GridMap, expected: ExpectedMotion, answer: FloatArray, kernels: list[float]
+) -> None:
+    aligner = ToldAligner(lambda _: answer)
+    scene = scene_in(world, aligner, good_score=0.0, doubt_m=0.15)
+    locate(scene, np.eye(4), expected, IDENTITY)
+    assert kernels_m(scene)[: len(kernels)] == pytest.approx(kernels)
+    assert len(kernels_m(scene)) == len(kernels) or not np.array_equal(answer, np.eye(4))
 
 
 @pytest.mark.parametrize("answer", [turned(0.15, 0.0, 0.0), turned(0.0, 0.11, 0.0)])
@@ -71,12 +99,12 @@ def test_a_good_result_far_from_its_guess_is_searched_for_again(
 ) -> None:
     """One kernel, whose result is right; only the guess is off."""
     aligner = ToldAligner(lambda _: np.eye(4))
-    scene = scene_in(world, aligner, kernel_voxels=(1.0,))
+    scene = scene_in(world, aligner, **ONE_KERNEL)
     located = locate(scene, answer, expecting(), IDENTITY)
     assert located.searched
     assert not located.wide_searched
     assert np.array_equal(located.fit.pose, np.eye(4))
-    eager = scene_in(world, aligner, kernel_voxels=(1.0,), doubt_m=0.16, doubt_rad=0.12)
+    eager = scene_in(world, aligner, **ONE_KERNEL, doubt_m=0.16, doubt_rad=0.12)
     assert not locate(eager, answer, expecting(), IDENTITY).searched
 
 
@@ -96,7 +124,7 @@ def test_a_poor_score_is_searched_for_widely(world: GridMap, away: Pose2) -> Non
     assert located.wide_searched
     assert located.fit.planar.distance < 0.15
     assert abs(located.fit.planar.theta) < 0.05
-    assert kernels_m(scene)[8:] == pytest.approx([0.4, 0.2, 0.1, 0.05, 0.025])
+    assert kernels_m(scene)[-5:] == pytest.approx([0.4, 0.2, 0.1, 0.05, 0.025])
 
 
 @pytest.mark.parametrize(
@@ -125,7 +153,7 @@ def test_a_worse_result_of_a_search_is_not_taken(world: GridMap) -> None:
     answers = [turned(0.2, 0.0, 0.0)]
     worse = turned(0.9, 0.5, 0.0)
     scene = scene_in(
-        world, ToldAligner(lambda _: answers.pop() if answers else worse), kernel_voxels=(1.0,)
+        world, ToldAligner(lambda _: answers.pop() if answers else worse), **ONE_KERNEL
     )
     by_motion = Pose2(0.2, 0.0, 0.0)
     located = locate(scene, np.eye(4), expecting(measured=False), by_motion)
@@ -263,6 +291,38 @@ def test_of_places_nearly_alike_a_search_takes_the_one_near_the_guess(
     assert trusting.agrees
 
 
+def side_doors(places_m: Sequence[float]) -> FloatArray:
+    """Recesses of a corridor, 0.4 m deep, at some places along it."""
+    y = np.linspace(1.0, 1.4, 9)
+    return np.concatenate([np.column_stack([np.full(len(y), x), y]) for x in places_m])
+
+
+@pytest.mark.parametrize(
+    ("doors", "posts", "trusted", "kept"),
+    [
+        (1, 0, True, True),  # a look-alike half a metre on explains a little more
+        (1, 0, False, False),
+        (1, 260, True, False),  # a wall that stands half a metre on: wheels slipped
+    ],
+)
+def test_trusted_odometry_is_given_up_only_for_what_explains_the_walls_much_better(
+    doors: int, posts: int, trusted: bool, kept: bool
+) -> None:
+    """The registration method runs 0.5 m ahead, along a corridor with few marks."""
+    ahead = Pose2(0.5, 0.0, 0.0)
+    marks = side_doors([2.0, -3.0][:doors] * 12)
+    post = np.column_stack([np.full(posts, 3.0), np.linspace(-0.8, 0.8, posts)])
+    seen = np.concatenate([corridor(10.0), marks, post])
+    known = np.concatenate([corridor(30.0), marks + (0.5, 0.0), post + (0.5, 0.0)])
+    scene = scene_of(seen, known, ToldAligner(lambda _: ahead.matrix()))
+    assert scene.score(ahead) > scene.score(IDENTITY) + 0.05
+    reliance = UNKNOWN if trusted else Reliance((9.0,) * 60, (9.0,) * 60, (9.0,) * 60)
+    located = locate(scene, np.eye(4), expecting(Pose2(0.1, 0.0, 0.0)), IDENTITY, reliance)
+    assert (located.fit.planar == IDENTITY) == kept
+    assert (located.fit.planar == ahead) == (not kept)
+    assert located.unaligned == kept
+
+
 @pytest.fixture(scope="module")
 def bare() -> Scene:
     return scene_in_corridor()
@@ -366,7 +426,7 @@ def test_no_result_turns_far_against_trusted_odometry(
 def test_no_search_leads_an_alignment_out_of_the_bounds(world: GridMap) -> None:
     """Every alignment after a search turns on by 0.6 rad: together that is too much."""
     answer = Pose2(0.0, 0.0, 0.6).matrix()
-    scene = scene_in(world, ToldAligner(lambda guess: guess @ answer), kernel_voxels=(1.0,))
+    scene = scene_in(world, ToldAligner(lambda guess: guess @ answer), **ONE_KERNEL)
     for turn in np.linspace(-1.5, 1.5, 7).tolist():
         guess = Pose2(0.4, -0.3, turn)
         fit = locate(scene, guess.matrix(), expecting(), IDENTITY).fit

@@ -148,8 +148,9 @@ class WallCheck:
             return None
         self.found = best[0] < 0.0
         self._place = best[1] if self.found else None
+        again = self._patience.goes_on and not self.found  # the likeliest said it already
         self._patience.searched(self.found)
-        return best[0]
+        return None if again else best[0]
 
     def _said(self, posed: PosedScan, points: FloatArray, place: Place) -> tuple[float, Place]:
         """Log likelihood of unknown when a scan is at a place, and the place."""
@@ -158,20 +159,24 @@ class WallCheck:
     def _misfit(self, posed: PosedScan, points: FloatArray, place: Place) -> float:
         """How far off the walls points (N, 2) are, and what share of the scan is behind walls.
 
-        Points where the map saw nothing count less.
+        Points where the map saw nothing count less, and so many behind walls as doors, people and
+        things that were moved explain do not count.
         """
         placed = place.pose.apply(points)
         off = 1.0 - np.asarray(self.field(place.submap).at(placed), dtype=np.float64)
         unseen = (self._sight.grids[place.submap].values_at(placed) == UNKNOWN) & (off > _OFF)
         on_walls = 1.0 - float(np.mean(np.where(unseen, self.config.unseen_weight, 1.0) * off))
-        return 1.0 - on_walls * (1.0 - self._sight.behind(place.submap, posed, place.pose))
+        usual = self.config.behind_usual
+        behind = max(0.0, self._sight.behind(place.submap, posed, place.pose) - usual)
+        return 1.0 - on_walls * (1.0 - behind / (1.0 - usual))
 
 
 class _Patience:
     """Which submaps to search, and when: after some path, or, standing, after a while.
 
-    A robot that stands still has them searched in turn, those first that are likeliest. After all
-    of them it waits for twice as many scans as before.
+    A robot that stands still has them searched in turn, those first that are likeliest; `goes_on`
+    when others were searched before those due. After all of them it waits for twice as many scans
+    as before.
     """
 
     def __init__(self, config: LocalizationConfig) -> None:
@@ -181,6 +186,7 @@ class _Patience:
         self._at: Pose2 | None = None
         self._tried: tuple[int, ...] = ()
         self._left: tuple[int, ...] = ()
+        self.goes_on = False
 
     def drive(self, map_from_base: Pose2) -> None:
         """Take in where the next scan was taken."""
@@ -196,6 +202,7 @@ class _Patience:
         over = self._driven_m >= self.config.fit_search_m or self._scans >= self._wait
         if not (at_once or over or (stands and self._tried and left)):
             return ()
+        self.goes_on = bool(left) and not at_once and bool(self._tried)
         if not left or at_once:
             self._tried, left = (), tuple(likely)
         due, self._left = left[: self.config.fit_submaps], left[self.config.fit_submaps :]

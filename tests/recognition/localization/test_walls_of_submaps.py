@@ -157,7 +157,8 @@ def test_a_standing_robot_has_one_submap_after_the_other_searched(building: Any)
         said.append(walls.unknown(here, scan, [2, 3, 1, 0]))
         found.append(walls.found)
     assert [ratio is not None and ratio < 0.0 for ratio in said] == [False] * 3 + [True] * 3
-    assert None not in said
+    assert said[0] is not None
+    assert said[1:3] == [None, None], "the likeliest submap said it already"
     assert found == [False, False, False, True, False, False]
 
 
@@ -165,7 +166,7 @@ def test_after_all_submaps_a_standing_robot_waits(building: Any) -> None:
     walls = rooms_of(building, fit_submaps=2)
     scan = building.scans(building.path(0, 3)[:1])[0]
     said = [walls.unknown(posed(scan, IDENTITY), scan, [2, 3, 1]) for _ in range(12)]
-    assert [k for k, ratio in enumerate(said) if ratio is not None] == [0, 1, 3, 4, 8, 9]
+    assert [k for k, ratio in enumerate(said) if ratio is not None] == [0, 3, 8]
 
 
 def test_while_a_scan_fits_the_next_look_comes_after_some_motion(
@@ -204,15 +205,16 @@ def test_what_is_seen_behind_walls_speaks_for_unknown(building: Any) -> None:
     walls = rooms_of(building)
     pose = building.path(0, 3)[:1]
     whole = building.scans(pose)[0]
-    ahead = np.abs(whole.bearings) < np.radians(60.0)
+    ahead = np.abs(whole.bearings) < np.radians(90.0)
+    beside = np.abs(whole.bearings) < np.radians(15.0)
     said = []
-    for more in (0.0, 3.0):
-        scan = replace(whole, ranges=whole.ranges + more * ahead)
+    for further in (0.0 * ahead, 3.0 * beside, 3.0 * ahead):
+        scan = replace(whole, ranges=whole.ranges + further)
         walls.restart()
         said.append(walls.unknown(posed(scan, Pose2(*pose[0].tolist())), whole, [0]))
-    assert said[0] is not None
-    assert said[1] is not None
-    assert said[0] < 0.0 < said[1]
+    own, door, foreign = (ratio for ratio in said if ratio is not None)
+    assert own == door < 0.0, "a door that was closed explains as much"
+    assert foreign > 0.0
 
 
 def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(

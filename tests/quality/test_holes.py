@@ -1,0 +1,305 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, Trajectory
+from specmap_cli.core.settings import QualityConfig
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.layout.audit import Audit
+from specmap_cli.layout.relaxation import Layout
+from specmap_cli.quality.evidence import Evidence, Hole
+from specmap_cli.quality.holes import holes_of, unwatched
+from tests.layout.driving import link, scans_of, stored
+
+CONFIG = QualityConfig()
+STILL = Pose2(0.0, 0.0, 0.0)
+SCANS = 200  # half a metre apart along x, two a second; every one a keyframe
+
+
+def rooms() -> GridMap:
+    """A room of 6 m by 4 m, and one of 4 m by 3 m elsewhere."""
+    cells = np.full((160, 300), OCCUPIED, dtype=np.uint8)
+    cells[20:100, 20:140] = FREE
+    cells[40:100, 190:270] = FREE
+    return GridMap(cells, 0.05)
+
+
+def drive(
+    places: Sequence[float] | FloatArray, times_s: Sequence[float] | FloatArray
+) -> tuple[list[PlanarScan], FloatArray]:
+    """Scans at places along x, 3 m up, and the true poses."""
+    poses = np.array([(x, 3.0, 0.0) for x in places])
+    scans = scans_of(rooms(), poses)
+    stamps = [int(time * 1e9) for time in times_s]
+    return [replace(s, stamp_ns=t) for s, t in zip(scans, stamps, strict=True)], poses
+
+
+def found(
+    scans: Sequence[PlanarScan],
+    poses: FloatArray,
+    odometry: FloatArray | None = None,
+    lost: Sequence[int] = (),
+    breaks: Sequence[int] = (),
+) -> tuple[Hole, ...]:
+    """The holes of a log whose scans are keyframes, those that were lost excepted."""
+    marks = np.zeros(len(scans), dtype=np.bool_)
+    marks[list(lost)] = True
+    stamps = np.array([scan.stamp_ns for scan in scans])
+    way, rows = Trajectory(stamps, poses, odometry=odometry, lost=marks), np.flatnonzero(~marks)
+    with stored(poses[rows], [scans[row] for row in rows.tolist()]) as store:
+        return holes_of(store, rows, way, Layout(poses=poses[rows]), breaks, CONFIG)
+
+
+def evidence(*holes: Hole, ties: Sequence[tuple[int, int]] = ()) -> Evidence:
+    poses = np.column_stack([0.5 * np.arange(SCANS), np.zeros((SCANS, 2))])
+    stamps = np.arange(SCANS) * 5 * 10**8
+    kept = tuple(link(a, b, (0.0, 0.0, 0.0)) for a, b in ties)
+    return Evidence(
+        trajectory=Trajectory(stamps, poses),
+        keyframes_ns=tuple(stamps.tolist()),
+        breaks=(),
+        layout=Layout(poses=poses, kept=kept),
+        audit=Audit(),
+        beyond=0,
+        warnings=(),
+        holes=holes,
+    )
+
+
+def hole(measured: Pose2 | None, apart: Pose2, alike: float = 0.9, keyframe: int = 100) -> Hole:
+    return Hole(
+        row=keyframe, keyframe=keyframe, seconds=30.0, measured=measured, apart=apart, alike=alike
+    )
+
+
+def told(seen: Hole) -> list[str]:
+    """The messages about a hole that was found, after which nothing known was seen."""
+    found_in = evidence(replace(seen, keyframe=100, row=100))
+    return [finding.message for finding in unwatched(found_in, CONFIG)]
+
+
+def test_a_robot_that_stood_among_the_same_walls_is_found_there_again() -> None:
+    places = [2.0, 2.1, 2.2, 2.3, 2.4, 2.5]
+    scans, poses = drive(places, [0.0, 0.2, 0.4, 0.6, 30.6, 30.8])
+    (seen,) = found(scans, poses, poses)
+    assert (seen.row, seen.keyframe, seen.kind) == (4, 4, "missing")
+    assert seen.seconds == pytest.approx(30.0)
+    assert seen.measured == pytest.approx((0.1, 0.0, 0.0))
+    assert seen.apart == pytest.approx((0.0, 0.0, 0.0))
+    assert seen.alike > 0.95
+    assert not told(seen)
+
+
+def test_a_robot_in_another_room_sees_other_walls() -> None:
+    scans, poses = drive([2.0, 2.1, 2.2, 11.0, 11.1], [0.0, 0.2, 0.4, 30.4, 30.6])
+    believed = poses.copy()
+    believed[3:, 0] -= 11.0 - 2.2
+    (seen,) = found(scans, believed)
+    assert seen.measured is None
+    assert seen.apart == pytest.approx((0.0, 0.0, 0.0))
+    assert seen.alike < CONFIG.hole_walls_share
+    assert told(seen)
+
+
+def test_odometry_with_a_gap_at_the_hole_measured_nothing() -> None:
+    scans, poses = drive([2.0, 2.1, 2.2, 2.3], [0.0, 0.2, 30.4, 30.6])
+    odometry = poses.copy()
+    odometry[2] = np.nan
+    (seen,) = found(scans, poses, odometry)
+    assert seen.measured is None
+
+
+def test_scans_lost_behind_a_hole_do_not_say_where_the_robot_is() -> None:
+    """The wheels turn a little there, and the first scan that is registered lies elsewhere."""
+    scans, poses = drive([2.0, 2.1, 2.2, 2.2, 2.3, 2.4], [0.0, 0.2, 0.4, 30.4, 30.6, 30.8])
+    believed = poses.copy()
+    believed[5, 0] += 1.3
+    (seen,) = found(scans, believed, poses, lost=(3, 4))
+    assert seen.measured == pytest.approx((0.0, 0.0, 0.0))
+    assert seen.apart.distance == pytest.approx(1.3)
+    assert told(seen)
+
+
+@pytest.mark.parametrize(("elsewhere_m", "count"), [(0.0, 0), (8.8, 1)])
+def test_a_robot_carried_with_its_laser_on(elsewhere_m: float, count: int) -> None:
+    """Tracking breaks though the wheels stand still, and other walls follow, or the same ones."""
+    places = np.array([2.0, 2.1, 2.2, 2.2, 2.2, 2.2, 2.3])
+    scans, poses = drive(places, 0.2 * np.arange(7.0))
+    there, _ = drive(places + elsewhere_m, 0.2 * np.arange(7.0))
+    scans[5:] = there[5:]
+    (seen,) = found(scans, poses, poses, lost=(3, 4), breaks=(3,))
+    assert (seen.row, seen.keyframe, seen.kind) == (5, 3, "lost")
+    assert seen.seconds == pytest.approx(0.6)
+    messages = told(seen)
+    assert len(messages) == count
+    if messages:
+        assert messages[0].startswith(
+            "no scan could be registered for 1 s before 50.000 s, and the walls changed though"
+        )
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_a_break_over_which_the_robot_drove_is_no_hole(odometry: bool) -> None:
+    scans, poses = drive([2.0, 2.1, 2.2, 2.4, 2.6, 2.8], 0.2 * np.arange(6.0))
+    assert found(scans, poses, poses if odometry else None, lost=(3, 4), breaks=(3,)) == ()
+
+
+def hung(odometry_x: FloatArray) -> tuple[Hole, ...]:
+    """A laser that shows the same for ten scans while odometry goes along x."""
+    places = np.array([2.0, 2.1, *[2.2] * 10, 2.4, 2.6])
+    scans, poses = drive(places, 0.2 * np.arange(14.0))
+    odometry = poses.copy()
+    odometry[:, 0] = odometry_x
+    return found(scans, poses, odometry)
+
+
+def test_a_laser_that_hangs_leaves_a_hole() -> None:
+    (seen,) = hung(np.linspace(2.0, 6.0, 14))
+    assert (seen.kind, seen.row) == ("rest", 12)
+    assert seen.measured is not None
+    assert seen.measured.distance == pytest.approx(10 * 4.0 / 13)
+    (message,) = told(seen)
+    assert message == (
+        "the scans show the robot at rest for 2 s before 50.000 s, and odometry tells another "
+        "motion than the map: where the robot was afterwards is a guess"
+    )
+
+
+@pytest.mark.parametrize(("alike", "doubted"), [(0.7, False), (0.5, True)])
+def test_matches_do_not_outvote_odometry_and_walls(alike: float, doubted: bool) -> None:
+    """Walls that are the same behind it speak for wheels that spun."""
+    stuck = replace(hole(Pose2(6.0, 0.0, 0.0), Pose2(6.0, 0.0, 0.0), alike), kind="rest")
+    seen = evidence(stuck, ties=[(10, 130), (20, 145), (30, 160)])
+    assert bool(list(unwatched(seen, CONFIG))) == doubted
+
+
+@pytest.mark.parametrize(
+    "odometry_x",
+    [
+        np.linspace(2.0, 4.4, 14),  # wheels slip
+        np.array([2.0] * 6 + [12.0] * 8),  # odometry was reset
+        np.full(14, np.nan),
+    ],
+)
+def test_what_odometry_may_tell_of_a_robot_at_rest(odometry_x: FloatArray) -> None:
+    assert hung(odometry_x) == ()
+
+
+def test_two_holes_while_the_robot_stands_are_both_looked_at() -> None:
+    """It was carried in the first one and stood still in the second."""
+    places = [*np.linspace(2.0, 4.0, 41), 4.0, 4.0, 4.1]
+    scans, poses = drive(places, np.cumsum([0.0, *[0.2] * 40, 30.0, 30.0, 0.2]))
+    believed = poses.copy()
+    believed[41:, 1] += 1.3
+    seen = found(scans, believed, poses)
+    assert [one.apart.distance for one in seen] == pytest.approx([1.3, 0.0])
+    with_ties = evidence(
+        *(replace(one, keyframe=100, row=100) for one in seen),
+        ties=[(10, 130), (20, 145), (30, 160)],
+    )
+    assert not list(unwatched(with_ties, CONFIG))
+
+
+@pytest.mark.parametrize(
+    ("intervals_s", "count"),
+    [
+        ((0.2, 0.2, 4.9, 0.2), 0),  # nobody is so quick
+        ((0.2, 0.2, 5.1, 0.2), 1),
+        ((3.0, 2.0, 14.0, 3.0), 0),  # a log of few scans, some of them far apart
+        ((0.0, 0.0, 0.0, 0.0), 0),  # stamps that say nothing
+        ((0.2, 0.2, 0.2, 30.0), 0),  # standing at the end: no keyframe follows
+    ],
+)
+def test_what_is_a_hole_depends_on_the_usual_interval(
+    intervals_s: Sequence[float], count: int
+) -> None:
+    times = np.cumsum([0.0, *[0.2] * 40, *intervals_s]).tolist()
+    if intervals_s[0] == 3.0:
+        times = np.cumsum([0.0, *[3.0] * 40, *intervals_s]).tolist()
+    scans, poses = drive(np.linspace(2.0, 5.0, len(times)).tolist(), times)
+    lost = (len(scans) - 1,) if intervals_s[-1] == 30.0 else ()
+    assert len(found(scans, poses, lost=lost)) == count
+
+
+def test_a_log_of_one_scan_has_no_holes() -> None:
+    scans, poses = drive([2.0], [0.0])
+    assert found(scans, poses) == ()
+
+
+@pytest.mark.parametrize(
+    ("measured", "apart", "alike", "reason"),
+    [
+        (STILL, STILL, 0.9, None),
+        (None, STILL, 0.9, None),
+        (STILL, STILL, 0.3, "the walls changed though the wheels did not turn"),
+        (None, STILL, 0.3, "no odometry tells of it"),
+        (Pose2(8.0, 0.0, 1.2), Pose2(2.0, 1.0, 0.4), 0.0, None),  # it drove on, as measured
+        (None, Pose2(9.0, 0.0, 1.0), 1.0, "no odometry tells of it"),
+        (
+            STILL,
+            Pose2(1.3, 0.4, -0.35),
+            1.0,
+            "the wheels did not turn though the map has the robot 1.4 m and 20 degrees away",
+        ),
+        (
+            Pose2(8.0, 0.0, 0.0),
+            Pose2(3.0, 0.0, 0.0),
+            1.0,
+            "odometry tells another motion than the map",
+        ),
+        (
+            Pose2(8.0, 0.0, 0.0),
+            Pose2(0.0, 0.0, 0.3),
+            1.0,
+            "odometry tells another motion than the map",
+        ),
+    ],
+)
+def test_odometry_or_the_same_walls_must_tell_where_the_robot_was(
+    measured: Pose2 | None, apart: Pose2, alike: float, reason: str | None
+) -> None:
+    found_there = list(unwatched(evidence(hole(measured, apart, alike)), CONFIG))
+    if reason is None:
+        assert found_there == []
+        return
+    (finding,) = found_there
+    assert (finding.code, finding.severity, finding.value) == ("hole-in-log", "doubtful", 30.0)
+    assert finding.advice == "record without holes, or drive on through places seen before"
+    assert finding.message == (
+        f"there are no scans for 30 s before 50.000 s, and {reason}: where the robot was "
+        "afterwards is a guess"
+    )
+    assert (finding.stamp_ns, finding.place) == (50 * 10**9, (50.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("ties", "doubted"),
+    [
+        ([(10, 130), (20, 145), (30, 160)], False),  # 15, 22.5 and 30 m after the hole
+        ([(10, 130), (20, 145)], True),  # in too few places
+        ([(10, 130), (11, 131), (12, 132)], True),  # three times in one place
+        ([(10, 101), (20, 110), (30, 118)], True),  # within 10 m: the room that was mistaken
+        ([(10, 30), (20, 45), (30, 60)], True),  # all of them before the hole
+    ],
+)
+def test_places_known_from_before_confirm_what_follows_a_hole(
+    ties: Sequence[tuple[int, int]], doubted: bool
+) -> None:
+    seen = evidence(hole(STILL, Pose2(1.4, 0.0, 0.0)), ties=ties)
+    assert bool(list(unwatched(seen, CONFIG))) == doubted
+
+
+def test_each_piece_between_holes_needs_ties_of_its_own() -> None:
+    first = hole(STILL, Pose2(1.4, 0.0, 0.0), keyframe=50)
+    second = hole(STILL, Pose2(1.4, 0.0, 0.0), keyframe=100)
+    over_both = [(10, 130), (20, 145), (30, 160)]
+    stamps = [one.stamp_ns for one in unwatched(evidence(first, second, ties=over_both), CONFIG)]
+    assert stamps == [25 * 10**9]  # what follows the second one is tied to what precedes both
+    middle = [(10, 72), (20, 84), (30, 95)]
+    seen = evidence(first, second, ties=[*over_both, *middle])
+    assert not list(unwatched(seen, CONFIG))
