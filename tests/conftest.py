@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,9 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],  # a busy machine is no failure
 )
 settings.load_profile("specmap")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell does so to what it runs behind `&`
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SAMPLE_LOGS = Path(__file__).parent.parent / "sample_logs"
 
