@@ -17,7 +17,7 @@ from specmap_cli.layout.parts import place_part
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.place_search import Pyramid, Wanted, best_places
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.seen_space import seen_free
+from specmap_cli.layout.standable import seen_free
 from specmap_cli.layout.uncertainty import within_ellipse
 from specmap_cli.layout.wall_matching import (
     FINE_POINTS_M,

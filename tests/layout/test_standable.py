@@ -8,7 +8,7 @@ from specmap_cli.core.geometry import compose
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.path_graph import Graph
-from specmap_cli.layout.seen_space import seen_free
+from specmap_cli.layout.standable import seen_free
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import building
 
