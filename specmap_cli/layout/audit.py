@@ -27,7 +27,9 @@ _KEYFRAME_M, _KEYFRAME_RAD = 0.3, 0.25  # between the keyframes of a pass: they 
 _STEP_M, _REFINE_STEPS = 0.2, 10  # of the search for how far two walls stand apart
 _TURN_RAD = 0.1  # of that search: passes are turned little against each other
 _SIGMA_M = 0.15  # of its field: a cell and a half
-_LEAD, _LEAST = 0.1, 0.55  # score by which the found place must lead, and which it must reach
+# Share of the walls known to both passes that must agree at the place found, and by how much more
+# than before: people and things moved between the passes leave some that do not.
+_LEAST, _LEAD = 0.75, 0.1
 
 
 @dataclass(frozen=True)
@@ -249,6 +251,14 @@ def _offset(earlier: Pass, later: Pass, config: AuditConfig) -> Pose2 | None:
     window = Window(distance_m=config.search_m, angle_rad=_TURN_RAD, step_m=_STEP_M)
     rough = search(field, points, centre, window)
     best = refine(field, points, rough.pose, _REFINE_STEPS)
-    if best.score < max(_LEAST, field.score(points, centre) + _LEAD):
+    before, after = (_agreement(earlier, pose.apply(points)) for pose in (centre, best.pose))
+    if after < max(_LEAST, before + _LEAD):
         return None
     return best.pose @ centre.inverse()
+
+
+def _agreement(seen: Pass, walls: FloatArray) -> float:
+    """The share of wall cells (N, 2), of those that a pass knows, that lie by its own walls."""
+    said = seen.of(walls)
+    known = int(np.count_nonzero(said != _UNKNOWN))
+    return float(np.count_nonzero(said == _WALL)) / known if known else 0.0

@@ -18,6 +18,7 @@ from specmap_cli.logs.clocks import odometry_of
 from specmap_cli.logs.messages import BadMessageError, decode_scan
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.readers.typestore import NS_PER_S
+from specmap_cli.logs.repeats import Repeats
 from specmap_cli.logs.stream import SweepStream
 
 _CLOUDS = 20  # read at the most, where not the whole log is: each takes as long as many scans
@@ -94,12 +95,14 @@ class StampFaults:
 class Preview:
     """What `build` will meet, by the first `scans` of the chosen sensor, or by all of them.
 
-    `invalid_share` is that of readings which say nothing, None for clouds. `sensors` are the
-    sensors of the topic with their numbers among the scans that were looked at.
+    `stale_scans` only repeat others, see `Repeats`. `invalid_share` is that of readings which say
+    nothing, None for clouds. `sensors` are the sensors of the topic with their numbers among the
+    scans that were looked at.
     """
 
     scans: int
     blank_scans: int
+    stale_scans: int
     invalid_share: float | None
     spacing: Spacing
     gaps: tuple[Gap, ...] = ()
@@ -112,6 +115,9 @@ class Preview:
         told = [self.spacing.text()]
         if self.blank_scans:
             told.append(f"blank scans, without any return: {self.blank_scans:,}")
+        if self.stale_scans:
+            repeating = "scans that repeat the one before while the robot moves"
+            told.append(f"{repeating}: {self.stale_scans:,}")
         if self.invalid_share:
             told.append(f"readings that are invalid: {100 * self.invalid_share:.1f} %")
         told += self._gap_lines()
@@ -139,7 +145,8 @@ def preview(stream: SweepStream, *, complete: bool = False) -> tuple[Preview | N
     most = min(stream.config.look_scans, _CLOUDS) if is_cloud else stream.config.look_scans
     first: Sweep | None = None
     stamps, places = array("q"), array("d")
-    readings = invalid = 0
+    readings = invalid = stale = 0
+    repeats = Repeats()
     for sweep in islice(stream, None if complete else most):
         first = sweep if first is None else first
         stamps.append(max(-(1 << 62), min(sweep.stamp_ns, (1 << 62) - 1)))
@@ -147,13 +154,14 @@ def preview(stream: SweepStream, *, complete: bool = False) -> tuple[Preview | N
         places.extend((np.nan, np.nan) if pose is None else (pose.x, pose.y))
         readings += len(sweep.planar.ranges)
         invalid += int(np.isnan(sweep.planar.ranges).sum())
+        stale += repeats.stale(sweep)
     if first is None:
         return None, None
-    blank = stream.counts["blank_scans"]
     times = np.array(stamps, dtype=np.int64)
     found = Preview(
         scans=len(times),
-        blank_scans=blank,
+        blank_scans=stream.counts["blank_scans"],
+        stale_scans=stale,
         invalid_share=None if is_cloud else invalid / max(readings, 1),
         spacing=_spacing(times, np.array(places).reshape(-1, 2), stream.config),
         gaps=_gaps(times, stream.config),

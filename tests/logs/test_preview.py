@@ -20,13 +20,17 @@ SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
 
 
-def write(path: Path, times_s: list[float], step_m: float = 0.1) -> None:
-    """Scans at these times, odometry with them; a robot that drives a step each time."""
+def write(path: Path, times_s: list[float], step_m: float = 0.1, hangs: range = range(0)) -> None:
+    """Scans at these times, odometry with them; a robot that drives a step each time.
+
+    Those numbered in `hangs` are the same.
+    """
     with LogWriter(path) as log:
         for n, time_s in enumerate(times_s):
             stamp = START + round(time_s * SECOND)
             log.odometry("/odom", "odom", "laser", stamp, Pose2(n * step_m, 0.0, 0.0))
-            ranges = np.array([2.0, np.nan, np.inf, 3.0])
+            seen = hangs[0] if n in hangs else n
+            ranges = np.array([2.0 + 0.01 * seen, np.nan, np.inf, 3.0])
             if n % 5 == 4:
                 ranges[:] = np.inf
             log.scan("/scan", "laser", stamp, -1.0, 0.5, ranges, range_max=8.0)
@@ -56,6 +60,16 @@ def test_it_tells_the_spacing_and_what_is_blank(tmp_path: Path) -> None:
         "  blank scans, without any return: 2",
         "  readings that are invalid: 20.0 %",
     ]
+
+
+def test_scans_that_a_driver_repeats_while_the_robot_moves_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write(path, [0.2 * n for n in range(10)], hangs=range(5, 9))
+    assert preview_of(path).stale_scans == 3
+    told = "  scans that repeat the one before while the robot moves: 3"
+    assert told in lines_of(path)
+    write(path, [0.2 * n for n in range(10)], step_m=0.0, hangs=range(5, 9))
+    assert preview_of(path).stale_scans == 0
 
 
 @pytest.mark.parametrize(("limit", "sparse"), [(0.25, True), (0.5, False)])
