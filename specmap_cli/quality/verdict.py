@@ -22,6 +22,7 @@ from specmap_cli.quality.placed import (
     refuted,
     walls,
 )
+from specmap_cli.quality.rivals import rival_places
 from specmap_cli.quality.tracked import breaks, lost_scans
 
 Check = Callable[[Evidence, QualityConfig], Iterator[Finding]]
@@ -34,6 +35,7 @@ CHECKS: tuple[Check, ...] = (
     odometry_disagrees,
     loose_parts,
     moved_parts,
+    rival_places,
     refused_layout,
     walls,
     mended,

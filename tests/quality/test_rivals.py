@@ -1,0 +1,77 @@
+"""Refuted closures that agree on another place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import Trajectory
+from specmap_cli.core.settings import QualityConfig
+from specmap_cli.layout.audit import Audit
+from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.relaxation import Layout
+from specmap_cli.quality.evidence import Evidence
+from specmap_cli.quality.rivals import rival_places
+from tests.layout.driving import link
+
+SCANS, BREAK = 60, 30
+POSES: FloatArray = np.array([(k % BREAK, k // BREAK, 0.0) for k in range(SCANS)], dtype=np.float64)
+ELSEWHERE = Pose2(20.0, -3.0, 0.5)  # a motion of the map
+NEARLY = Pose2(0.2, 0.1, 0.02)
+
+
+def claim(older: int, newer: int, motion: Pose2) -> Link:
+    """A refuted closure by which a motion of the map takes keyframe `newer` to its place."""
+    a, b = (Pose2(*POSES[k].tolist()) for k in (older, newer))
+    return link(older, newer, a.inverse() @ motion @ b, kind="closure")
+
+
+def backwards(one: Link) -> Link:
+    """The same claim, from the newer keyframe to the older."""
+    return link(one.target, one.source, one.source_from_target.inverse(), kind="closure")
+
+
+def found(refuted: Sequence[Link], *, odometry: bool = False) -> list[str]:
+    stamps = np.arange(SCANS) * 10**9
+    measured = POSES if odometry else np.full((SCANS, 3), np.nan)
+    evidence = Evidence(
+        trajectory=Trajectory(stamps, POSES, odometry=measured),
+        keyframes_ns=tuple(stamps.tolist()),
+        breaks=(BREAK,),
+        layout=Layout(poses=POSES, dropped=tuple(refuted)),
+        audit=Audit(),
+        beyond=0,
+        warnings=(),
+    )
+    return [finding.message for finding in rival_places(evidence, QualityConfig())]
+
+
+def test_refuted_closures_that_agree_on_another_place_are_told() -> None:
+    agreeing = [claim(3, 40, ELSEWHERE), claim(8, 50, ELSEWHERE @ NEARLY)]
+    (message,) = found([*agreeing, claim(5, 45, Pose2(-9.0, 4.0, 2.0))])
+    assert message.startswith("2 refuted loop closures agree that what follows 30.000 s lies ")
+    at_start = Pose2(*POSES[BREAK].tolist())
+    away = (at_start.inverse() @ ELSEWHERE @ at_start).distance
+    assert f"lies {away:.1f} m elsewhere" in message
+    assert found([backwards(one) for one in agreeing]) == [message]
+
+
+@pytest.mark.parametrize(
+    "refuted",
+    [
+        [claim(3, 40, ELSEWHERE)],
+        [claim(3, 40, ELSEWHERE), claim(8, 50, Pose2(-9.0, 4.0, 2.0))],
+        [claim(3, 40, ELSEWHERE), claim(3, 50, ELSEWHERE)],  # one view, two matches with it
+        [claim(3, 40, NEARLY), claim(8, 50, NEARLY)],  # nearly where it is
+        [claim(3, 10, ELSEWHERE), claim(8, 20, ELSEWHERE)],  # on one side of the break
+    ],
+)
+def test_what_does_not_agree_on_another_place_is_not_told(refuted: list[Link]) -> None:
+    assert found(refuted) == []
+
+
+def test_where_odometry_measured_the_way_closures_do_not_count() -> None:
+    assert found([claim(3, 40, ELSEWHERE), claim(8, 50, ELSEWHERE)], odometry=True) == []
