@@ -116,10 +116,25 @@ class WallCheck:
     def _followed(
         self, before: Place, submap: int, posed: PosedScan, points: FloatArray
     ) -> tuple[float, Place] | None:
-        """What the place in a submap says to which the motion leads; None when it is not known."""
+        """What the place in a submap says to which the motion leads; None when it is not known.
+
+        Where all that was seen of late does not fit, the scan alone may: legs of chairs and tables,
+        which hide behind each other, are in the one and hardly in the map.
+        """
         guess = before.led_to(submap, posed.map_from_base, self.frames)
         if guess is None:
             return None
+        said = self._refined(posed, points, submap, guess)
+        if said[0] >= 0.0:
+            own = posed.base_from_laser.apply(near_returns(posed.planar, self.config.fit_range_m))
+            if len(own) >= _LEAST_POINTS:
+                said = min(said, self._refined(posed, own, submap, guess), key=itemgetter(0))
+        return said
+
+    def _refined(
+        self, posed: PosedScan, points: FloatArray, submap: int, guess: Pose2
+    ) -> tuple[float, Place]:
+        """What the place near a guess says, where points (N, 2) fit best."""
         match = refine(self.field(submap), points, guess)
         return self._said(posed, points, Place(submap, match.pose, posed.map_from_base))
 

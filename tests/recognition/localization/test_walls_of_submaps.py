@@ -98,6 +98,27 @@ def test_a_scan_that_fits_where_motion_leads_is_not_sought_again(
     assert len(searches) == 2
 
 
+def test_a_place_is_kept_where_the_scan_alone_fits(building: Any, searches: list[Any]) -> None:
+    """What was seen of late shows many small things that the map has not; the scan does not."""
+    walls = rooms_of(building)
+    pose = building.path(0, 3)[:1]
+    scan = building.scans(pose)[0]
+    here = posed(scan, Pose2(*pose[0].tolist()))
+    first = walls.unknown(here, scan, [0])
+    assert first is not None
+    assert first < 0.0
+    asked = len(searches)
+    legs = np.arange(len(scan.ranges)) % 2 == 0
+    cluttered = replace(scan, ranges=np.where(legs, 0.6 * scan.ranges, scan.ranges))
+    again = walls.unknown(here, cluttered, [0])
+    assert again is not None
+    assert again < 0.0
+    assert len(searches) == asked
+    neither = walls.unknown(replace(here, planar=cluttered), cluttered, [0])
+    assert neither is not None
+    assert neither > 0.0
+
+
 def test_standing_elsewhere_is_searched_ever_more_rarely(building: Any) -> None:
     walls, field = walls_of(building)
     scan = building.scans(building.path(2, 3)[:1])[0]
