@@ -38,6 +38,7 @@ bench: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.rooms
 	$(BIN)/python -m benchmarks.online
 	$(BIN)/python -m benchmarks.recognition
+	$(BIN)/python -m benchmarks.localizing
 	$(BIN)/python -m benchmarks.reading
 	$(BIN)/python -m benchmarks.resolutions
 

@@ -1,6 +1,7 @@
 """Is a log from this map at all? Own rooms must be recognised, other buildings refused.
 
     OMP_NUM_THREADS=1 python -m benchmarks.unknown [--only tuned reported real] [--quick]
+    python -m benchmarks.unknown --worlds row-1-20 row-2-20 office --views 180
 
 Simulated maps at true poses: one room, two rooms, an office, whole floors, with lasers of 180, 270
 and 360 degrees. In each of them: another tour of the same world by another way and start, the same
@@ -9,7 +10,7 @@ noise alone), and the tours of all other worlds of the list. A column gives the 
 were called known; those of the standing robot and of other buildings are the means over all places
 and buildings, the worst beside it. `tuned` are the worlds that settings were chosen on, `reported`
 others. `real`: the map of a whole real log, built by the program, with its own log and with those
-of the other buildings whose laser sees enough.
+of the other buildings whose laser sees enough. `--worlds` takes others than those of the lists.
 """
 
 from __future__ import annotations
@@ -67,7 +68,12 @@ def main() -> None:
     }
     parser.add_argument("--only", nargs="+", choices=sorted(sections), default=list(sections))
     parser.add_argument("--quick", action="store_true", help="three small worlds, one real log")
+    parser.add_argument("--worlds", nargs="+", help="names of plans, row-COUNT-SEED, office")
+    parser.add_argument("--views", nargs="+", type=float, default=[180.0], help="with --worlds")
     arguments = parser.parse_args()
+    if arguments.worlds:
+        measured("chosen", [(name, view) for name in arguments.worlds for view in arguments.views])
+        return
     for name, run in sections.items():
         if name in arguments.only:
             run(arguments.quick)
@@ -75,13 +81,21 @@ def main() -> None:
 
 
 def simulated(title: str, names: Sequence[str], quick: bool) -> None:
+    chosen = [
+        (name, view)
+        for number, name in enumerate(names[:3] if quick else names)
+        for view in VIEWS_DEG.get(name[:5], ((270.0, 360.0, 180.0)[number % 3],))
+    ]
+    measured(title, chosen)
+
+
+def measured(title: str, chosen: Sequence[tuple[str, float]]) -> None:
+    """A row for each world and field of view in degrees, and one for all of them."""
     print(f"{title:<26} view | own tour, twice the beams | standing, worst | foreign, worst")
-    names = names[:3] if quick else names
-    rows = []
-    for number, name in enumerate(names):
-        for view in VIEWS_DEG.get(name[:5], ((270.0, 360.0, 180.0)[number % 3],)):
-            rows.append(_known(name, view, names))
-            print(f"{name:<26} {view:4.0f} | {_text(rows[-1])}", flush=True)
+    names, rows = list(dict.fromkeys(name for name, _ in chosen)), []
+    for name, view in chosen:
+        rows.append(_known(name, view, names))
+        print(f"{name:<26} {view:4.0f} | {_text(rows[-1])}", flush=True)
     total = [[x for row in rows for x in part(row)] for part in (_own, _standing, _foreign)]
     print(f"{'all':<26}      | {_text(Known(*total))}")
 

@@ -115,8 +115,7 @@ def solve(
 
     Gauss-Newton with a sparse LU factorisation, damped (Levenberg) only when a step does not
     lower the cost; `iterations` steps at the most, until one gains less than the share `settled` of
-    the cost. Deterministic. Every pose must hang on the
-    first by some chain of edges.
+    the cost. Deterministic. Every pose must hang on the first by some chain of edges.
     """
     current = np.array(poses, dtype=np.float64)
     cost, damping, done = _cost(squared(current, edges), edges.width), 0.0, 0

@@ -32,9 +32,9 @@ _TURN_PER_M, _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.15, 0.06, 0.35
 # Of places that fit alike the nearer wins: a metre off costs as much as 1 % of the points.
 _PENALTY_PER_M2, _PENALTY_PER_RAD2 = 0.01, 0.05
 _SIDE = 4.0  # of the field of a place, in ranges: stray points beyond it cost no memory
-# Error of the best match: a cell's side over the root of 12, and what people and furniture moved.
 _WINDOW_M2 = SPREAD_M**2 / 3  # variance of a window that fits all over
 _OPEN_M2 = 2.0**2  # of a place along a corridor that shows nothing: the wall is still that wall
+# Error of the best match: a cell's side over the root of 12, and what people and furniture moved.
 _FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from specmap_cli.core.findings import Finding
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.settings import QualityConfig
 from specmap_cli.core.text import counted
 from specmap_cli.layout.pose_graph import Link
@@ -64,7 +64,7 @@ def _largest_agreement(
 
     What moves it no farther than `moved_m` is no other place. Links of one keyframe count once.
     """
-    best, motion = 0, Pose2(0.0, 0.0, 0.0)
+    best, motion = 0, IDENTITY
     for one in links:
         correction = _correction(one, poses)
         newer = poses[max(one.source, one.target)]
