@@ -13,9 +13,10 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
-from benchmarks.speed import measure
+from benchmarks.processes import measure
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import SimulationOptions
@@ -32,8 +33,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="the laser of 180 beams only")
     quick = parser.parse_args().quick
+    table(dict(list(LASERS.items())[:1] if quick else LASERS))
+
+
+def table(lasers: Mapping[int, float]) -> None:
+    """Print a row for each laser: its beams, and degrees of view."""
     print(f"{'':12}{'start s':>9}" + "".join(f"{mode:>18}" for mode in MODES) + "   scans a second")
-    for beams in list(LASERS)[:1] if quick else LASERS:
+    for beams in lasers:
         with tempfile.TemporaryDirectory() as name:
             print(f"{beams:5} beams " + _row(Path(name), beams), flush=True)
 

@@ -1,167 +1,140 @@
-"""`specmap build` against `kiss_icp_pipeline` on the same scans, whole processes, in one run.
+"""What specmap costs: against `kiss_icp_pipeline` in the same run, and as a log grows.
 
-python -m benchmarks.speed [--repeats 2]
+    SPECMAP_DATA=... python -m benchmarks.speed [--only pairs growth stages localize plan]
+                                                [--repeats 2] [--plays 1 2 4 8]
 
-KISS-ICP gets the scans as PointCloud2, with the same range and voxel size. Absolute times wander on
-shared machines, so that the figures to read are the ratio of the fastest runs, the peak memory, and
-the peak memory on the same log played twice.
+`pairs`: `specmap build` and `kiss_icp_pipeline` on the same scans, whole processes, with the same
+range and voxel size; the planar log as it is, KISS-ICP reading its returns as PointCloud2, and the
+3D log as a rosbag2 for both. Absolute times wander on shared machines: the figures to read are the
+ratios of the fastest runs. `growth`: fr079 played several times over, processor time and memory
+against one play. `stages`: seconds of each stage of one build. `localize`: scans a second of
+processor time. `plan`: the segmentation of a floor plan against two OpenCV passes over it.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
-import sys
 import tempfile
-import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
-
+from benchmarks import localizing, rooms
 from benchmarks.data import log_file
-from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.settings import Config
-from specmap_cli.logs import open_log
-from specmap_cli.logs.stream import SweepStream
-from specmap_cli.logs.writer import LogWriter
+from benchmarks.processes import SCRIPTS, Cost, measure
+from benchmarks.replays import write_clouds, write_plays
+from specmap_cli.core.config import load_config
+from specmap_cli.core.settings import RegistrationConfig
 
-_SAMPLED_EVERY_S = 0.05
-SCRIPTS = Path(sys.executable).parent
-
-
-class Cost(NamedTuple):
-    """What a command took: wall and processor seconds, and megabytes at the peak.
-
-    `memory_mb` is the resident memory of its largest process; `together_mb` the memory of all its
-    processes at once, pages they share counted once.
-    """
-
-    wall_s: float
-    processor_s: float
-    memory_mb: float
-    together_mb: float
-
-
-def measure(command: list[str], folder: Path, **settings: str) -> Cost:
-    """Run a process to its end; it must succeed."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **settings}
-    start = time.perf_counter()
-    with open(os.devnull, "wb") as null:
-        process = subprocess.Popen(
-            command, cwd=folder, env=environment, stdout=null, stderr=subprocess.STDOUT
-        )
-        ended, together = 0, 0.0
-        while not ended:
-            together = max(together, proportional_mb(process.pid))
-            time.sleep(_SAMPLED_EVERY_S)
-            ended, status, usage = os.wait4(process.pid, os.WNOHANG)
-    seconds = time.perf_counter() - start
-    if status != 0:
-        raise SystemExit(f"failed with status {status}: {' '.join(command)}")
-    return Cost(seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0, together)
-
-
-def proportional_mb(pid: int) -> float:
-    """Memory of a process and its children now, pages they share counted once."""
-    total = 0.0
-    try:
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
-        for process in (str(pid), *children):
-            lines = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii").splitlines()
-            total += sum(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
-    except (FileNotFoundError, ProcessLookupError):  # one has just ended
-        return 0.0
-    return total / 1024.0
-
-
-def write_clouds(log: Path, out: Path, max_range: float) -> int:
-    """The returns of every planar scan as PointCloud2 messages."""
-    count = 0
-    with open_log([log]) as source, LogWriter(out) as writer:
-        for sweep in SweepStream(source, Config().log):
-            hits = sweep.planar.hits(max_range)
-            points = np.column_stack([hits, np.zeros(len(hits))]).astype(np.float32)
-            writer.cloud("/points", "laser", sweep.stamp_ns, points)
-            count += 1
-    return count
-
-
-def write_twice(log: Path, out: Path) -> None:
-    """The same log played twice, the stamps of the second time shifted behind the first."""
-    with open_log([log]) as source, LogWriter(out) as writer:
-        start = source.contents.start_ns
-        mounting = Pose2.from_matrix(SweepStream(source, Config().log).selection.base_from_laser)
-        writer.static_transform(
-            "base_link",
-            "laser",
-            (mounting.x, mounting.y, 0.0),
-            (0.0, 0.0, float(np.sin(mounting.theta / 2)), float(np.cos(mounting.theta / 2))),
-            0,
-        )
-        shift, last = 0, 0
-        for _ in range(2):
-            for sweep in SweepStream(source, Config().log):
-                stamp, planar = sweep.stamp_ns + shift, sweep.planar
-                writer.scan(
-                    "/scan",
-                    "laser",
-                    stamp,
-                    float(planar.bearings[0]),
-                    float(planar.bearings[1] - planar.bearings[0]),
-                    planar.ranges,
-                    range_max=planar.range_max,
-                )
-                if sweep.odom_from_base is not None:
-                    writer.odometry("/odom", "odom", "base_link", stamp, sweep.odom_from_base)
-                last = sweep.stamp_ns
-            shift = last + 10**9 - start
+FLOOR_PLAN = "lab_intel"
+BUILD = [str(SCRIPTS / "specmap"), "build", "--overwrite", "-q"]
+HEADING = f"{'':26} {'wall s':>8} {'cpu s':>8} {'largest MB':>10} {'together':>8}"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=2)
-    repeats = parser.parse_args().repeats
-    log = log_file("fr079")
-    registration = Config().registration
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    sections = {
+        "pairs": pairs,
+        "growth": growth,
+        "stages": stages,
+        "localize": localize,
+        "plan": floor_plan,
+    }
+    parser.add_argument("--only", nargs="+", choices=list(sections), default=list(sections))
+    parser.add_argument("--repeats", type=int, default=2, help="runs of each pair")
+    parser.add_argument("--plays", type=int, nargs="+", default=[1, 2, 4, 8])
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        clouds, twice = folder / "points.mcap", folder / "twice.mcap"
-        scans = write_clouds(log, clouds, registration.max_range_m)
-        write_twice(log, twice)
-        same = {
-            "kiss_icp_out_dir": str(folder / "kiss"),
-            "kiss_icp_data": json.dumps(
-                {"max_range": registration.max_range_m, "min_range": 0.0, "deskew": False}
-            ),
-            "kiss_icp_mapping": json.dumps({"voxel_size": registration.voxel_m}),
-        }
-        build = [str(SCRIPTS / "specmap"), "build", str(log.resolve()), "--overwrite", "-o"]
-        kiss = [str(SCRIPTS / "kiss_icp_pipeline"), str(clouds), "--dataloader", "rosbag"]
-        kiss += ["--topic", "/points"]
-        ours = [measure([*build, str(folder / "map")], folder) for _ in range(repeats)]
-        theirs = [measure(kiss, folder, **same) for _ in range(repeats)]
-        double = measure(
-            [str(SCRIPTS / "specmap"), "build", str(twice), "-o", str(folder / "map2")], folder
-        )
-    mine, other = min(ours), min(theirs)
-    print(f"fr079, {scans:,} scans, whole process, fastest of {repeats}")
-    print(f"{'':20} {'wall s':>8} {'cpu s':>8} {'peak MB':>8} {'together':>8}")
-    for name, cost in (
-        ("specmap build", mine),
-        ("kiss_icp_pipeline", other),
-        ("build, log twice", double),
-    ):
-        print(
-            f"{name:20} {cost.wall_s:8.1f} {cost.processor_s:8.1f} "
-            f"{cost.memory_mb:8.0f} {cost.together_mb:8.0f}"
-        )
+        for section in arguments.only:
+            sections[section](Path(name), arguments)
+            print(flush=True)
+
+
+def pairs(folder: Path, arguments: argparse.Namespace) -> None:
+    """Whole builds against bare odometry."""
+    settings = RegistrationConfig()
+    clouds = folder / "points.mcap"
+    scans = write_clouds(log_file("fr079"), clouds, settings.max_range_m)
+    build = [*BUILD, str(log_file("fr079").resolve()), "-o", "map"]
+    ours = [measure(build, folder) for _ in range(arguments.repeats)]
+    theirs = [
+        kiss_icp(clouds, folder, settings.max_range_m, settings.voxel_m)
+        for _ in range(arguments.repeats)
+    ]
+    print(f"fr079, {scans:,} scans, whole processes, fastest of {arguments.repeats}")
+    _pair(ours, theirs)
+
+
+def _pair(ours: Sequence[Cost], theirs: Sequence[Cost]) -> None:
+    mine, other = _fastest(ours), _fastest(theirs)
+    print(f"{HEADING}\n{_row('specmap build', mine)}\n{_row('kiss_icp_pipeline', other)}")
     print(
         f"build / KISS-ICP: wall {mine.wall_s / other.wall_s:.2f}, "
-        f"cpu {mine.processor_s / other.processor_s:.2f}; "
-        f"memory twice / once {double.together_mb / mine.together_mb:.2f}"
+        f"cpu {mine.processor_s / other.processor_s:.2f}"
+    )
+
+
+def kiss_icp(clouds: Path, folder: Path, range_m: float, voxel_m: float) -> Cost:
+    """`kiss_icp_pipeline` on a recording of clouds on /points that are no sweeps in motion."""
+    data = {"max_range": range_m, "min_range": 0.0, "deskew": False}
+    command = [str(SCRIPTS / "kiss_icp_pipeline"), str(clouds), "--dataloader", "rosbag"]
+    return measure(
+        [*command, "--topic", "/points"],
+        folder,
+        kiss_icp_out_dir=str(folder / "kiss"),
+        kiss_icp_data=json.dumps(data),
+        kiss_icp_mapping=json.dumps({"voxel_size": voxel_m}),
+    )
+
+
+def growth(folder: Path, arguments: argparse.Namespace) -> None:
+    """The same building for longer: what costs more than so many times one play is waste."""
+    print(f"fr079 played over and over\n{HEADING}   against one play: cpu, memory")
+    first: Cost | None = None
+    for plays in arguments.plays:
+        log = folder / f"plays{plays}.mcap"
+        scans = write_plays(log_file("fr079"), log, plays)
+        cost = measure([*BUILD, log.name, "-o", "map"], folder)
+        log.unlink()
+        first = first or cost
+        times, more = cost.processor_s / first.processor_s, cost.together_mb / first.together_mb
+        title = f"{plays} x, {scans:,} scans"
+        print(f"{_row(title, cost)}   {times:.2f}, {more:.2f}", flush=True)
+
+
+def stages(folder: Path, _: argparse.Namespace) -> None:
+    """Seconds of each stage, as run.json tells them; registration runs beside the others."""
+    measure([*BUILD, str(log_file("fr079").resolve()), "-o", "map"], folder)
+    seconds = json.loads((folder / "map" / "run.json").read_text(encoding="utf-8"))["seconds"]
+    print("fr079, wall seconds of each stage")
+    print(", ".join(f"{name} {value:.2f}" for name, value in seconds.items()))
+
+
+def localize(_: Path, __: argparse.Namespace) -> None:
+    """Scans a second, and the start."""
+    localizing.table(localizing.LASERS)
+
+
+def floor_plan(_: Path, __: argparse.Namespace) -> None:
+    """A finished map divided into rooms."""
+    row = rooms.measure(FLOOR_PLAN, "plain", load_config().segmentation)
+    print(f"segmentation of {FLOOR_PLAN}: {row.seconds:.2f} s, {row.ratio:.1f} x two OpenCV passes")
+
+
+def _fastest(costs: Sequence[Cost]) -> Cost:
+    """The least wall and processor time of several runs, each by itself, and the most memory."""
+    return Cost(
+        wall_s=min(cost.wall_s for cost in costs),
+        processor_s=min(cost.processor_s for cost in costs),
+        memory_mb=max(cost.memory_mb for cost in costs),
+        together_mb=max(cost.together_mb for cost in costs),
+    )
+
+
+def _row(title: str, cost: Cost) -> str:
+    return (
+        f"{title:26} {cost.wall_s:8.1f} {cost.processor_s:8.1f} "
+        f"{cost.memory_mb:10.0f} {cost.together_mb:8.0f}"
     )
 
 

@@ -1,0 +1,180 @@
+"""Buildings of 50, 150 and 300 rooms: what a map costs, and how right it is, against its size.
+
+    SPECMAP_DATA=... python -m benchmarks.scale [--rooms 50 150 300]
+
+The floor plans of $SPECMAP_DATA/rooms stand side by side, joined by corridors to those next to
+them; where there are more rooms to have than plans, mirrored ones follow. A robot with odometry
+tours the building once. `specmap build` makes the map, `specmap localize` labels another tour of
+200 s. Costs are of processor time; a label is right when a keyframe of that submap was taken within
+a metre of the scan.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from benchmarks.data import RESOLUTION_M, plan, rooms_of
+from benchmarks.processes import SCRIPTS, measure
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.evaluation.rooms import map_scores
+from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.maps.store import read_map
+from specmap_cli.pipelines.simulate import simulate
+from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.simulator import SimulationOptions
+from specmap_cli.simulation.tours import reachable_space
+from specmap_cli.simulation.worlds import World
+
+PLANS = (
+    *("Freiburg52_scan", "Freiburg79_scan", "lab_c_scan", "lab_intel", "office_a", "office_h"),
+    *("office_e", "office_c", "lab_a_scan", "NLB"),
+)
+_GAP = 30  # cells between two plans, at the least
+_CORRIDOR = 25  # cells
+_JOINTS = 2  # corridors from a plan to those before it: there are ways round
+_NEAR_M = 1.0
+_TOUR = {"beams": 361, "rate_hz": 4.0, "speed_mps": 0.8, "spacing_m": 3.0}
+_AGAIN_S = 200.0
+
+
+@dataclass(frozen=True, slots=True)
+class Building:
+    """A plan and its rooms."""
+
+    plan: GridMap
+    rooms: RoomTruth
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--rooms", type=int, nargs="+", default=[50, 150, 300])
+    print(
+        "rooms    m2  scans   way m | cpu ms a scan, against the first, together MB | "
+        "submaps  whole <=2  doors  invented  purity  ATE m | localized right, scans/s"
+    )
+    first = 0.0
+    for count in parser.parse_args().rooms:
+        with tempfile.TemporaryDirectory() as name:
+            first = _row(building(count), Path(name), first)
+
+
+def _row(made: Building, folder: Path, first_ms: float) -> float:
+    """Print the row of one building; milliseconds a scan of the first one."""
+    tour = simulate(made.plan, SimulationOptions(**_TOUR, seed=1), folder / "tour.mcap")
+    specmap = str(SCRIPTS / "specmap")
+    cost = measure([specmap, "build", tour.log.name, "-o", "map", "-q"], folder)
+    each_ms = 1000.0 * cost.processor_s / tour.scans
+    print(
+        f"{made.rooms.count:5} {tour.area_m2:5.0f} {tour.scans:6} {tour.distance_m:7.0f} | "
+        f"{each_ms:13.2f} {each_ms / (first_ms or each_ms):18.2f} {cost.together_mb:12.0f} | "
+        f"{_scores(made.rooms, folder)} | {_localized(made.plan, folder)}",
+        flush=True,
+    )
+    return first_ms or each_ms
+
+
+def _scores(rooms: RoomTruth, folder: Path) -> str:
+    stored, true = read_map(folder / "map"), read_tum(folder / "tour.tum")
+    labelled, row = associate(true.stamps_ns, stored.labels.stamps_ns)
+    found = map_scores(rooms, true.poses[row], stored.labels.submaps[labelled])
+    error = reference_errors(read_tum(folder / "map" / "trajectory.tum"), true)
+    return (
+        f"{len(stored.ids):7} {found.whole:10.2f}  {found.found}/{found.doors} "
+        f"{found.invented:9} {found.purity:7.3f} {error.ate_m:6.3f}"
+    )
+
+
+def _localized(world: GridMap, folder: Path) -> str:
+    """The share of right labels on another tour, and scans a second."""
+    options = SimulationOptions(**_TOUR, seed=2, max_duration_s=_AGAIN_S)
+    again = simulate(world, options, folder / "again.mcap")
+    specmap = str(SCRIPTS / "specmap")
+    command = [specmap, "localize", again.log.name, "--map", "map", "-o", "labels.csv"]
+    cost = measure(command, folder)
+    names = np.genfromtxt(folder / "labels.csv", delimiter=",", names=True, dtype=None)
+    labels = np.array(names["filtered_submap"], dtype=np.float64)
+    right = np.mean(list(_right(labels, read_tum(again.truth).poses, folder)))
+    return f"{right:15.3f} {again.scans / cost.processor_s:8.0f}"
+
+
+def _right(labels: FloatArray, places: FloatArray, folder: Path) -> Iterator[bool]:
+    """Whether each label (n,), NaN where unknown, is that of a keyframe near its true place."""
+    stored, true = read_map(folder / "map"), read_tum(folder / "tour.tum")
+    labelled, row = associate(true.stamps_ns, stored.labels.stamps_ns)
+    submaps = stored.labels.submaps[labelled]
+    near = cKDTree(true.poses[row, :2]).query_ball_point(places[:, :2], _NEAR_M)
+    for label, keyframes in zip(labels, near, strict=True):
+        yield bool(np.isin(label, submaps[keyframes]))
+
+
+def building(count: int) -> Building:
+    """The first plans that have `count` rooms together, or about as many."""
+    return joined(list(_tiles(count)))
+
+
+def _tiles(count: int) -> Iterator[Building]:
+    """Plans until their rooms are as many as wanted, give or take half of the last one's."""
+    rooms, number = 0, 0
+    while True:
+        name, mirrored = PLANS[number % len(PLANS)], number // len(PLANS) % 2 == 1
+        turn = slice(None, None, -1 if mirrored else 1)
+        cells, truth = plan(name).cells[:, turn], rooms_of(name).labels[:, turn]
+        if rooms + int(truth.max()) // 2 > count:
+            return
+        yield Building(GridMap(cells, RESOLUTION_M), RoomTruth(truth, RESOLUTION_M))
+        rooms, number = rooms + int(truth.max()), number + 1
+
+
+def joined(tiles: Sequence[Building]) -> Building:
+    """Plans in rows, each joined by corridors to those before it that are nearest."""
+    corners, shape = _places([tile.plan.cells.shape for tile in tiles])
+    cells = np.full(shape, OCCUPIED, dtype=np.uint8)
+    rooms = np.zeros(shape, dtype=np.int32)
+    grounds: list[FloatArray] = []
+    for tile, (row, column) in zip(tiles, corners, strict=True):
+        height, width = tile.plan.cells.shape
+        part = np.s_[row : row + height, column : column + width]
+        cells[part] = np.where(tile.plan.free, FREE, OCCUPIED)
+        rooms[part] = np.where(tile.rooms.labels, tile.rooms.labels + rooms.max(), 0)
+        space = reachable_space(World.of(tile.plan), 0.25, 0.8).points
+        grounds.append(np.rint(space / RESOLUTION_M) + (column, row))
+        for a, b in _joints(grounds):
+            cv2.line(cells, a, b, FREE, _CORRIDOR)
+    return Building(GridMap(cells, RESOLUTION_M), RoomTruth(rooms, RESOLUTION_M))
+
+
+def _places(shapes: Sequence[tuple[int, ...]]) -> tuple[list[tuple[int, int]], tuple[int, int]]:
+    """Lower left cells of plans set in rows of about the width of the whole, and its shape."""
+    wide = int(np.sqrt(sum((h + _GAP) * (w + _GAP) for h, w in shapes)))
+    corners, row, column, tall, width = [], _GAP, _GAP, 0, 0
+    for h, w in shapes:
+        if column > wide:
+            row, column, tall = row + tall + _GAP, _GAP, 0
+        corners.append((row, column))
+        column, tall, width = column + w + _GAP, max(tall, h), max(width, column + w + _GAP)
+    return corners, (row + tall + _GAP, width)
+
+
+def _joints(grounds: Sequence[FloatArray]) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+    """Nearest cells (x, y) of the last plan's ground and those of the plans next to it."""
+    new, pairs = grounds[-1], []
+    for old in grounds[:-1]:
+        distances, nearest = cKDTree(old).query(new)
+        at = int(distances.argmin())
+        a, b = new[at].astype(int).tolist(), old[int(nearest[at])].astype(int).tolist()
+        pairs.append((float(distances[at]), (a[0], a[1]), (b[0], b[1])))
+    for _, a, b in sorted(pairs)[:_JOINTS]:
+        yield a, b
+
+
+if __name__ == "__main__":
+    main()
