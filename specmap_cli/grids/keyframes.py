@@ -18,12 +18,13 @@ from typing import IO
 import numpy as np
 
 from specmap_cli.core.files import temporary_files
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, compose
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, KeyframeConfig
 from specmap_cli.core.tracks import moved
 from specmap_cli.grids.occupancy import OccupancyGrid
 
+_AT_ONCE = 32  # keyframes read and integrated in one go: bounds the memory, and fits a cache
 _READING = np.dtype(np.float32)  # a bearing or a range on disk: good to a micrometre in 10 m
 
 
@@ -53,10 +54,11 @@ def integrate_keyframes(
     `refused` of the result counts the scans that reach beyond the largest grid allowed.
     """
     grid = OccupancyGrid(config)
-    for number, pose in zip(numbers, poses, strict=True):
-        grid_from_base = Pose2(*pose.tolist())
-        grid.integrate(store.scan(number), grid_from_base @ store.base_from_laser(number))
-        grid.mark_free_disc(grid_from_base.x, grid_from_base.y, config.footprint_m)
+    taken = list(zip(numbers, poses, strict=True))
+    for first in range(0, len(taken), _AT_ONCE):
+        some, at = zip(*taken[first : first + _AT_ONCE], strict=True)
+        lasers = compose(np.array(at), np.array([store.base_from_laser(k) for k in some]))
+        grid.integrate_all([store.scan(k) for k in some], lasers, np.array(at))
     return grid
 
 

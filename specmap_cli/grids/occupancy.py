@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -12,11 +13,11 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
+from specmap_cli.grids.evidence import SUBPIXEL_BITS, Cell, Fan, fans_of, footprints_of
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 
-_Cell = tuple[int, int]  # column and row
-
-_SUBPIXEL_BITS = 4  # OpenCV draws on a lattice of 1/16 cell, finer than a laser's noise
+_FREE, _OCCUPIED, _UNKNOWN = (np.uint8(state) for state in (FREE, OCCUPIED, UNKNOWN))
+_ONCE = np.float32(1.0)
 _GROWTH_CELLS = 128  # added on a side that grows: some 6 m at once, so that it seldom does
 
 
@@ -40,74 +41,78 @@ class OccupancyGrid:
 
     def integrate(self, scan: PlanarScan, grid_from_laser: Pose2) -> None:
         """Add one scan taken at `grid_from_laser`: each cell counts once a scan at the most."""
-        beams = np.flatnonzero(np.isfinite(scan.ranges) & (scan.ranges > 0.0))
-        if not len(beams):
-            return
-        ranges = scan.ranges[beams]
-        x, y = self._ends(scan.bearings[beams], ranges, grid_from_laser)
-        start = grid_from_laser.x / self.resolution, grid_from_laser.y / self.resolution
-        low = math.floor(min(x.min(), start[0])) - 1, math.floor(min(y.min(), start[1])) - 1
-        high = math.floor(max(x.max(), start[0])) + 2, math.floor(max(y.max(), start[1])) + 2
-        if not self._cover(low, high):
-            self.refused += 1
-            return
-        x, y, start = x - low[0], y - low[1], (start[0] - low[0], start[1] - low[1])
-        passed = np.zeros((high[1] - low[1], high[0] - low[0]), dtype=np.uint8)
-        _carve(passed, start, x, y, self._surfaces(beams, x, y))
-        hit = ranges <= self.config.max_range_m
-        columns, rows = x[hit].astype(np.intp), y[hit].astype(np.intp)
-        passed[rows, columns] = 0
-        window = self._window(low, high)
-        cv2.accumulate(passed, self._misses[window])
-        hits = self._hits[window]
-        hits[rows, columns] += 1  # once for a cell that several beams hit
+        for fan in fans_of([scan], np.array([grid_from_laser]), self.config):
+            self._add(fan)
+
+    def integrate_all(
+        self, scans: Sequence[PlanarScan], grid_from_laser: FloatArray, grid_from_base: FloatArray
+    ) -> None:
+        """Add scans taken at `grid_from_laser` (n, 3) by a robot at `grid_from_base` (n, 3).
+
+        The same as to integrate each in turn and to mark the footprint of the settings there, but
+        quicker: for some dozens of scans at once, as these are held in memory.
+        """
+        discs = footprints_of(grid_from_base, self.config.footprint_m, self.resolution)
+        stood = []
+        for number, fan in enumerate(fans_of(scans, grid_from_laser, self.config)):
+            self._add(fan)
+            stood.append(self._cover(discs.low[number], discs.high[number]))
+        self._pass_through(*discs.cells(stood))
 
     def mark_free_disc(self, x: float, y: float, radius: float) -> None:
         """Count the robot's own footprint, `radius` metres round (x, y), as passed through.
 
         Nothing is counted where the grid may not grow to hold it.
         """
-        column, row, reach = x / self.resolution, y / self.resolution, radius / self.resolution
-        low = math.floor(column - reach), math.floor(row - reach)
-        high = math.floor(column + reach) + 1, math.floor(row + reach) + 1
-        if not self._cover(low, high):
-            return
-        columns = np.arange(low[0], high[0]) + 0.5 - column
-        rows = np.arange(low[1], high[1]) + 0.5 - row
-        disc = (rows * rows)[:, None] + columns * columns <= reach * reach
-        self._misses[self._window(low, high)] += disc
+        disc = footprints_of(np.array([[x, y]]), radius, self.resolution)
+        self._pass_through(*disc.cells([self._cover(disc.low[0], disc.high[0])]))
 
     def snapshot(self) -> GridMap:
         """The trinary grid as it stands."""
-        seen = self._hits + self._misses
-        cells = np.full(seen.shape, UNKNOWN, dtype=np.uint8)
-        cells[seen > 0] = FREE
-        cells[(self._hits > 0) & (self._hits >= self.config.occupied_share * seen)] = OCCUPIED
-        origin = (self._corner[0] * self.resolution, self._corner[1] * self.resolution)
-        return GridMap(cells, self.resolution, origin)
+        return self._picture(slice(0, self._hits.shape[0]), slice(0, self._hits.shape[1]))
 
-    def _ends(
-        self, bearings: FloatArray, ranges: FloatArray, grid_from_laser: Pose2
-    ) -> tuple[FloatArray, FloatArray]:
-        """Where the beams end, in cells: (N,) columns and (N,) rows with their fractions."""
-        bearings = bearings + grid_from_laser.theta
-        ranges = np.minimum(ranges, self.config.max_range_m)
-        x = (np.cos(bearings) * ranges + grid_from_laser.x) / self.resolution
-        y = (np.sin(bearings) * ranges + grid_from_laser.y) / self.resolution
-        return x, y
+    def _add(self, fan: Fan | None) -> None:
+        """Count what one scan proves, if it proves anything and the grid may grow to hold it."""
+        if fan is None:
+            return
+        if not self._cover(fan.low, fan.high):
+            self.refused += 1
+            return
+        (left, bottom), (right, top) = fan.low, fan.high
+        passed = np.zeros((top - bottom, right - left), dtype=np.uint8)
+        cv2.fillPoly(passed, [fan.star], 1, cv2.LINE_8, SUBPIXEL_BITS)
+        passed[fan.rows, fan.columns] = 0
+        rows, columns = self._window(fan.low, fan.high)
+        cv2.accumulate(passed, self._misses[rows, columns])
+        cells = self._flat(fan.rows + rows.start, fan.columns + columns.start)
+        self._hits.reshape(-1)[cells] += 1  # once for a cell that several beams hit
 
-    def _surfaces(self, beams: NDArray[np.intp], x: FloatArray, y: FloatArray) -> NDArray[np.intp]:
-        """Numbers of the ends at which another surface begins than that of the beam before."""
-        gap = self.config.surface_gap_m / self.resolution
-        same = beams[1:] - beams[:-1] == 1
-        same &= (x[1:] - x[:-1]) ** 2 + (y[1:] - y[:-1]) ** 2 <= gap * gap
-        return np.concatenate([[0], np.flatnonzero(~same) + 1])
+    def _pass_through(self, columns: NDArray[np.intp], rows: NDArray[np.intp]) -> None:
+        """Count cells (m,), which the grid holds, as passed through, each as often as it comes."""
+        column, row = self._corner
+        np.add.at(self._misses.reshape(-1), self._flat(rows - row, columns - column), _ONCE)
 
-    def _window(self, low: _Cell, high: _Cell) -> tuple[slice, slice]:
+    def _flat(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Numbers (m,) of the elements in some rows and columns (m,), row after row."""
+        return np.asarray(rows * self._hits.shape[1] + columns)
+
+    def _picture(self, rows: slice, columns: slice) -> GridMap:
+        """The trinary grid in some rows and columns."""
+        hits, misses = self._hits[rows, columns], self._misses[rows, columns]
+        cells = np.where(misses > 0, _FREE, _UNKNOWN)
+        hit = np.nonzero(hits)
+        seen = hits[hit] + misses[hit].astype(np.float64)
+        occupied = hits[hit] >= self.config.occupied_share * seen
+        cells[hit] = np.where(occupied, _OCCUPIED, _FREE)
+        column, row = self._corner
+        corner = (column + columns.start) * self.resolution, (row + rows.start) * self.resolution
+        return GridMap(cells, self.resolution, corner)
+
+    def _window(self, low: Cell, high: Cell) -> tuple[slice, slice]:
         column, row = self._corner
         return slice(low[1] - row, high[1] - row), slice(low[0] - column, high[0] - column)
 
-    def _cover(self, low: _Cell, high: _Cell) -> bool:
+    def _cover(self, low: Cell, high: Cell) -> bool:
         """Grow to hold cells low..high; False when that would pass the size limit."""
         rows, columns = self._hits.shape
         corner = self._corner
@@ -146,25 +151,3 @@ class OccupancyGrid:
             misses[dy : dy + rows, dx : dx + columns] = self._misses
         self._hits, self._misses = hits, misses
         self._corner = (int(low[0]), int(low[1]))
-
-
-def _carve(
-    picture: CellArray,
-    start: tuple[float, float],
-    x: FloatArray,
-    y: FloatArray,
-    surfaces: NDArray[np.intp],
-) -> None:
-    """Set 1 where a beam passed: along it, and between two that met one surface.
-
-    The star goes from the laser along each surface and back; the beams come in ascending order.
-    """
-    scale = 1 << _SUBPIXEL_BITS
-    # the laser before the first end of each surface
-    places = np.arange(len(x)) + np.cumsum(np.bincount(surfaces, minlength=len(x)))
-    star = np.empty((len(x) + len(surfaces), 2))
-    star[:] = start
-    star[places, 0], star[places, 1] = x, y
-    # cv2 counts pixel centres at whole numbers, the grid counts cell corners there
-    fixed = np.round((star - 0.5) * scale).astype(np.int32)
-    cv2.fillPoly(picture, [fixed], 1, cv2.LINE_8, _SUBPIXEL_BITS)

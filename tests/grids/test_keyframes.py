@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angle
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, KeyframeConfig
+from specmap_cli.grids import keyframes
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid
 from tests.strategies import planar_scans, poses
@@ -274,3 +275,15 @@ def test_a_grid_says_how_many_keyframes_it_had_to_refuse() -> None:
         assert integrate_keyframes(store, [0, 1, 3], store.poses[[0, 1, 3]], config).refused == 0
         with pytest.raises(ValueError, match="zip"):
             integrate_keyframes(store, [0, 1], store.poses, config)
+
+
+def test_a_grid_of_more_keyframes_than_are_read_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = GridConfig(resolution_m=0.1)
+    with KeyframeStore() as store:
+        for number in range(7):
+            store.append(replace(at(0.3 * number), planar=scan_of(number + 1)))
+        whole = integrate_keyframes(store, range(7), store.poses, config).snapshot()
+        monkeypatch.setattr(keyframes, "_AT_ONCE", 3)
+        parts = integrate_keyframes(store, range(7), store.poses, config).snapshot()
+    np.testing.assert_array_equal(whole.cells, parts.cells)
+    assert whole.origin == parts.origin

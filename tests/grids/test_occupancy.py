@@ -254,3 +254,24 @@ def test_a_snapshot_does_not_change_with_what_comes_after_it() -> None:
     grid.integrate(one_beam(0.0, 1.0), IDENTITY)
     grid.integrate(one_beam(1.5, 3.0), IDENTITY)
     np.testing.assert_array_equal(before.cells, cells)
+
+
+@given(
+    st.lists(st.tuples(planar_scans(beams=24), poses, st.booleans()), min_size=1, max_size=6),
+    st.sampled_from([1000.0, 12.0]),
+)
+def test_scans_taken_in_at_once_are_those_taken_one_by_one(
+    taken: list[tuple[PlanarScan, Pose2, bool]], extent: float
+) -> None:
+    config = GridConfig(resolution_m=CELL, footprint_m=0.2, max_extent_m=extent)
+    nothing = PlanarScan(0, np.zeros(0), np.zeros(0), 20.0, False)
+    scans = [scan if seen else nothing for scan, _, seen in taken]
+    lasers = [Pose2(0.1, 0.05, 0.3) @ pose for _, pose, _ in taken]
+    together, in_turn = OccupancyGrid(config), OccupancyGrid(config)
+    together.integrate_all(scans, np.array(lasers), np.array([pose for _, pose, _ in taken]))
+    for scan, laser, (_, base, _) in zip(scans, lasers, taken, strict=True):
+        in_turn.integrate(scan, laser)
+        in_turn.mark_free_disc(base.x, base.y, config.footprint_m)
+    assert together.refused == in_turn.refused
+    assert together.snapshot().origin == in_turn.snapshot().origin
+    np.testing.assert_array_equal(together.snapshot().cells, in_turn.snapshot().cells)
