@@ -284,9 +284,6 @@ class SegmentationConfig(_Section):
     )
     region_min_m: float = Field(1.0, ge=0, description="shortest way that is split off or goes on")
     regrow: bool = Field(True, description="a region the robot comes straight back to goes on")
-    regrow_keyframes: int = Field(
-        150, ge=10, description="of both pieces, mapped to see whether they are one region"
-    )
     final_regions: bool = Field(True, description="submaps end where the finished map's do")
 
 

@@ -80,6 +80,11 @@ class GridMap:
         corner = (x + left * self.resolution, y + low * self.resolution)
         return GridMap(self.cells[rows, columns].copy(), self.resolution, corner)
 
+    def near(self, points: FloatArray, reach_m: float) -> GridMap:
+        """The part of the map within `reach_m` of the box round some points (n, 2 or more)."""
+        shape = self.cells.shape
+        return self.window(*slices_near(points, reach_m, self.origin, self.resolution, shape))
+
     def obstacle_distance(self) -> FloatArray:
         """(H, W) metres from a cell's centre to the nearest occupied one's.
 
@@ -93,6 +98,23 @@ class GridMap:
         """(H, W) metres from each free cell's centre to the nearest cell that is not free."""
         padded = np.pad(self.free.astype(np.uint8), 1)
         return cell_distances(padded)[1:-1, 1:-1] * self.resolution
+
+
+def slices_near(
+    points: FloatArray,
+    reach_m: float,
+    origin: tuple[float, float],
+    resolution: float,
+    shape: tuple[int, ...],
+) -> tuple[slice, slice]:
+    """Rows and columns of a grid that lie within `reach_m` of the box round points (n, 2 or more).
+
+    The grid is of `shape` and begins at `origin`; of rows or columns off it nothing is left.
+    """
+    low, high = points[:, :2].min(axis=0) - reach_m, points[:, :2].max(axis=0) + reach_m
+    corners = np.floor((np.array([low, high]) - origin) / resolution).astype(np.intp)
+    (left, bottom), (right, top) = np.clip(corners, 0, shape[::-1]).tolist()
+    return slice(bottom, top), slice(left, right)
 
 
 def cell_distances(picture: CellArray) -> FloatArray:

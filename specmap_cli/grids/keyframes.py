@@ -54,12 +54,19 @@ def integrate_keyframes(
     `refused` of the result counts the scans that reach beyond the largest grid allowed.
     """
     grid = OccupancyGrid(config)
+    add_keyframes(grid, store, numbers, poses)
+    return grid
+
+
+def add_keyframes(
+    grid: OccupancyGrid, store: KeyframeStore, numbers: Iterable[int], poses: FloatArray
+) -> None:
+    """Add keyframes `numbers` of the store, taken at `poses` (n, 3), to a grid."""
     taken = list(zip(numbers, poses, strict=True))
     for first in range(0, len(taken), _AT_ONCE):
         some, at = zip(*taken[first : first + _AT_ONCE], strict=True)
         lasers = compose(np.array(at), np.array([store.base_from_laser(k) for k in some]))
         grid.integrate_all([store.scan(k) for k in some], lasers, np.array(at))
-    return grid
 
 
 @dataclass(frozen=True, slots=True)

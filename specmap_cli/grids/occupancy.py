@@ -14,7 +14,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.evidence import SUBPIXEL_BITS, Cell, Fan, fans_of, footprints_of
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, slices_near
 
 _FREE, _OCCUPIED, _UNKNOWN = (np.uint8(state) for state in (FREE, OCCUPIED, UNKNOWN))
 _ONCE = np.float32(1.0)
@@ -71,6 +71,41 @@ class OccupancyGrid:
         """The trinary grid as it stands."""
         return self._picture(slice(0, self._hits.shape[0]), slice(0, self._hits.shape[1]))
 
+    def near(self, points: FloatArray, reach_m: float) -> GridMap:
+        """The part of `snapshot` within `reach_m` of the box round points (n, 2 or more)."""
+        shape = self._hits.shape
+        return self._picture(*slices_near(points, reach_m, self._origin, self.resolution, shape))
+
+    def include(self, other: OccupancyGrid) -> None:
+        """Add the counts of another grid of the same cells, if this one may grow to hold it."""
+        if not other._hits.size:
+            return
+        if not self._cover(*other._box):
+            self.refused += 1
+            return
+        window = self._window(*other._box)
+        self._hits[window] += other._hits
+        self._misses[window] += other._misses
+
+    def without(self, part: OccupancyGrid) -> OccupancyGrid:
+        """What was counted besides `part`, a grid of some of the same scans; it may be smaller.
+
+        A grid next to its largest size may have refused what the part took: none counts below 0.
+        """
+        rest = OccupancyGrid(self.config)
+        if not self._hits.size:
+            return rest
+        rest._corner, rest._hits, rest._misses = (
+            self._corner,
+            self._hits.copy(),
+            self._misses.copy(),
+        )
+        here, there = rest._shared(part), part._shared(rest)
+        for counts, taken in ((rest._hits, part._hits), (rest._misses, part._misses)):
+            counts[here] = np.maximum(counts[here] - taken[there], 0)
+        rest._crop()
+        return rest
+
     def _add(self, fan: Fan | None) -> None:
         """Count what one scan proves, if it proves anything and the grid may grow to hold it."""
         if fan is None:
@@ -104,9 +139,39 @@ class OccupancyGrid:
         seen = hits[hit] + misses[hit].astype(np.float64)
         occupied = hits[hit] >= self.config.occupied_share * seen
         cells[hit] = np.where(occupied, _OCCUPIED, _FREE)
-        column, row = self._corner
-        corner = (column + columns.start) * self.resolution, (row + rows.start) * self.resolution
+        x, y = self._origin
+        left, low = int(columns.start), int(rows.start)
+        corner = (x + left * self.resolution, y + low * self.resolution)
         return GridMap(cells, self.resolution, corner)
+
+    @property
+    def _origin(self) -> tuple[float, float]:
+        """Metres from the frame's origin to the corner of the first element."""
+        return self._corner[0] * self.resolution, self._corner[1] * self.resolution
+
+    @property
+    def _box(self) -> tuple[Cell, Cell]:
+        """The cells that the grid covers, the second not among them."""
+        (column, row), (rows, columns) = self._corner, self._hits.shape
+        return self._corner, (column + columns, row + rows)
+
+    def _shared(self, other: OccupancyGrid) -> tuple[slice, slice]:
+        """Rows and columns of this grid that the other covers as well."""
+        (low, high), (first, end) = self._box, other._box
+        low = max(low[0], first[0]), max(low[1], first[1])
+        high = max(low[0], min(high[0], end[0])), max(low[1], min(high[1], end[1]))
+        return self._window(low, high)
+
+    def _crop(self) -> None:
+        """Give up the rows and columns at the sides in which nothing was counted."""
+        seen = (self._hits > 0) | (self._misses > 0)
+        rows, columns = (np.flatnonzero(seen.any(axis=axis)).tolist() for axis in (1, 0))
+        if not rows:
+            self._hits, self._misses = self._hits[:0, :0], self._misses[:0, :0]
+            return
+        window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        self._hits, self._misses = self._hits[window].copy(), self._misses[window].copy()
+        self._corner = self._corner[0] + columns[0], self._corner[1] + rows[0]
 
     def _window(self, low: Cell, high: Cell) -> tuple[slice, slice]:
         column, row = self._corner

@@ -10,6 +10,8 @@ from scipy import sparse
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.segmentation.visibility import IndexArray
 
+_NARROW = 1 << 16  # nodes whose numbers fit 16 bits: numpy sorts such numbers in linear time
+
 
 def local_scales(
     lengths: FloatArray, pairs: IndexArray, nodes: int, neighbours: int = 0
@@ -19,10 +21,10 @@ def local_scales(
     `pairs` (m, 2) are visible nodes i < j and `lengths` (m,) their distances, in any one unit.
     Nodes that see no other get 1, which is never used.
     """
-    owner = np.concatenate([pairs[:, 0], pairs[:, 1]])
-    distance = np.concatenate([lengths, lengths])
-    order = np.lexsort((distance, owner))
-    distance = distance[order]
+    rising = np.argsort(lengths)
+    owner, distance = pairs[rising].ravel(), np.repeat(lengths[rising], 2)
+    numbers = owner.astype(np.uint16) if nodes <= _NARROW else owner
+    distance = distance[np.argsort(numbers, kind="stable")]
     count = np.bincount(owner, minlength=nodes)
     start = np.cumsum(count) - count
     used = np.minimum(count, neighbours) if neighbours else count
@@ -49,7 +51,28 @@ def similarity(lengths: FloatArray, pairs: IndexArray, scales: FloatArray, nodes
 def normalised(affinity: Any) -> tuple[Any, FloatArray]:
     """L = D^-1/2 S D^-1/2 (n, n) sparse, and the degrees D_ii (n,); rows of zeros stay zero."""
     degrees = np.asarray(affinity.sum(axis=1), dtype=np.float64).ravel()  # Algorithm 2, line 2
+    scaling = sparse.diags_array(_inverse_roots(degrees))
+    return (scaling @ affinity @ scaling).tocsr(), degrees  # Algorithm 2, line 2
+
+
+def dense_similarity(
+    lengths: FloatArray, pairs: IndexArray, scales: FloatArray, nodes: int
+) -> FloatArray:
+    """`similarity` as an array (n, n): quicker for the few hundred nodes of a test."""
+    S = np.zeros((nodes, nodes))
+    i, j = pairs[:, 0], pairs[:, 1]
+    S[i, j] = S[j, i] = edge_weights(lengths, pairs, scales)
+    return S
+
+
+def dense_normalised(S: FloatArray) -> FloatArray:
+    """`normalised` of an array S (n, n): L = D^-1/2 S D^-1/2."""
+    inverse = _inverse_roots(S.sum(axis=1))
+    return np.asarray(S * inverse[:, None] * inverse)  # Algorithm 2, line 2
+
+
+def _inverse_roots(degrees: FloatArray) -> FloatArray:
+    """D^-1/2 (n,); of nodes that see no other, it is zero."""
     inverse = np.zeros(len(degrees))
     inverse[degrees > 0] = degrees[degrees > 0] ** -0.5
-    scaling = sparse.diags_array(inverse)
-    return (scaling @ affinity @ scaling).tocsr(), degrees  # Algorithm 2, line 2
+    return inverse

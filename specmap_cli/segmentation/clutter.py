@@ -70,9 +70,12 @@ def working_grid(free: BoolArray, resolution: float, cell_m: float) -> WorkingGr
     """Reduce `free` (H, W) to cells of about `cell_m`: coarse cells are free when wholly free."""
     step = max(1, round(cell_m / resolution))
     height, width = (-(-side // step) for side in free.shape)
-    padded = np.zeros((height * step, width * step), dtype=bool)
-    padded[: free.shape[0], : free.shape[1]] = free
-    coarse = padded.reshape(height, step, width, step).all(axis=(1, 3))
-    framed = np.pad(coarse.astype(np.uint8), 1)
+    framed = np.zeros((height + 2, width + 2), dtype=np.uint8)
+    if step == 1:
+        framed[1:-1, 1:-1] = free
+    else:
+        padded = np.zeros((height * step, width * step), dtype=bool)
+        padded[: free.shape[0], : free.shape[1]] = free
+        framed[1:-1, 1:-1] = padded.reshape(height, step, width, step).all(axis=(1, 3))
     pixels = cell_distances(framed)[1:-1, 1:-1]
     return WorkingGrid(pixels, step * resolution, step)

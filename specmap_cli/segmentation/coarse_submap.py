@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from array import array
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import BoolArray
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.core.tracks import moved, step_lengths
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.keyframes import KeyframeStore, add_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid
 
 
@@ -18,19 +21,22 @@ class CoarseSubmap:
     """Keyframes of a submap in order, and a grid of them that is just good enough to find doors.
 
     Its cells are no finer than `cell_m`, the working grid's. A keyframe enters the grid when the
-    robot moved `split_step_m` or turned `split_step_rad` since the last that did.
+    robot moved `split_step_m` or turned `split_step_rad` since the last that did, and does so once:
+    what a split leaves of a grid is counted by taking out the rest.
     """
 
     def __init__(
         self, config: SegmentationConfig, grid_config: GridConfig, store: KeyframeStore
     ) -> None:
         self.config = config
-        self.grid_config = grid_config
+        coarse = max(config.cell_m, grid_config.resolution_m)
+        self.grid_config = grid_config.model_copy(update={"resolution_m": coarse})
         self._store = store
         self._keyframes: list[int] = []
-        coarse = max(config.cell_m, grid_config.resolution_m)
-        self._grid = OccupancyGrid(grid_config.model_copy(update={"resolution_m": coarse}))
-        self._mapped: Pose2 | None = None
+        self._places = array("d")  # x, y and theta of each
+        self._chosen: list[int] = []  # keyframes for the grid, ascending
+        self._counted = 0  # of these that are in it
+        self._grid = OccupancyGrid(self.grid_config)
 
     @property
     def keyframes(self) -> tuple[int, ...]:
@@ -40,36 +46,72 @@ class CoarseSubmap:
     @property
     def poses(self) -> FloatArray:
         """(p, 3) poses of the keyframes."""
-        return self._store.poses_of(self._keyframes)
+        return np.array(self._places).reshape(-1, 3)
 
     def add(self, keyframe: int) -> float:
         """Append a keyframe; the metres driven since the one before it."""
         driven = way_driven(self._store, [*self._keyframes[-1:], keyframe])
+        pose = self._store.pose(keyframe)
         self._keyframes.append(keyframe)
-        self._map(keyframe)
+        self._places.extend(pose)
+        last = self._store.pose(self._chosen[-1]) if self._chosen else None
+        if moved(last, pose, self.config.split_step_m, self.config.split_step_rad):
+            self._chosen.append(keyframe)
         return driven
 
-    def rebuilt(self, keyframes: Sequence[int], mapped: int | None = None) -> CoarseSubmap:
-        """Another submap: `keyframes` in the order given, its grid from about `mapped` of them."""
-        other = CoarseSubmap(self.config, self.grid_config, self._store)
-        other._keyframes = list(keyframes)
-        every = 1 if mapped is None else max(1, len(keyframes) // mapped)
-        for keyframe in keyframes[::every]:
-            other._map(keyframe)
-        return other
-
     def grid(self) -> GridMap:
-        """The map of the keyframes so far."""
-        return self._grid.snapshot()
+        """The map of the keyframes so far: the part near the way, if nodes lie only there."""
+        self._count()
+        if not self.config.path_band_m:
+            return self._grid.snapshot()
+        return self._grid.near(self.poses, self.config.path_band_m + self.config.path_margin_m)
 
-    def _map(self, keyframe: int) -> None:
-        """Add a keyframe's scan to the grid if the robot moved since the last."""
-        pose = self._store.pose(keyframe)
-        if moved(self._mapped, pose, self.config.split_step_m, self.config.split_step_rad):
-            self._mapped = pose
-            laser = pose @ self._store.base_from_laser(keyframe)
-            self._grid.integrate(self._store.scan(keyframe), laser)
-            self._grid.mark_free_disc(pose.x, pose.y, self.grid_config.footprint_m)
+    def split(self, stays: BoolArray) -> tuple[CoarseSubmap, CoarseSubmap]:
+        """Those of the keyframes (p,) that stay, and those that do not: two submaps."""
+        self._count()
+        staying = {k for k, stay in zip(self._keyframes, stays.tolist(), strict=True) if stay}
+        rest, left = self._part(staying), self._part(set(self._keyframes) - staying)
+        few, many = sorted((rest, left), key=lambda part: len(part._chosen))
+        few._count()
+        many._grid, many._counted = self._grid.without(few._grid), len(many._chosen)
+        return rest, left
+
+    def joined(self, other: CoarseSubmap) -> CoarseSubmap:
+        """Another submap: the keyframes of this one, and those of `other` after them."""
+        both = CoarseSubmap(self.config, self.grid_config, self._store)
+        for part in (self, other):
+            part._count()
+            both._append(part._keyframes, part._chosen)
+            both._grid.include(part._grid)
+        both._counted = len(both._chosen)
+        return both
+
+    def near(self, other: CoarseSubmap) -> bool:
+        """Whether nodes of both can be the same: their bands overlap, if nodes lie only there."""
+        reach = 2.0 * self.config.path_band_m or np.inf
+        away, _ = cKDTree(self.poses[:, :2]).query(other.poses[:, :2], distance_upper_bound=reach)
+        return bool((away <= reach).any())
+
+    def _part(self, members: set[int]) -> CoarseSubmap:
+        """The submap of some of the keyframes, nothing of it in its grid."""
+        part = CoarseSubmap(self.config, self.grid_config, self._store)
+        part._append(
+            *([k for k in some if k in members] for some in (self._keyframes, self._chosen))
+        )
+        return part
+
+    def _append(self, keyframes: Iterable[int], chosen: Iterable[int]) -> None:
+        """Take over keyframes of another submap and which of them it chose for its grid."""
+        for keyframe in keyframes:
+            self._keyframes.append(keyframe)
+            self._places.extend(self._store.pose(keyframe))
+        self._chosen.extend(chosen)
+
+    def _count(self) -> None:
+        """Add to the grid what was chosen for it since the last time."""
+        waiting = self._chosen[self._counted :]
+        add_keyframes(self._grid, self._store, waiting, self._store.poses_of(waiting))
+        self._counted = len(self._chosen)
 
 
 def way_driven(store: KeyframeStore, keyframes: Sequence[int]) -> float:

@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from specmap_cli.grids.gridmap import BoolArray
-from specmap_cli.segmentation.affinity import edge_weights, local_scales
+from specmap_cli.segmentation.affinity import dense_normalised, dense_similarity, local_scales
 from specmap_cli.segmentation.kmeans import LabelArray, bisect
 from specmap_cli.segmentation.spectrum import two_largest
 from specmap_cli.segmentation.visibility import IndexArray, VisibilityGraph
@@ -62,13 +62,11 @@ def _second_half(part: VisibilityGraph, neighbours: int, least: float) -> BoolAr
         return None
     i, j = part.pairs[:, 0], part.pairs[:, 1]
     scales = local_scales(part.lengths, part.pairs, nodes, neighbours)
-    S = np.zeros((nodes, nodes))
-    S[i, j] = S[j, i] = edge_weights(part.lengths, part.pairs, scales)  # Algorithm 2, line 1
+    S = dense_similarity(part.lengths, part.pairs, scales, nodes)  # Algorithm 2, line 1
     pieces, piece = connected_components(coo_array((S[i, j], (i, j)), S.shape), directed=False)
     if pieces > 1:
         return np.asarray(piece > 0)
-    root = S.sum(axis=1) ** -0.5
-    values, vectors = two_largest(S * root[:, None] * root)  # Algorithm 2, lines 2 and 4
+    values, vectors = two_largest(dense_normalised(S))  # Algorithm 2, lines 2 and 4
     if values[1] <= least:
         return None
     other = bisect(vectors[:, 0], vectors[:, 1]) == 1

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+
+import numpy as np
 
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -41,10 +43,11 @@ class OnlineSegmenter:
     ) -> None:
         self.config = config
         self.observer = observer
-        self._store = store
+        self._store, self._grid_config = store, grid_config
         self._current = CoarseSubmap(config, grid_config, store)
         self._since_test = 0.0  # metres or keyframes, as `test_every` says
-        self._recent: list[Region] = []  # the last two; none from before a loss of track
+        # the last two that were left; none from before a loss of track
+        self._recent: list[tuple[Region, CoarseSubmap]] = []
         self._finished = 0
 
     def add(self, keyframe: int) -> list[Region]:
@@ -56,11 +59,11 @@ class OnlineSegmenter:
 
     def flush(self) -> list[Region]:
         """End the current submap, at the end of a log or after a loss of track."""
-        keyframes = self._current.keyframes
-        if not keyframes:
+        last = self._current
+        if not last.keyframes:
             return []
-        region = self._finish(keyframes)
-        self._current = self._current.rebuilt(())
+        region = self._finish(last)
+        self._current = CoarseSubmap(self.config, self._grid_config, self._store)
         self._recent = []
         self._since_test = 0.0
         return [region]
@@ -76,40 +79,38 @@ class OnlineSegmenter:
 
     def _test(self) -> list[Region]:
         """Test the current submap and split off the region that was left, if there is one."""
-        keyframes = self._current.keyframes
+        keyframes = np.array(self._current.keyframes)
         test = examine(self._current.grid(), self._current.poses, self.config)
-        stay, left = (
-            tuple(k for k, stays in zip(keyframes, test.stays, strict=True) if stays == side)
-            for side in (True, False)
-        )
         split = test.eigenvalue > self.config.split_eigenvalue and all(
-            side and way_driven(self._store, side) >= self.config.region_min_m
-            for side in (left, stay)
+            len(side) and way_driven(self._store, side.tolist()) >= self.config.region_min_m
+            for side in (keyframes[~test.stays], keyframes[test.stays])
         )
         if self.observer is not None:
             self.observer(test, split)
         if not split:
             return []
-        self._current = self._current.rebuilt(stay)
+        self._current, left = self._current.split(test.stays)
         return [self._finish(left)]
 
-    def _finish(self, keyframes: tuple[int, ...]) -> Region:
+    def _finish(self, left: CoarseSubmap) -> Region:
         """The next finished region, a piece of an earlier one where the robot came back to it."""
-        earlier = self._came_back_to(keyframes)
+        earlier = self._came_back_to(left)
         continues = None
         if earlier is not None:
             continues = earlier.number if earlier.continues is None else earlier.continues
-        region = Region(self._finished, keyframes, continues)
+        region = Region(self._finished, left.keyframes, continues)
         self._finished += 1
-        self._recent = [*self._recent[-1:], region]
+        self._recent = [*self._recent[-1:], (region, left)]
         return region
 
-    def _came_back_to(self, keyframes: Sequence[int]) -> Region | None:
-        """The region left before the last one, if it and `keyframes` together are one region."""
+    def _came_back_to(self, left: CoarseSubmap) -> Region | None:
+        """The region left before the last one, if it and what was `left` now are one region."""
         if not self.config.regrow or len(self._recent) < 2:
             return None
-        both = (*self._recent[0].keyframes, *keyframes)
-        union = self._current.rebuilt(both, self.config.regrow_keyframes)
+        region, before = self._recent[0]
+        if not before.near(left):
+            return None
+        union = before.joined(left)
         test = examine(union.grid(), union.poses, self.config)
         whole = bool(test.reached.all()) and test.eigenvalue <= self.config.split_eigenvalue
-        return self._recent[0] if whole else None
+        return region if whole else None

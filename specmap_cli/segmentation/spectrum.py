@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg import eigh
 from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
@@ -19,8 +20,8 @@ _START_SEED, _START_RANGE = 0, (0.5, 1.5)  # positive, so never at right angles 
 def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]:
     """The `count` largest eigenvalues (k,), falling, and eigenvectors (n, k) of a symmetric matrix.
 
-    The iteration starts from a fixed vector, and each eigenvector's sign makes its sum of cubes
-    positive, so equal input gives equal output.
+    `matrix` (n, n) is an array, or sparse. The iteration starts from a fixed vector, and each
+    eigenvector's sign makes its sum of cubes positive, so equal input gives equal output.
     """
     size = matrix.shape[0]
     count = min(count, size)
@@ -29,7 +30,8 @@ def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]
     else:
         start = np.random.default_rng(_START_SEED).uniform(*_START_RANGE, size)
         try:
-            values, vectors = eigsh(matrix, k=count, which="LA", v0=start, tol=_TOLERANCE)
+            few = sparse.csr_array(matrix)
+            values, vectors = eigsh(few, k=count, which="LA", v0=start, tol=_TOLERANCE)
         except ArpackNoConvergence:  # of a long corridor many eigenvalues are nearly the same
             values, vectors = _all_at_once(matrix, count)
         order = np.argsort(-values, kind="stable")
@@ -38,8 +40,8 @@ def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]
 
 
 def _all_at_once(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]:
-    """The `count` largest eigenpairs of a sparse matrix, falling, by solving for all of them."""
-    values, vectors = np.linalg.eigh(matrix.toarray())
+    """The `count` largest eigenpairs of a matrix, falling, by solving for all of them."""
+    values, vectors = np.linalg.eigh(matrix.toarray() if sparse.issparse(matrix) else matrix)
     return values[::-1][:count], vectors[:, ::-1][:, :count]
 
 

@@ -12,16 +12,15 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.gridmap import BoolArray, GridMap
-from specmap_cli.segmentation.affinity import local_scales, normalised, similarity
+from specmap_cli.segmentation.affinity import dense_normalised, dense_similarity, local_scales
 from specmap_cli.segmentation.clutter import WorkingGrid, small_obstacles, working_grid
-from specmap_cli.segmentation.flood import flood_labels
+from specmap_cli.segmentation.flood import flooded_at
 from specmap_cli.segmentation.kmeans import LabelArray, bisect
 from specmap_cli.segmentation.spectrum import largest_eigenpairs
 from specmap_cli.segmentation.visibility import IndexArray, sample_nodes, visibility_graph
@@ -108,10 +107,7 @@ def _near_the_way(grid: GridMap, poses: FloatArray, config: SegmentationConfig) 
     """The part of `grid` near the poses, or all of it when nodes may lie anywhere."""
     if not config.path_band_m:
         return grid
-    reach = config.path_band_m + config.path_margin_m
-    corners = np.array([poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach])
-    low, high = np.clip(grid.cells_of(corners), 0, grid.cells.shape).tolist()
-    return grid.window(slice(low[0], high[0]), slice(low[1], high[1]))
+    return grid.near(poses, config.path_band_m + config.path_margin_m)
 
 
 def _nodes_along(work: WorkingGrid, way: IndexArray, config: SegmentationConfig) -> IndexArray:
@@ -133,8 +129,8 @@ def _nodes_along(work: WorkingGrid, way: IndexArray, config: SegmentationConfig)
 
 def _homes(work: WorkingGrid, nodes: IndexArray, cells: IndexArray) -> IndexArray:
     """(p,) the node in whose region each of the cells (p, 2) lies."""
-    zones = flood_labels(work.clearance, nodes, np.arange(len(nodes), dtype=np.int32))
-    home = zones[cells[:, 0], cells[:, 1]].astype(np.intp)
+    numbers = np.arange(len(nodes), dtype=np.int32)
+    home = flooded_at(work.clearance, nodes, numbers, cells).astype(np.intp)
     lost = home < 0
     if lost.any():
         home[lost] = cKDTree(nodes).query(cells[lost])[1]
@@ -148,12 +144,21 @@ def _spectrum(
     least = config.split_clearance_m / work.cell_m
     graph = visibility_graph(work.clearance, nodes, config.split_sight_m / work.cell_m, least)
     scales = local_scales(graph.lengths, graph.pairs, len(nodes), config.neighbours)
-    affinity = similarity(graph.lengths, graph.pairs, config.split_scale * scales, len(nodes))
-    _, component = connected_components(affinity, directed=False)
-    members = np.flatnonzero(component == component[here])
-    matrix, _ = normalised(affinity[members][:, members])
-    values, vectors = largest_eigenpairs(matrix, config.split_eigenpairs)
+    S = dense_similarity(graph.lengths, graph.pairs, config.split_scale * scales, len(nodes))
+    members = _joined(S > 0.0, here)
+    L = dense_normalised(S[np.ix_(members, members)])
+    values, vectors = largest_eigenpairs(L, config.split_eigenpairs)
     return members, values, vectors
+
+
+def _joined(sees: BoolArray, here: int) -> IndexArray:
+    """The nodes (n,) that sight lines, `sees` (n, n), join with node `here`, and that one."""
+    joined = np.zeros(len(sees), dtype=np.bool_)
+    newest = np.array([here])
+    while len(newest):
+        joined[newest] = True
+        newest = np.flatnonzero(sees[newest].any(axis=0) & ~joined)
+    return np.flatnonzero(joined)
 
 
 def _among(members: IndexArray, nodes: IndexArray, count: int) -> IndexArray:

@@ -68,6 +68,8 @@ def near_pairs(nodes: IndexArray, reach: float) -> IndexArray:
     """(m, 2) pairs i < j of nodes at most `reach` apart, in lexicographic order."""
     if len(nodes) < 2:
         return np.zeros((0, 2), dtype=np.intp)
+    if reach >= np.hypot(*np.ptp(nodes, axis=0)):
+        return np.column_stack(np.triu_indices(len(nodes), 1))
     pairs = cKDTree(nodes).query_pairs(reach + _SLACK, output_type="ndarray")
     pairs = np.sort(pairs, axis=1)
     return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))], dtype=np.intp)

@@ -275,3 +275,64 @@ def test_scans_taken_in_at_once_are_those_taken_one_by_one(
     assert together.refused == in_turn.refused
     assert together.snapshot().origin == in_turn.snapshot().origin
     np.testing.assert_array_equal(together.snapshot().cells, in_turn.snapshot().cells)
+
+
+Taken = list[tuple[PlanarScan, Pose2]]
+
+
+def counts_of(taken: Taken, config: GridConfig = CONFIG) -> OccupancyGrid:
+    grid = OccupancyGrid(config)
+    for scan, pose in taken:
+        grid.integrate(scan, pose)
+    return grid
+
+
+@given(st.lists(st.tuples(planar_scans(beams=24), poses), max_size=5), st.integers(0, 5))
+def test_grids_are_added_and_taken_from_each_other(taken: Taken, cut: int) -> None:
+    one, other = taken[:cut], taken[cut:]
+    both = counts_of(one)
+    both.include(counts_of(other))
+    assert known(both.snapshot()) == known(counts_of(taken).snapshot())
+    rest = counts_of(taken).without(counts_of(one))
+    assert known(rest.snapshot()) == known(counts_of(other).snapshot())
+    assert known(both.snapshot()) == known(counts_of(taken).snapshot())
+    for scan, pose in one:  # a grid that was cropped grows again
+        rest.integrate(scan, pose)
+    assert known(rest.snapshot()) == known(counts_of(taken).snapshot())
+
+
+def test_a_grid_is_not_made_larger_than_allowed_by_adding_another() -> None:
+    config = GridConfig(resolution_m=CELL, max_extent_m=20.0)
+    grid = counts_of([(one_beam(0.0, 2.0), IDENTITY)], config)
+    grid.include(counts_of([(one_beam(0.0, 2.0), Pose2(50.0, 0.0, 0.0))], config))
+    assert grid.refused == 1
+    assert max(grid.snapshot().cells.shape) * CELL <= 20.0
+
+
+def test_what_a_full_grid_refused_is_not_taken_from_it() -> None:
+    config = GridConfig(resolution_m=CELL, max_extent_m=4.0)
+    whole = counts_of([(one_beam(0.0, 2.0), IDENTITY), (one_beam(1.5, 3.9), IDENTITY)], config)
+    whole.integrate(one_beam(-1.5, 3.0), IDENTITY)
+    assert whole.refused == 1
+    rest = whole.without(counts_of([(one_beam(-1.5, 3.0), IDENTITY)], config))
+    assert rest.snapshot().values_at(np.array([[2.0, 0.0]]))[0] == OCCUPIED
+    assert (rest.snapshot().values_at(np.array([[0.2, -3.0]])) == UNKNOWN).all()
+
+
+@given(planar_scans(), poses, st.floats(0.0, 9.0))
+def test_the_part_near_some_places_is_cut_from_the_whole(
+    scan: PlanarScan, pose: Pose2, reach: float
+) -> None:
+    grid = gridded([scan], [pose])
+    counts = counts_of([(scan, pose)])
+    places = np.array([[0.0, 1.0, 0.3], [2.0, -1.0, 0.0]])
+    part, same = grid.near(places, reach), counts.near(places, reach)
+    assert (part.resolution, part.origin) == (same.resolution, same.origin)
+    np.testing.assert_array_equal(part.cells, same.cells)
+    inside = np.abs(grid.centres_of(np.argwhere(grid.cells < 3)) - (1.0, 0.0)) <= (
+        1.0 + reach - CELL,
+        1.0 + reach - CELL,
+    )
+    shown = grid.centres_of(np.argwhere(grid.cells < 3))[inside.all(axis=1)]
+    assert part.inside(part.cells_of(shown)).all()
+    assert max(part.cells.shape) * CELL <= 2.0 + 2.0 * reach + 2.0 * CELL

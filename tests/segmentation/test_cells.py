@@ -15,6 +15,7 @@ from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.segmentation.clutter import small_obstacles, working_grid
 from specmap_cli.segmentation.flood import (
     flood_labels,
+    flooded_at,
     nearest_labels,
     nearest_values,
     spread_labels,
@@ -106,6 +107,26 @@ def test_flooding_does_not_cross_walls() -> None:
     flooded = flood_labels(clearance_of(free), np.array([[20, 20]]), np.zeros(1, dtype=np.int32))
     assert (flooded[5:35, 5:35] == 0).all()
     assert (flooded[:, 38:] == -1).all()
+
+
+@given(seed=seeds, asked=st.integers(0, 40))
+def test_flooding_says_of_some_cells_what_it_says_of_all(seed: int, asked: int) -> None:
+    rng, free = np.random.default_rng(seed), cluttered(seed)
+    free[30] = False
+    clearance = clearance_of(free)
+    nodes = sample_nodes(clearance, 9, 1.0, "clearest")[:8]
+    labels = rng.permutation(len(nodes)).astype(np.int32)
+    corners = np.array([[0, 0], np.array(free.shape) - 1])
+    cells = np.concatenate([corners, rng.integers(0, free.shape, (asked, 2))])
+    if len(nodes):
+        found = flooded_at(clearance, nodes, labels, cells)
+        rows, columns = cells.T
+        expected = flood_labels(clearance, nodes, labels)[rows, columns]
+        np.testing.assert_array_equal(found, expected)
+    part = np.array([[20, 10], [21, 60]])  # the flood looks no farther than nodes and cells lie
+    free = dumbbell()
+    found = flooded_at(clearance_of(free), part, np.arange(2, dtype=np.int32), part + 3)
+    assert found.tolist() == [0, 1]
 
 
 @given(seed=seeds)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.segmentation.coarse_submap import CoarseSubmap, way_driven
 
@@ -49,6 +49,10 @@ def same(one: GridMap, other: GridMap) -> bool:
     return one.origin == other.origin and np.array_equal(one.cells, other.cells)
 
 
+def near_the_way(submap: CoarseSubmap, grid: GridMap) -> GridMap:
+    return grid.near(submap.poses, CONFIG.path_band_m + CONFIG.path_margin_m)
+
+
 def test_keyframes_enter_the_grid_when_the_robot_moved_or_turned(drive: KeyframeStore) -> None:
     submap = CoarseSubmap(CONFIG, GRID, drive)
     for number in range(len(drive)):
@@ -58,7 +62,30 @@ def test_keyframes_enter_the_grid_when_the_robot_moved_or_turned(drive: Keyframe
     mapped = [0, 2, 4, 6, 8, 10, 13, 16, 19, 22, 25]  # every 0.25 m, then every 0.6 rad
     config = GRID.model_copy(update={"resolution_m": CONFIG.cell_m})
     expected = integrate_keyframes(drive, mapped, drive.poses_of(mapped), config)
-    assert same(submap.grid(), expected.snapshot())
+    assert same(submap.grid(), near_the_way(submap, expected.snapshot()))
+
+
+def test_a_grid_is_that_of_all_keyframes_whenever_it_was_asked_for(drive: KeyframeStore) -> None:
+    asked, late = CoarseSubmap(CONFIG, GRID, drive), CoarseSubmap(CONFIG, GRID, drive)
+    for number in range(len(drive)):
+        asked.add(number)
+        asked.grid()
+        late.add(number)
+    assert same(asked.grid(), late.grid())
+
+
+def test_where_nodes_lie_anywhere_the_grid_is_whole(drive: KeyframeStore) -> None:
+    far = GRID.model_copy(update={"max_range_m": 2.0})
+    grids = []
+    for band in (0.0, 0.5):
+        config = CONFIG.model_copy(update={"path_band_m": band, "path_margin_m": 0.25})
+        submap = CoarseSubmap(config, far, drive)
+        submap.add(0)
+        grids.append(submap.grid())
+    whole, near = grids
+    assert set(near.cells.shape) <= {15, 16}  # 0.75 m to each side
+    assert same(near, whole.near(drive.poses[:1], 0.75))
+    assert min(whole.cells.shape) > 40
 
 
 @pytest.mark.parametrize(("cell", "fine", "expected"), [(0.1, 0.05, 0.1), (0.1, 0.2, 0.2)])
@@ -81,32 +108,77 @@ def test_a_keyframe_says_how_far_the_robot_drove_to_it(drive: KeyframeStore) -> 
     assert submap.add(11) == 0.0  # turned on the spot
 
 
-def test_a_rebuilt_submap_is_one_to_which_the_same_was_added(drive: KeyframeStore) -> None:
-    first = CoarseSubmap(CONFIG, GRID, drive)
-    first.add(0)
-    again = first.rebuilt(range(3, 20))
-    added = CoarseSubmap(CONFIG, GRID, drive)
-    for number in range(3, 20):
-        added.add(number)
-    assert again.keyframes == added.keyframes == tuple(range(3, 20))
-    assert same(again.grid(), added.grid())
-    assert first.keyframes == (0,)
-    again.add(20)
-    assert again.keyframes[-1] == 20
-    assert first.rebuilt(()).keyframes == ()
+EVERYWHERE = CONFIG.model_copy(update={"path_band_m": 0.0, "split_step_m": 0.0})
+ONE_GRID = GRID.model_copy(update={"resolution_m": CONFIG.cell_m})
 
 
-@pytest.mark.parametrize(("most", "every"), [(26, 1), (13, 2), (5, 5), (1, 26), (100, 1)])
-def test_a_rebuilt_submap_maps_about_as_many_as_asked(
-    drive: KeyframeStore, most: int, every: int
+def submap_of(drive: KeyframeStore, numbers: Iterable[int]) -> CoarseSubmap:
+    submap = CoarseSubmap(EVERYWHERE, GRID, drive)
+    for number in numbers:
+        submap.add(number)
+    return submap
+
+
+def counted_once(submap: CoarseSubmap, drive: KeyframeStore) -> bool:
+    """Whether the grid is that of the keyframes, each counted once."""
+    expected = integrate_keyframes(drive, submap.keyframes, submap.poses, ONE_GRID).snapshot()
+    return set(known(submap.grid())) == set(known(expected))
+
+
+def known(grid: GridMap) -> Iterator[tuple[tuple[int, int], int]]:
+    """The known cells by where they lie."""
+    column, row = (round(side / grid.resolution) for side in grid.origin)
+    for r, c in np.argwhere(grid.cells != UNKNOWN).tolist():
+        yield (c + column, r + row), int(grid.cells[r, c])
+
+
+@pytest.mark.parametrize("asked", [False, True])
+@pytest.mark.parametrize("last", [3, 20])
+def test_a_split_counts_each_keyframe_on_its_side(
+    drive: KeyframeStore, last: int, asked: bool
 ) -> None:
-    dense = SegmentationConfig(split_step_m=0.0, split_step_rad=0.0)
-    submap = CoarseSubmap(dense, GRID, drive).rebuilt(range(26), most)
+    submap = submap_of(drive, range(26))
+    if asked:
+        submap.grid()
+    stays = np.arange(26) >= last
+    stays[1] = True
+    rest, left = submap.split(stays)
+    assert rest.keyframes == (1, *range(last, 26))
+    assert left.keyframes == (0, *range(2, last))
+    np.testing.assert_array_equal(left.poses, drive.poses_of(left.keyframes))
+    assert counted_once(rest, drive)
+    assert counted_once(left, drive)
     assert submap.keyframes == tuple(range(26))
-    few = range(0, 26, every)
-    config = GRID.model_copy(update={"resolution_m": dense.cell_m})
-    expected = integrate_keyframes(drive, few, drive.poses_of(few), config)
-    assert same(submap.grid(), expected.snapshot())
+    assert counted_once(submap, drive)
+
+
+def test_a_submap_goes_on_after_a_split(drive: KeyframeStore) -> None:
+    rest, _ = submap_of(drive, range(12)).split(np.arange(12) >= 8)
+    assert rest.add(12) == 0.0  # turned on the spot
+    assert rest.keyframes == (8, 9, 10, 11, 12)
+    assert counted_once(rest, drive)
+
+
+def test_what_is_joined_is_counted_once(drive: KeyframeStore) -> None:
+    one, other = submap_of(drive, range(15, 26)), submap_of(drive, range(9))
+    one.grid()
+    both = one.joined(other)
+    assert both.keyframes == (*range(15, 26), *range(9))
+    np.testing.assert_array_equal(both.poses, drive.poses_of(both.keyframes))
+    assert counted_once(both, drive)
+    assert counted_once(one, drive)
+
+
+@pytest.mark.parametrize(("away", "near"), [(3.9, True), (4.1, False)])
+def test_submaps_are_near_when_their_bands_overlap(away: float, near: bool) -> None:
+    with stored([Pose2(-9.0, 0.0, 0.0), Pose2(0.0, 0.0, 0.0), Pose2(away, 0.0, 2.0)]) as store:
+        config = SegmentationConfig(path_band_m=2.0)
+        one, other = (CoarseSubmap(config, GRID, store) for _ in range(2))
+        one.add(0)
+        one.add(1)
+        other.add(2)
+        assert one.near(other) == near
+        assert submap_of(store, [0]).near(submap_of(store, [2]))  # nodes lie anywhere
 
 
 @given(st.sets(st.integers(0, 25)))

@@ -174,7 +174,9 @@ def test_the_number_of_nodes_is_bounded(office: GridMap) -> None:
     poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5))
     few = DEFAULT.model_copy(update={"split_nodes": 20})
     with record(office, poses) as store:
-        submap = CoarseSubmap(DEFAULT, GridConfig(), store).rebuilt(range(len(store)))
+        submap = CoarseSubmap(DEFAULT, GridConfig(), store)
+        for number in range(len(store)):
+            submap.add(number)
         assert 3 <= len(examine(submap.grid(), submap.poses, few).nodes) <= 20
         assert len(examine(submap.grid(), submap.poses, DEFAULT).nodes) > 20
 

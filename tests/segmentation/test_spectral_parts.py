@@ -12,7 +12,13 @@ from sklearn.cluster import KMeans
 from sklearn.metrics import adjusted_rand_score
 
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.segmentation.affinity import local_scales, normalised, similarity
+from specmap_cli.segmentation.affinity import (
+    dense_normalised,
+    dense_similarity,
+    local_scales,
+    normalised,
+    similarity,
+)
 from specmap_cli.segmentation.halving import split_again, subgraph
 from specmap_cli.segmentation.kmeans import bisect, kmeans_unit
 from specmap_cli.segmentation.spectral import clusters_of, spectral_clusters
@@ -61,6 +67,27 @@ def test_similarity_is_equation_1(seed: int) -> None:
     assert not S.diagonal().any()
     for (i, j), length in zip(graph.pairs[::5], graph.lengths[::5], strict=True):
         assert S[i, j] == pytest.approx(np.exp(-(length**2) / (scales[i] * scales[j])))
+
+
+@given(seed=seeds)
+def test_arrays_hold_what_sparse_matrices_do(seed: int) -> None:
+    graph = blobs(seed, each=6)
+    count = len(graph.nodes) + 1  # the last sees no other
+    scales = np.append(local_scales(graph.lengths, graph.pairs, count - 1), 1.0)
+    S = dense_similarity(graph.lengths, graph.pairs, scales, count)
+    sparse_S = similarity(graph.lengths, graph.pairs, scales, count)
+    np.testing.assert_array_equal(S, sparse_S.toarray())
+    sparse_L, _ = normalised(sparse_S)
+    np.testing.assert_allclose(dense_normalised(S), sparse_L.toarray(), rtol=1e-12)
+
+
+@pytest.mark.parametrize("size", [90, 400])
+def test_eigenpairs_of_an_array_are_those_of_the_sparse_matrix(size: int) -> None:
+    matrix = random_symmetric(size)
+    for one, other in zip(
+        largest_eigenpairs(matrix.toarray(), 5), largest_eigenpairs(matrix, 5), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
 
 
 @given(seed=seeds)
