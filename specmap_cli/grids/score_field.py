@@ -7,6 +7,7 @@ value under the points of a scan says in [0, 1] how well the scan fits where it 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,6 +26,33 @@ SIGMA_M = 0.1  # two walls this far apart are told from one: the noise of a lase
 LARGEST_SIDE_M = 100.0  # of a field of points: 16 MB
 _REACH_SIGMAS = 3.5  # past this distance the score is below 0.003, and outside the field it is 0
 _LARGEST_EXPONENT = np.float32(20.0)  # exp(-20) is below single precision beside 1
+
+
+@dataclass(frozen=True, slots=True)
+class PointCells:
+    """The cells `cells` (2, N), columns and rows from the origin of the frame, of N points.
+
+    `low` and `high` are the least and greatest x and y of the points, metres.
+    """
+
+    cells: NDArray[np.int64]
+    low: tuple[float, float]
+    high: tuple[float, float]
+    resolution: float
+
+    @classmethod
+    def of(cls, points: FloatArray, resolution: float) -> PointCells:
+        """The cells of points (N, 2)."""
+        cells = np.floor(points.T / resolution).astype(np.int64)
+        if not len(points):
+            return cls(cells, (0.0, 0.0), (0.0, 0.0), resolution)
+        (left, below), (right, above) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+        return cls(cells, (left, below), (right, above), resolution)
+
+    @property
+    def spread(self) -> float:
+        """How far the points spread in x or y, whichever is more, metres."""
+        return max(self.high[0] - self.low[0], self.high[1] - self.low[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,22 +84,38 @@ class ScoreField:
         is matched there scores 0. `left_out` of the result says how many points that were.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-        if not len(points):
+        cells = PointCells.of(points, resolution)
+        if middle is None:
+            x, y = np.median(points, axis=0).tolist() if cells.spread > max_side else (0.0, 0.0)
+            middle = (x, y)
+        return cls.from_cells([cells], sigma, max_side, middle)
+
+    @classmethod
+    def from_cells(
+        cls,
+        parts: Sequence[PointCells],
+        sigma: float,
+        max_side: float,
+        middle: tuple[float, float],
+    ) -> ScoreField:
+        """As `from_points`, of points whose cells, all of one resolution, are known already."""
+        resolution = parts[0].resolution
+        seen = [part for part in parts if part.cells.size]
+        if not seen:
             return cls(np.zeros((1, 1), dtype=np.float32), resolution, (0.0, 0.0))
-        x, y = np.ascontiguousarray(points.T)
-        middles = middle or (None, None)
-        left, right = _extent(x, max_side, middles[0])
-        below, above = _extent(y, max_side, middles[1])
         margin = math.ceil(_REACH_SIGMAS * sigma / resolution)
-        corner = (math.floor(left / resolution) - margin, math.floor(below / resolution) - margin)
-        columns = np.floor(x / resolution).astype(np.intp) - corner[0]
-        rows = np.floor(y / resolution).astype(np.intp) - corner[1]
-        width = math.floor(right / resolution) - corner[0] + 1 + margin
-        height = math.floor(above / resolution) - corner[1] + 1 + margin
+        ends = [_extent(seen, axis, max_side, middle[axis]) for axis in (0, 1)]
+        (left, right), (below, above) = (
+            (math.floor(low / resolution) - margin, math.floor(high / resolution) + margin)
+            for low, high in ends
+        )
+        width, height = right - left + 1, above - below + 1
+        columns, rows = np.concatenate([part.cells for part in seen], axis=1)
+        columns, rows = columns - left, rows - below
         inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
         empty = np.ones((height, width), dtype=np.uint8)
-        empty[rows[inside], columns[inside]] = 0
-        origin = (float(corner[0] * resolution), float(corner[1] * resolution))
+        empty.ravel()[(rows * width + columns)[inside]] = 0
+        origin = (float(left * resolution), float(below * resolution))
         left_out = int(np.count_nonzero(~inside))
         return cls(_field_values(empty, resolution, sigma), resolution, origin, left_out)
 
@@ -115,16 +159,13 @@ def thinned(points: FloatArray, cell_m: float) -> FloatArray:
     return points[first_in_cells(points, cell_m)]
 
 
-def _extent(values: FloatArray, longest: float, middle: float | None) -> tuple[float, float]:
-    """Smallest and largest value, cut to half of `longest` on either side of a middle.
-
-    None stands for the median of the values.
-    """
-    low, high = float(values.min()), float(values.max())
+def _extent(
+    parts: Sequence[PointCells], axis: int, longest: float, middle: float
+) -> tuple[float, float]:
+    """Least and greatest x (axis 0) or y, cut to half of `longest` on either side of a middle."""
+    low, high = min(part.low[axis] for part in parts), max(part.high[axis] for part in parts)
     if high - low <= longest:
         return low, high
-    if middle is None:
-        middle = float(np.median(values))
     return max(low, middle - longest / 2), min(high, middle + longest / 2)
 
 

@@ -32,7 +32,8 @@ Result = TypeVar("Result")
 
 _PIPE_BYTES = 1 << 20  # some hundred scans; Linux gives it without special rights
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_ITEM, _RESULT, _ERROR = range(3)  # the kinds of messages from the child
+_TOGETHER_BYTES = 1 << 16  # some ten scans: one by one, each would wake the other process
+_ITEMS, _RESULT, _ERROR = range(3)  # the kinds of messages from the child
 
 
 class Ahead(Generic[Item, Result]):
@@ -145,7 +146,7 @@ def _held_signals() -> Iterator[None]:
 def _child(
     produce: Callable[[], Generator[Any, None, Any]], receiver: Connection, sender: Connection
 ) -> None:
-    """The child: sends every item, then the result, or the error that ended the work.
+    """The child: sends all items, then the result, or the error that ended the work.
 
     It ends with its work, when its parent tells it to, or when its parent is no more.
     """
@@ -155,8 +156,7 @@ def _child(
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     work = Ahead(produce())
     try:
-        for item in work:
-            sender.send((_ITEM, item))
+        _send_items(work, sender)
         sender.send((_RESULT, work.result))
     except BrokenPipeError:  # nobody takes the items any more
         return
@@ -164,6 +164,22 @@ def _child(
         with suppress(BrokenPipeError):
             sender.send((_ERROR, _portable(error)))
         raise SystemExit(1) from None  # it is the parent that tells
+
+
+def _send_items(work: Iterator[Any], sender: Connection) -> None:
+    """Send every item, small ones together; also those before an error."""
+    waiting: list[bytes] = []
+    size = 0
+    try:
+        for item in work:
+            packed = bytes(ForkingPickler.dumps(item))
+            waiting.append(packed)
+            size += len(packed)
+            if size >= _TOGETHER_BYTES:
+                sender.send((_ITEMS, waiting))
+                waiting, size = [], 0
+    finally:
+        sender.send((_ITEMS, waiting))
 
 
 def _portable(error: Exception) -> Exception:
@@ -190,7 +206,7 @@ def _received(receiver: Connection, child: BaseProcess) -> Generator[Any, None, 
             raise value
         if kind == _RESULT:
             return value
-        yield value
+        yield from map(ForkingPickler.loads, value)
 
 
 def _death(status: int | None) -> SpecmapError:

@@ -12,7 +12,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.grids.score_field import ScoreField
+from specmap_cli.grids.score_field import PointCells, ScoreField
 from specmap_cli.registration.aligner import Aligner, SensorKind
 from specmap_cli.registration.seen_space import SeenSpace
 from specmap_cli.registration.sweep_view import SweepView
@@ -32,6 +32,7 @@ class LocalMap:
         self._side_m = config.field_ranges * sensor.range_m
         self._walls: deque[FloatArray] = deque(maxlen=config.window_keyframes)
         self._outlines: deque[FloatArray] = deque(maxlen=config.window_keyframes)
+        self._cells: deque[PointCells] = deque(maxlen=config.window_keyframes)  # of the walls
         self._field: ScoreField | None = None
         self._seen: SeenSpace | None = None
 
@@ -42,6 +43,7 @@ class LocalMap:
         """Forget everything."""
         self.aligner.clear()
         self._walls.clear()
+        self._cells.clear()
         self._outlines.clear()
         self._field = self._seen = None
 
@@ -50,7 +52,9 @@ class LocalMap:
         points = view.cloud if view.dense is None else view.dense
         self.aligner.insert(points, map_from_base)
         planar = Pose2.from_matrix(map_from_base)
-        self._walls.appendleft(planar.apply(view.walls))
+        walls = planar.apply(view.walls)
+        self._walls.appendleft(walls)
+        self._cells.appendleft(PointCells.of(walls, _CELL_SPACINGS * self._spacing_m))
         self._outlines.appendleft(planar.apply(view.outline()))
         self._field = self._seen = None
 
@@ -66,10 +70,9 @@ class LocalMap:
         Walls too far from the last keyframe for a field of `field_ranges` are left out.
         """
         if self._field is None:
-            cell_m = _CELL_SPACINGS * self._spacing_m
             sigma_m = _SIGMA_SPACINGS * self._spacing_m
             x, y = self._outlines[0][0].tolist()  # the last laser
-            self._field = ScoreField.from_points(self.walls, cell_m, sigma_m, self._side_m, (x, y))
+            self._field = ScoreField.from_cells(self._cells, sigma_m, self._side_m, (x, y))
         return self._field
 
     @property

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.score_field import ScoreField, thinned
+from specmap_cli.grids.score_field import PointCells, ScoreField, thinned
 from tests.strategies import grid_maps, poses, seeds
 
 
@@ -47,6 +47,17 @@ def test_a_stray_point_far_away_costs_no_memory(room: FloatArray) -> None:
     assert field.values.shape[0] < 900
     assert field.values.shape[1] < 900
     assert field.score(room, IDENTITY) > 0.95
+
+
+@pytest.mark.parametrize("longest", [100.0, 5.0])
+def test_walls_in_parts_make_the_field_of_all(room: FloatArray, longest: float) -> None:
+    parts = [room[:40], np.zeros((0, 2)), room[40:] + (0.3, -2.0), np.array([[9.0, 2.0]])]
+    whole = ScoreField.from_points(np.vstack(parts), 0.075, 0.1, longest, (0.5, 0.2))
+    cells = [PointCells.of(part, 0.075) for part in parts]
+    field = ScoreField.from_cells(cells, 0.1, longest, (0.5, 0.2))
+    assert np.array_equal(field.values, whole.values)
+    assert (field.origin, field.left_out) == (whole.origin, whole.left_out)
+    assert (field.left_out > 0) == (longest < 10.0)
 
 
 def test_the_coarser_field_is_nowhere_below_the_fine_one(field: ScoreField) -> None:

@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Generator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -120,7 +121,7 @@ class TestChild:
         """The pipe is smaller than the message: the child waits in the middle of it."""
 
         def work() -> Generator[bytes, None, None]:
-            yield bytes(1)
+            yield bytes(size)
             killer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGKILL))
             killer.start()
             while True:
@@ -206,6 +207,16 @@ class TestChild:
             next(items)
             time.sleep(0.3)
             assert made.value < 20
+
+
+def test_small_items_travel_together_and_large_ones_alone() -> None:
+    sender = Mock()
+    module._send_items(iter(range(1000)), sender)
+    small = len(sender.send.mock_calls)
+    module._send_items(iter([bytes(1_000_000)] * 5), sender)
+    large = len(sender.send.mock_calls) - small
+    assert small <= 2
+    assert large in {5, 6}
 
 
 @pytest.mark.usefixtures("two_processors")
