@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import cv2
@@ -119,6 +120,32 @@ class ScoreField:
         left_out = int(np.count_nonzero(~inside))
         return cls(_field_values(empty, resolution, sigma), resolution, origin, left_out)
 
+    def with_cells(self, part: PointCells, sigma: float) -> ScoreField | None:
+        """The same field with more points, whose cells are of its resolution; sigma is its own.
+
+        Where the new points are far from, past the reach of sigma, it stays as it was. None if one
+        of them is too near the edge: then the field must be made anew.
+        """
+        stamp = _stamp(self.resolution, sigma)
+        reach, (height, width) = len(stamp) // 2, self.values.shape
+        corner = [round(place / self.resolution) for place in self.origin]
+        columns, rows = part.cells[0] - corner[0], part.cells[1] - corner[1]
+        if not columns.size:
+            return self
+        low, high = min(columns.min(), rows.min()), max(columns.max() - width, rows.max() - height)
+        if low < reach or high >= -reach:
+            return None
+        values = self.values.copy()
+        flat = values.ravel()
+        new = rows * width + columns
+        new = np.unique(new[flat[new] < 1.0])
+        down, across = np.nonzero(stamp)
+        around = (down - reach) * width + (across - reach)
+        near = (new[:, None] + around).ravel()
+        # values of the same shape: broadcast ones, numpy 2.4 reads beyond their end
+        np.maximum.at(flat, near, np.tile(stamp[down, across], len(new)))
+        return replace(self, values=values)
+
     @classmethod
     def from_grid(cls, grid: GridMap, sigma: float = SIGMA_M) -> ScoreField:
         """The field of the occupied cells of an occupancy grid, in the grid's frame."""
@@ -157,6 +184,18 @@ class ScoreField:
 def thinned(points: FloatArray, cell_m: float) -> FloatArray:
     """The first point (of (N, 2) or (N, 3)) in each cell of a grid of side `cell_m`, in order."""
     return points[first_in_cells(points, cell_m)]
+
+
+@cache
+def _stamp(resolution: float, sigma: float) -> FieldArray:
+    """(2 r + 1, 2 r + 1) the field of one point, in the middle, as far as it reaches; 0 beyond."""
+    reach = math.ceil(_REACH_SIGMAS * sigma / resolution)
+    empty = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
+    empty[reach, reach] = 0
+    values = _field_values(empty, resolution, sigma)
+    values[values < math.exp(-(_REACH_SIGMAS**2) / 2)] = 0.0
+    values.setflags(write=False)
+    return values
 
 
 def _extent(

@@ -24,11 +24,18 @@ _SEEN_SPACINGS = 4.0  # cells of the space looked at: two voxels, as wide as a w
 
 
 class LocalMap:
-    """The last `window_keyframes` keyframes, in the map frame."""
+    """The last `window_keyframes` keyframes, in the map frame.
+
+    The score field forgets older ones when the registration method rebuilds its voxels; until then
+    new walls are drawn into it.
+    """
 
     def __init__(self, aligner: Aligner, sensor: SensorKind, config: RegistrationConfig) -> None:
         self.aligner, self.sensor = aligner, sensor
         self._spacing_m = config.voxel_m / 2
+        self._sigma_m = _SIGMA_SPACINGS * self._spacing_m
+        self._rebuild_keyframes = config.rebuild_keyframes
+        self._inserted = 0
         self._side_m = config.field_ranges * sensor.range_m
         self._walls: deque[FloatArray] = deque(maxlen=config.window_keyframes)
         self._outlines: deque[FloatArray] = deque(maxlen=config.window_keyframes)
@@ -46,6 +53,7 @@ class LocalMap:
         self._cells.clear()
         self._outlines.clear()
         self._field = self._seen = None
+        self._inserted = 0
 
     def insert(self, view: SweepView, map_from_base: FloatArray) -> None:
         """Add a keyframe seen from a pose (4, 4)."""
@@ -54,9 +62,14 @@ class LocalMap:
         planar = Pose2.from_matrix(map_from_base)
         walls = planar.apply(view.walls)
         self._walls.appendleft(walls)
-        self._cells.appendleft(PointCells.of(walls, _CELL_SPACINGS * self._spacing_m))
+        cells = PointCells.of(walls, _CELL_SPACINGS * self._spacing_m)
+        self._cells.appendleft(cells)
         self._outlines.appendleft(planar.apply(view.outline()))
-        self._field = self._seen = None
+        rebuilt = self._inserted % self._rebuild_keyframes == 0
+        field = None if rebuilt else self._field
+        self._field = None if field is None else field.with_cells(cells, self._sigma_m)
+        self._seen = None
+        self._inserted += 1
 
     @property
     def walls(self) -> FloatArray:
@@ -70,9 +83,8 @@ class LocalMap:
         Walls too far from the last keyframe for a field of `field_ranges` are left out.
         """
         if self._field is None:
-            sigma_m = _SIGMA_SPACINGS * self._spacing_m
             x, y = self._outlines[0][0].tolist()  # the last laser
-            self._field = ScoreField.from_cells(self._cells, sigma_m, self._side_m, (x, y))
+            self._field = ScoreField.from_cells(self._cells, self._sigma_m, self._side_m, (x, y))
         return self._field
 
     @property

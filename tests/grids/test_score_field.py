@@ -60,6 +60,37 @@ def test_walls_in_parts_make_the_field_of_all(room: FloatArray, longest: float) 
     assert (field.left_out > 0) == (longest < 10.0)
 
 
+@given(seeds)
+def test_walls_drawn_into_a_field_make_the_field_of_all(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    edges = np.array([[-4.0, -3.0], [4.0, 3.0]])
+    parts = [edges, rng.uniform(-3, 3, (40, 2)), rng.uniform(-2.5, 2.5, (200, 2))]
+    before, more, last = (PointCells.of(part, 0.075) for part in parts)
+    whole = ScoreField.from_cells([before, more, last], 0.1, 100.0, (0.0, 0.0))
+    start = ScoreField.from_cells([before], 0.1, 100.0, (0.0, 0.0))
+    unchanged = start.values.copy()
+    field = start.with_cells(more, 0.1)
+    assert field is not None
+    drawn = field.with_cells(last, 0.1)
+    assert drawn is not None
+    near = whole.values > 3e-3  # within the reach of a wall: the same to the last bit
+    assert np.array_equal(drawn.values[near], whole.values[near])
+    assert (drawn.values <= whole.values).all()
+    assert np.array_equal(start.values, unchanged)
+
+
+@pytest.mark.parametrize("place", [(4.3, 0.0), (0.0, -3.3), (1e6, 0.0)])
+def test_walls_near_the_edge_of_a_field_or_beyond_cannot_be_drawn_into_it(
+    place: tuple[float, float],
+) -> None:
+    edges = PointCells.of(np.array([[-4.0, -3.0], [4.0, 3.0]]), 0.075)
+    field = ScoreField.from_cells([edges], 0.1, 100.0, (0.0, 0.0))
+    inside, outside = ([[0.0, 0.0]], [[0.0, 0.0], place])
+    assert field.with_cells(PointCells.of(np.array(inside), 0.075), 0.1) is not None
+    assert field.with_cells(PointCells.of(np.array(outside), 0.075), 0.1) is None
+    assert field.with_cells(PointCells.of(np.zeros((0, 2)), 0.075), 0.1) is field
+
+
 def test_the_coarser_field_is_nowhere_below_the_fine_one(field: ScoreField) -> None:
     coarse = field.coarser(4)
     places = np.random.default_rng(3).uniform(-4, 5, (2000, 2))
