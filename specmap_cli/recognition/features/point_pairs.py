@@ -7,13 +7,18 @@ normals stand to each other. In the spirit of the point-pair features of Drost e
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.recognition.features.group import FeatureGroup
-from specmap_cli.recognition.features.returns import Returns, pairs_of
-from specmap_cli.recognition.features.shape import breaks_of
+from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.recognition.features.group import BatchGroup
+from specmap_cli.recognition.features.pairs import pair_windows
+from specmap_cli.recognition.features.returns import ReturnsBatch
+from specmap_cli.recognition.features.segments import Segments
+from specmap_cli.recognition.features.shape import breaks_of, pieces_between, travelled_along
 
 # These define features: classifiers on disk hold thresholds on what comes of them.
 DISTANCE_EDGES_M = (0.4, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0)
@@ -30,92 +35,134 @@ _NO_LENGTH_M = 1e-9  # of the tangent at a point that is a piece of its own: it 
 # distance bin by squared distance in steps of 0.01 m^2: all edges squared are whole steps
 _STEPS_PER_M2 = 100.0
 _LAST_STEP = int(DISTANCE_EDGES_M[-1] ** 2 * _STEPS_PER_M2)
-_BIN_OF_STEP: NDArray[np.intp] = len(ORIENTATIONS) * np.searchsorted(
-    np.round(np.square(DISTANCE_EDGES_M) * _STEPS_PER_M2), np.arange(_LAST_STEP + 1), side="right"
+_BIN_OF_STEP: NDArray[np.uint8] = np.asarray(
+    len(ORIENTATIONS)
+    * np.searchsorted(
+        np.round(np.square(DISTANCE_EDGES_M) * _STEPS_PER_M2),
+        np.arange(_LAST_STEP + 1),
+        side="right",
+    ),
+    dtype=np.uint8,
 )
+_PARALLEL, _CORNER_IN, _CORNER_OUT, _OPPOSED = range(len(ORIENTATIONS))
+_OF_NONE = int(_BIN_OF_STEP[-1]) + _CORNER_OUT  # where pairs with a point that is none are counted
 
 
-def point_pair_histogram(returns: Returns) -> list[float]:
-    """(66,) shares of pairs by distance and orientation, boundary length in metres, point count.
+@dataclass(frozen=True, slots=True)
+class Boundary:
+    """The boundaries of n scans by arc length, K points in all.
+
+    `points` and `normals`, of length 1 and to the robot, (2, K); `segments` says whose they are;
+    `lengths` (n,) metres. Leaps from one surface to another are not boundary. Points lie 0.08 m
+    apart, or farther so that there are at most 110 of a scan.
+    """
+
+    segments: Segments
+    points: FloatArray
+    normals: FloatArray
+    lengths: FloatArray
+
+
+def point_pair_histogram(batch: ReturnsBatch) -> FloatArray:
+    """(n, 66) shares of pairs by distance and orientation, boundary length in metres, point count.
 
     Orientations: normals within 45 degrees of each other (`parallel`), across each other in a
     concave or convex corner (`corner_in`, `corner_out`), against each other (`opposed`).
     """
-    points, normals, length = boundary(returns)
-    n = len(points)
-    if n < 2:
-        return [0.0] * len(PAIR_COLUMNS) + [length, float(n)]
-    first, second = pairs_of(n)
-    x, y = points[:, 0], points[:, 1]
-    u, v = normals[:, 0], normals[:, 1]
-    dx, dy = x.take(second) - x.take(first), y.take(second) - y.take(first)
-    u1, v1, u2, v2 = u.take(first), v.take(first), u.take(second), v.take(second)
-    cosine = u1 * u2 + v1 * v2
-    # (p_j - p_i) . (n_i - n_j) > 0: the two surfaces face each other
-    facing = dx * (u1 - u2) + dy * (v1 - v2) > 0.0
-    orientation = 2 - facing
-    orientation[cosine > _ALIGNED] = 0
-    orientation[cosine < -_ALIGNED] = 3
-    step = ((dx * dx + dy * dy) * _STEPS_PER_M2).astype(np.intp)
-    np.minimum(step, _LAST_STEP, out=step)
-    counts = np.bincount(_BIN_OF_STEP.take(step) + orientation, minlength=len(PAIR_COLUMNS))
-    return [*(counts / len(step)).tolist(), length, float(n)]
+    found = boundary(batch)
+    columns = np.concatenate([found.points, found.normals])
+    firsts, seconds = pair_windows(found.segments.padded(columns, np.nan))
+    # scan by scan: what is held of the pairs of one stays in the nearest cache of a processor
+    counts = np.array([_pair_counts(firsts[:, k], seconds[:, k]) for k in range(len(batch))])
+    n = found.segments.counts
+    pairs = n * (n - 1) // 2
+    counts[:, _OF_NONE] += pairs - counts.sum(axis=1)  # those with a point that is none
+    return np.column_stack([counts / np.maximum(1, pairs)[:, None], found.lengths, n])
 
 
-def boundary(returns: Returns) -> tuple[FloatArray, FloatArray, float]:
-    """The boundary by arc length: points (K, 2), unit normals (K, 2) to the robot, its length.
-
-    Leaps from one surface to another are not boundary. Points lie 0.08 m apart, or farther so that
-    there are at most 110.
-    """
-    if len(returns) < 2:
-        return np.zeros((0, 2)), np.zeros((0, 2)), 0.0
-    steps = returns.steps.copy()
-    cuts = breaks_of(returns).astype(np.intp)
-    steps[cuts] = 0.0
-    travelled = np.concatenate([[0.0], np.cumsum(steps)])
-    length = float(travelled[-1])
-    if length <= 0.0:
-        return np.zeros((0, 2)), np.zeros((0, 2)), 0.0
-    spacing = max(_SPACING_M, length / _MOST_POINTS)
-    places = np.arange(0.5 * spacing, length, spacing)[:_MOST_POINTS]
-    # cut at each leap: piece k holds the arc from starts[k] to ends[k]
-    starts = np.concatenate([[0], cuts + 1])
-    ends = np.concatenate([cuts, [len(returns) - 1]])
-    piece = np.searchsorted(travelled[starts], places, side="right") - 1
-    low, high = starts[piece], ends[piece]
-    points = _interpolate(returns.points, travelled, places, low, high)
-    before = _interpolate(returns.points, travelled, places - _NORMAL_REACH_M, low, high)
-    after = _interpolate(returns.points, travelled, places + _NORMAL_REACH_M, low, high)
-    tangent = after - before
-    normals = np.column_stack([-tangent[:, 1], tangent[:, 0]])
-    size = np.sqrt(normals[:, 0] ** 2 + normals[:, 1] ** 2)
+def boundary(batch: ReturnsBatch) -> Boundary:
+    """The boundaries of n scans."""
+    breaks = breaks_of(batch)
+    travelled = travelled_along(batch, breaks)
+    lengths = batch.segments.max(travelled)
+    segments, places = _places(lengths)
+    reach = np.array([[0.0], [-_NORMAL_REACH_M], [_NORMAL_REACH_M]])
+    at, before, after = _interpolated(batch, breaks, travelled, segments, places + reach)
+    along_x, along_y = after - before
+    size = np.sqrt(along_x * along_x + along_y * along_y)
     good = size > _NO_LENGTH_M
-    points, normals = points[good], normals[good] / size[good, None]
-    away = (points * normals).sum(axis=1) > 0.0
-    normals[away] *= -1.0
-    return points, normals, length
+    points, normals = at[:, good], np.stack([-along_y, along_x])[:, good] / size[good]
+    away = points[0] * normals[0] + points[1] * normals[1] > 0.0
+    normals[:, away] *= -1.0
+    return Boundary(segments.kept(good), points, normals, lengths)
 
 
-def _interpolate(
-    points: FloatArray,
+def _places(lengths: FloatArray) -> tuple[Segments, FloatArray]:
+    """Where points lie along boundaries of some lengths (n,), metres from the first return."""
+    spacing = np.maximum(_SPACING_M, lengths / _MOST_POINTS)
+    counts = np.minimum(_MOST_POINTS, np.ceil((lengths - 0.5 * spacing) / spacing))
+    segments = Segments.of_counts(np.maximum(0, counts))
+    first, step = segments.spread(0.5 * spacing), segments.spread(spacing)
+    return segments, first + segments.place * step
+
+
+def _interpolated(
+    batch: ReturnsBatch,
+    breaks: BoolArray,
     travelled: FloatArray,
+    segments: Segments,
     places: FloatArray,
-    low: NDArray[np.intp],
-    high: NDArray[np.intp],
 ) -> FloatArray:
-    """(K, 2) points at `places` along the arc, kept between the vertices low[k] and high[k]."""
-    places = np.clip(places, travelled[low], travelled[high])
-    left = np.searchsorted(travelled, places, side="right") - 1
+    """(r, 2, K) points at `places` (r, K) along the arc, those of row 0 on its pieces.
+
+    The others are kept on the piece of the one in row 0 above them.
+    """
+    starts, ends = pieces_between(batch.segments, breaks)
+    is_end = breaks | batch.segments.last
+    piece: IntArray = np.cumsum(is_end) - is_end
+    left = np.zeros(places.shape, dtype=np.intp)
+    for scan in np.flatnonzero(segments.counts).tolist():
+        start, end = batch.segments.starts[scan : scan + 2].tolist()
+        own = slice(*segments.starts[scan : scan + 2].tolist())
+        left[:, own] = np.searchsorted(travelled[start:end], places[:, own], side="right")
+        left[:, own] += start - 1
+    low, high = starts[piece[left[0]]], ends[piece[left[0]]]
     left = np.clip(left, low, np.maximum(high - 1, low))
     right = np.minimum(left + 1, high)
     span = travelled[right] - travelled[left]
-    share = np.where(span > 0.0, (places - travelled[left]) / np.where(span > 0.0, span, 1.0), 0.0)
-    return np.asarray(points[left] + share[:, None] * (points[right] - points[left]))
+    share = np.clip(places, travelled[low], travelled[high]) - travelled[left]
+    share = np.divide(share, span, out=np.zeros_like(share), where=span > 0.0)
+    points = batch.points[:, left]
+    return np.asarray((points + share * (batch.points[:, right] - points)).swapaxes(0, 1))
 
 
-GROUPS: tuple[FeatureGroup, ...] = (
-    FeatureGroup(
+def _pair_counts(first: FloatArray, second: FloatArray) -> NDArray[np.intp]:
+    """(64,) pairs of points by distance and orientation; x, y and normal (4, ...) of each.
+
+    NaN stands for no point; its pairs are counted in the bin `_OF_NONE`.
+    """
+    (x1, y1, u1, v1), (x2, y2, u2, v2) = first, second
+    dx, dy = x2 - x1, y2 - y1
+    squared = dx * dx
+    squared += dy * dy
+    squared *= _STEPS_PER_M2
+    np.fmin(squared, _LAST_STEP, out=squared)
+    bins = _BIN_OF_STEP.take(squared.astype(np.intp))
+    # (p_j - p_i) . (n_i - n_j) > 0: the two surfaces face each other
+    dx *= u1 - u2
+    dy *= v1 - v2
+    dx += dy
+    cosine = u1 * u2
+    cosine += v1 * v2
+    kind = _CORNER_OUT - (dx > 0.0).view(np.uint8)
+    kind *= ~(cosine > _ALIGNED)  # which leaves parallel ones, whose number is nought
+    kind |= _OPPOSED * (cosine < -_ALIGNED).view(np.uint8)  # and this has all bits of a corner's
+    bins += kind
+    return np.bincount(bins.ravel(), minlength=len(PAIR_COLUMNS))
+
+
+GROUPS: tuple[BatchGroup, ...] = (
+    BatchGroup(
         point_pair_histogram,
         (*PAIR_COLUMNS, "boundary_length", "boundary_points"),
         histogram=PAIR_COLUMNS,

@@ -1,4 +1,4 @@
-"""The returns of one scan in order: the raw material of every feature.
+"""The returns of scans in order: the raw material of every feature.
 
 Those of a full circle start after the widest jump. A turn of the robot, which only shifts the
 beams, then leaves them as they are, up to a rotation of the plane.
@@ -6,15 +6,16 @@ beams, then leaves them as they are, up to a rotation of the plane.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.records import BoolArray, IntArray, PlanarScan
+from specmap_cli.recognition.features.pairs import pair_windows
+from specmap_cli.recognition.features.segments import Segments
 
 # These define features: classifiers on disk hold thresholds on what comes of them.
 PAIR_STEP_M = 0.1
@@ -22,7 +23,7 @@ PAIR_STEPS = 120  # distances of pairs are told apart up to 12 m
 _PAIR_POINTS = 90  # 4,005 pairs: the shares are good to a percent, and cheap
 
 
-@dataclass(frozen=True, kw_only=True)  # without slots: some properties are computed once
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Returns:
     """The returns of one scan in the order of their bearings.
 
@@ -42,87 +43,150 @@ class Returns:
     def __len__(self) -> int:
         return len(self.ranges)
 
+
+@dataclass(frozen=True, kw_only=True)  # without slots: some properties are computed once
+class ReturnsBatch:
+    """The returns of n scans, one scan after another in flat arrays, N returns in all.
+
+    `ranges` and `bearings` (N,); `points` (2, N), x and y in each laser's frame; `onward` (N,)
+    metres from each point to the next of its scan, from the last one to the first; `closed` (n,)
+    where the sweep is a full circle; `beams` (n,) readings in all, `no_return` (n,) of them without
+    a return.
+    """
+
+    segments: Segments
+    ranges: FloatArray
+    bearings: FloatArray
+    points: FloatArray
+    onward: FloatArray
+    closed: BoolArray
+    beams: IntArray
+    no_return: IntArray
+
+    @classmethod
+    def of(cls, scans: Sequence[PlanarScan]) -> ReturnsBatch:
+        """The returns of scans. A reading of `range_max` or more, or infinite, is no return.
+
+        Invalid readings, which are NaN or nought, are neither.
+        """
+        beams = np.array([len(scan.ranges) for scan in scans], dtype=np.int64)
+        readings = Segments.of_counts(beams)
+        ranges = np.concatenate([np.zeros(0), *(scan.ranges for scan in scans)])
+        bearings = np.concatenate([np.zeros(0), *(scan.bearings for scan in scans)])
+        valid = ranges > 0.0
+        hit = valid & (ranges < readings.spread(np.array([scan.range_max for scan in scans])))
+        segments = readings.kept(hit)
+        r, b = ranges[hit], bearings[hit]
+        points = np.stack([r * np.cos(b), r * np.sin(b)])
+        onward = _onward(segments, points)
+        closed = np.array([scan.full_circle for scan in scans], dtype=np.bool_)
+        order = _after_the_widest_jump(segments, onward, closed)
+        return cls(
+            segments=segments,
+            ranges=r[order],
+            bearings=b[order],
+            points=points[:, order],
+            onward=onward[order],
+            closed=closed,
+            beams=beams,
+            no_return=readings.sum(valid) - segments.counts,
+        )
+
+    def __len__(self) -> int:
+        return len(self.segments)
+
+    def __getitem__(self, scan: int) -> Returns:
+        """The returns of one of the scans."""
+        start, end = self.segments.starts[scan : scan + 2].tolist()
+        own = slice(start, end)
+        return Returns(
+            ranges=self.ranges[own],
+            bearings=self.bearings[own],
+            points=np.ascontiguousarray(self.points[:, own].T),
+            steps=self.onward[start : max(start, end - 1)],
+            closed=bool(self.closed[scan]),
+            beams=int(self.beams[scan]),
+            no_return=int(self.no_return[scan]),
+        )
+
     @property
-    def polygon(self) -> FloatArray:
-        """(M, 2) vertices of the area that was seen: with the laser itself unless a circle."""
-        if self.closed:
-            return self.points
-        return np.vstack([np.zeros((1, 2)), self.points])
+    def counts(self) -> IntArray:
+        """(n,) returns of each scan."""
+        return self.segments.counts
 
     @cached_property
-    def area_and_perimeter(self) -> tuple[float, float]:
-        """Square metres and metres of the polygon, zero with fewer than two returns."""
-        if len(self) < 2:
-            return 0.0, 0.0
-        x, y = self.points[:, 0], self.points[:, 1]
-        twice = float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
-        perimeter = float(self.steps.sum())
-        if self.closed:
-            twice += float(x[-1] * y[0] - x[0] * y[-1])
-            perimeter += math.hypot(x[-1] - x[0], y[-1] - y[0])
-        else:
-            perimeter += float(self.ranges[0] + self.ranges[-1])
-        return 0.5 * abs(twice), perimeter
+    def polygons(self) -> tuple[Segments, FloatArray]:
+        """The vertices (2, M) of the area that each saw: with the laser itself unless a circle."""
+        opened = (~self.closed).astype(np.intp)
+        segments = Segments.of_counts(self.counts + opened)
+        slots = np.arange(len(self.ranges)) + self.segments.spread(np.cumsum(opened))
+        vertices = np.zeros((2, int(segments.starts[-1])))
+        vertices[:, slots] = self.points
+        return segments, vertices
+
+    @cached_property
+    def areas_and_perimeters(self) -> tuple[FloatArray, FloatArray]:
+        """Square metres and metres (n,) of the polygons, zero with fewer than two returns."""
+        segments, vertices = self.polygons
+        (x, y), (x_after, y_after) = vertices, vertices[:, segments.following]
+        twice = segments.sum(x * y_after - x_after * y)
+        perimeter = segments.sum(_onward(segments, vertices))
+        some = self.counts >= 2
+        return np.where(some, 0.5 * np.abs(twice), 0.0), np.where(some, perimeter, 0.0)
+
+    @cached_property
+    def centred(self) -> FloatArray:
+        """(2, N) x and y of each return from the mean of all returns of its scan."""
+        return np.asarray(self.points - self.segments.spread(self.segments.mean(self.points)))
 
     @cached_property
     def centroid_distances(self) -> FloatArray:
-        """(N,) metres from each return to the mean of all returns."""
-        return _lengths(self.points - self.points.mean(axis=0))
+        """(N,) metres from each return to the mean of all returns of its scan."""
+        x, y = self.centred
+        return np.asarray(np.sqrt(x * x + y * y))
 
     @cached_property
     def pair_shares(self) -> FloatArray:
-        """(121,) share of pairs of returns by distance in steps of 0.1 m, the last one open.
+        """(n, 121) share of pairs of returns by distance in steps of 0.1 m, the last one open.
 
-        All pairs of every k-th return, at most 90 of them, so that a scan has one histogram.
+        All pairs of every k-th return of a scan, at most 90 of them, so that it has one histogram.
         """
-        points = self.points[:: max(1, -(-len(self) // _PAIR_POINTS))]
-        n = len(points)
-        first, second = pairs_of(n)
-        x, y = points[:, 0], points[:, 1]
-        dx, dy = x.take(first) - x.take(second), y.take(first) - y.take(second)
-        steps = (np.sqrt(dx * dx + dy * dy) * (1.0 / PAIR_STEP_M)).astype(np.intp)
-        np.minimum(steps, PAIR_STEPS, out=steps)
-        counts = np.bincount(steps, minlength=PAIR_STEPS + 1)
-        return np.asarray(counts / max(1, len(steps)), dtype=np.float64)
+        every = np.maximum(1, -(-self.counts // _PAIR_POINTS))
+        taken = self.segments.place % self.segments.spread(every) == 0
+        segments = self.segments.kept(taken)
+        firsts, seconds = pair_windows(segments.padded(self.points[:, taken], np.nan))
+        counts = np.array([_pair_counts(firsts[:, k], seconds[:, k]) for k in range(len(self))])
+        n = segments.counts
+        pairs = n * (n - 1) // 2
+        counts[:, -1] += pairs - counts.sum(axis=1)  # those with a point that is none
+        return np.asarray(counts / np.maximum(1, pairs)[:, None])
 
 
-@lru_cache(maxsize=256)
-def pairs_of(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Both numbers (k,) of every pair of `count` items."""
-    first, second = np.triu_indices(count, 1)
-    return first, second
+def _onward(segments: Segments, points: FloatArray) -> FloatArray:
+    """(N,) metres from each point (2, N) to the next of its piece, from the last to the first."""
+    dx, dy = points[:, segments.following] - points
+    return np.asarray(np.sqrt(dx * dx + dy * dy))
 
 
-def returns_of(scan: PlanarScan) -> Returns:
-    """The returns of a scan. A reading of `range_max` or more, or infinite, is no return.
-
-    Invalid readings, which are NaN or nought, are neither.
-    """
-    ranges = scan.ranges
-    valid = ranges > 0.0
-    hit = valid & (ranges < scan.range_max)
-    no_return = int(np.count_nonzero(valid) - np.count_nonzero(hit))
-    r, b = ranges[hit], scan.bearings[hit]
-    points = np.empty((len(r), 2))
-    points[:, 0], points[:, 1] = r * np.cos(b), r * np.sin(b)
-    steps = _lengths(points[1:] - points[:-1])
-    if scan.full_circle and len(r) > 2:
-        closing = float(np.hypot(*(points[0] - points[-1])))
-        widest = int(np.argmax(steps))
-        if steps[widest] > closing:
-            r, b, points = (np.roll(a, -widest - 1, axis=0) for a in (r, b, points))
-            steps = np.concatenate([steps[widest + 1 :], [closing], steps[:widest]])
-    return Returns(
-        ranges=r,
-        bearings=b,
-        points=points,
-        steps=steps,
-        closed=scan.full_circle,
-        beams=len(ranges),
-        no_return=no_return,
-    )
+def _after_the_widest_jump(segments: Segments, onward: FloatArray, closed: BoolArray) -> IntArray:
+    """(N,) the order in which circles begin after their widest jump, the others where they do."""
+    first, counts = segments.starts[:-1], segments.counts
+    widest = segments.argmax(onward)
+    turned = np.zeros(len(segments), dtype=np.intp)
+    some = np.flatnonzero(closed & (counts > 2))
+    inner = onward[widest[some]] > onward[first[some] + counts[some] - 1]
+    turned[some[inner]] = (widest - first + 1)[some[inner]]
+    place = (segments.place + segments.spread(turned)) % segments.spread(counts)
+    return np.asarray(segments.spread(first) + place)
 
 
-def _lengths(vectors: FloatArray) -> FloatArray:
-    """(N,) lengths of vectors (N, 2)."""
-    return np.asarray(np.sqrt(vectors[:, 0] ** 2 + vectors[:, 1] ** 2))
+def _pair_counts(first: FloatArray, second: FloatArray) -> IntArray:
+    """(121,) pairs of points (2, ...) by distance; NaN is no point, and its pairs come last."""
+    dx, dy = first - second
+    dx *= dx
+    dy *= dy
+    dx += dy
+    np.sqrt(dx, out=dx)
+    dx *= 1.0 / PAIR_STEP_M
+    np.fmin(dx, PAIR_STEPS, out=dx)
+    return np.bincount(dx.astype(np.intp).ravel(), minlength=PAIR_STEPS + 1)

@@ -6,13 +6,13 @@ lengths. As in `table1`, all are finite, and unchanged when the robot turns on t
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.recognition.features.group import FeatureGroup
-from specmap_cli.recognition.features.returns import Returns
+from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.recognition.features.group import BatchGroup
+from specmap_cli.recognition.features.returns import ReturnsBatch
+from specmap_cli.recognition.features.segments import Segments
 from specmap_cli.recognition.features.table1 import pair_histogram
 
 # These define features: classifiers on disk hold thresholds on what comes of them.
@@ -22,60 +22,70 @@ _BREAK_M, _BREAK_PER_M = 0.25, 0.03  # neighbouring beams lie this far apart on 
 _LONG_PIECES_M = (0.5, 1.0, 2.0)
 
 
-def breaks_of(returns: Returns) -> FloatArray:
-    """Numbers k of the steps, from return k to k + 1, that leap from one surface to another.
+def breaks_of(batch: ReturnsBatch) -> BoolArray:
+    """(N,) whether the step from a return to the next one leaps from one surface to another.
 
-    A step leaps when it is longer than 0.25 m and 3 % of the nearer range together.
+    A step leaps when it is longer than 0.25 m and 3 % of the nearer range together. The last
+    return of a scan has no step.
     """
-    nearer = np.minimum(returns.ranges[1:], returns.ranges[:-1])
-    return np.asarray(np.flatnonzero(returns.steps > _BREAK_M + _BREAK_PER_M * nearer))
+    nearer = np.minimum(batch.ranges, batch.ranges[batch.segments.following])
+    leaps = batch.onward > _BREAK_M + _BREAK_PER_M * nearer
+    return np.asarray(leaps & ~batch.segments.last)
 
 
-def fine_distance_histogram(returns: Returns) -> list[float]:
+def travelled_along(batch: ReturnsBatch, left_out: BoolArray) -> FloatArray:
+    """(N,) metres from the first return of each scan on, along the steps but those `left_out`."""
+    steps = np.where(batch.segments.last | left_out, 0.0, batch.onward)
+    before = np.concatenate([np.zeros(min(1, len(steps))), steps[:-1]])
+    return batch.segments.cumsum(before)
+
+
+def pieces_between(segments: Segments, breaks: BoolArray) -> tuple[IntArray, IntArray]:
+    """The first and the last return (p,) of every smooth piece between breaks (N,), in order."""
+    ends = breaks | segments.last
+    starts = np.concatenate([np.ones(min(1, len(ends)), dtype=np.bool_), ends[:-1]])
+    return np.flatnonzero(starts), np.flatnonzero(ends)
+
+
+def fine_distance_histogram(batch: ReturnsBatch) -> FloatArray:
     """Distribution of the distance between two returns in bins of 0.2 m, the last one open."""
-    if len(returns) < 2:
-        return [0.0] * (len(FINE_EDGES_M) + 1)
-    return list(pair_histogram(returns, FINE_EDGES_M).tolist())
+    return pair_histogram(batch, FINE_EDGES_M)
 
 
-def pieces(returns: Returns) -> list[float]:
+def pieces(batch: ReturnsBatch) -> FloatArray:
     """Smooth pieces between leaps: how many there are, how many are longer than each of 0.5, 1 and
     2 m, the longest one's length and the mean length.
     """
-    if len(returns) < 2:
-        return [0.0] * (len(_LONG_PIECES_M) + 3)
-    travelled = np.concatenate([[0.0], np.cumsum(returns.steps)])
-    cuts = breaks_of(returns).astype(np.intp)
-    starts = np.concatenate([[0], cuts + 1])
-    ends = np.concatenate([cuts, [len(returns) - 1]])
+    segments, breaks = batch.segments, breaks_of(batch)
+    travelled = travelled_along(batch, np.zeros_like(breaks))
+    starts, ends = pieces_between(segments, breaks)
     lengths = travelled[ends] - travelled[starts]
-    longer = [float(np.count_nonzero(lengths > limit)) for limit in _LONG_PIECES_M]
-    return [float(len(lengths)), *longer, float(lengths.max()), float(lengths.mean())]
+    own = Segments.of_counts(np.bincount(segments.owner[starts], minlength=len(batch)))
+    longer = own.sum(lengths > np.array(_LONG_PIECES_M)[:, None])
+    values = np.column_stack([own.counts, *longer, own.max(lengths), own.mean(lengths)])
+    return np.where(batch.counts[:, None] >= 2, values, 0.0)
 
 
-def clipped_ranges(returns: Returns) -> list[float]:
+def clipped_ranges(batch: ReturnsBatch) -> FloatArray:
     """For each of `CLIPS_M`: the share of beams below it, mean and deviation of the cut ranges."""
-    if not len(returns):
-        return [0.0] * (3 * len(CLIPS_M))
-    values: list[float] = []
-    for clip in CLIPS_M:
-        cut = np.minimum(returns.ranges, clip)
-        mean = float(cut.mean())
-        variance = max(0.0, float((cut * cut).mean()) - mean * mean)
-        below = float(np.count_nonzero(returns.ranges < clip)) / len(cut)
-        values += [below, mean, math.sqrt(variance)]
-    return values
+    segments = batch.segments
+    clips = np.array(CLIPS_M)[:, None]
+    cut = np.minimum(batch.ranges, clips)
+    mean = segments.mean(cut)
+    variance = np.maximum(0.0, segments.mean(cut * cut) - mean * mean)
+    values = np.stack([segments.mean(batch.ranges < clips), mean, np.sqrt(variance)])
+    return np.asarray(values.transpose(2, 1, 0).reshape(len(batch), -1))
 
 
 _FINE_COLUMNS = tuple(f"fine_distance_{low:g}m" for low in (0.0, *FINE_EDGES_M))
 
-GROUPS: tuple[FeatureGroup, ...] = (
-    FeatureGroup(fine_distance_histogram, _FINE_COLUMNS, histogram=_FINE_COLUMNS),
-    FeatureGroup(
+GROUPS: tuple[BatchGroup, ...] = (
+    BatchGroup(fine_distance_histogram, _FINE_COLUMNS, histogram=_FINE_COLUMNS),
+    BatchGroup(
         pieces,
         ("pieces", *(f"pieces_over_{t:g}m" for t in _LONG_PIECES_M), "piece_max", "piece_mean"),
     ),
-    FeatureGroup(
+    BatchGroup(
         clipped_ranges,
         tuple(
             f"{kind}_{clip:g}m"

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import NO_SUBMAP
+from specmap_cli.core.records import NO_SUBMAP, PlanarScan
 from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config, LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.features.sets import KeyframeFeatures, scan_features, scans_features
+from specmap_cli.recognition.features.sets import KeyframeFeatures, scans_features
 from specmap_cli.recognition.features.virtual import RecentScans, cast_circles
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
@@ -113,9 +113,9 @@ def virtual_samples(
 ) -> dict[int, FloatArray]:
     """Features (n, F) of virtual scans of every submap: along the track, and from free cells."""
     owner = _owners(submaps, len(poses))
-    rows: dict[int, list[FloatArray]] = {i: [] for i in sorted(submaps)}
-    for keyframe, features in _along_the_track(store, owner, poses, localization):
-        rows[int(owner[keyframe])].append(features)
+    seen: dict[int, list[PlanarScan]] = {i: [] for i in sorted(submaps)}
+    for keyframe, scan in _along_the_track(store, owner, poses, localization):
+        seen[int(owner[keyframe])].append(scan)
     samples = {}
     counts = _share_out(localization.augmentation, {i: g.free_area_m2 for i, g in grids.items()})
     tracked = np.flatnonzero(owner != NO_SUBMAP)
@@ -126,9 +126,8 @@ def virtual_samples(
         distance, nearest = tree.query(map_from_submap.apply(drawn))
         near = (distance < localization.augmentation_reach_m) & (owner[tracked][nearest] == i)
         beams, reach = localization.virtual_beams, localization.virtual_range_m
-        scans = cast_circles(grids[i], drawn[near][: counts[i]], beams, reach)
-        cast = scans_features(scans, localization.feature_set)
-        samples[i] = np.vstack([*(row[None] for row in rows[i]), cast])
+        cast = cast_circles(grids[i], drawn[near][: counts[i]], beams, reach)
+        samples[i] = scans_features([*seen[i], *cast], localization.feature_set)
     return samples
 
 
@@ -145,8 +144,8 @@ def _along_the_track(
     owner: NDArray[np.intp],
     poses: FloatArray,
     localization: LocalizationConfig,
-) -> Iterator[tuple[int, FloatArray]]:
-    """Keyframes in turn with the features of what the window showed there, of several lengths."""
+) -> Iterator[tuple[int, PlanarScan]]:
+    """Keyframes in turn with what the window showed there as a scan, of several lengths."""
     windows = [RecentScans(localization, share) for share in _WINDOW_SHARES]
     numbers = np.flatnonzero(owner != NO_SUBMAP)
     sampled = set(evenly(numbers, localization.track_samples).tolist())
@@ -157,9 +156,8 @@ def _along_the_track(
         for window in windows:
             window.add_points(points, pose, mounting)
         if number in sampled:
-            scan = windows[turn % len(windows)].scan(0, pose @ mounting)
+            yield number, windows[turn % len(windows)].scan(0, pose @ mounting)
             turn += 1
-            yield number, scan_features(scan, localization.feature_set)
 
 
 def _share_out(total: int, areas: Mapping[int, float]) -> dict[int, int]:

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.recognition.features.returns import PAIR_STEPS, pairs_of, returns_of
+from specmap_cli.recognition.features.returns import PAIR_STEPS, ReturnsBatch
+from tests.recognition.features.one_scan import batch_of, returns_of
 from tests.strategies import planar_scans
 
 readings = st.lists(
@@ -73,38 +74,44 @@ def test_a_half_circle_keeps_the_order_of_its_beams() -> None:
 
 
 def test_the_polygon_of_a_half_circle_holds_the_laser() -> None:
-    half = returns_of(scan_of(np.full(181, 2.0), full=False))
-    assert half.polygon[0].tolist() == [0.0, 0.0]
-    area, perimeter = half.area_and_perimeter
-    assert area == pytest.approx(math.pi * 2.0, rel=0.01)  # half a disc of 2 m
-    assert perimeter == pytest.approx(math.pi * 2.0 + 4.0, rel=0.01)
-    whole = returns_of(scan_of(np.full(181, 2.0)))
-    assert len(whole.polygon) == 181
-    assert whole.area_and_perimeter[0] == pytest.approx(math.pi * 4.0, rel=0.01)
+    half, whole = (scan_of(np.full(181, 2.0), full=full) for full in (False, True))
+    batch = ReturnsBatch.of([half, whole])
+    segments, vertices = batch.polygons
+    assert segments.counts.tolist() == [182, 181]
+    assert vertices[:, 0].tolist() == [0.0, 0.0]
+    areas, perimeters = batch.areas_and_perimeters
+    assert areas == pytest.approx([math.pi * 2.0, math.pi * 4.0], rel=0.01)  # discs of 2 m
+    assert perimeters[0] == pytest.approx(math.pi * 2.0 + 4.0, rel=0.01)
 
 
 @given(planar_scans())
 def test_pair_shares_are_those_of_every_kth_return(scan: PlanarScan) -> None:
-    returns = returns_of(scan)
-    shares = returns.pair_shares
-    assert shares.shape == (PAIR_STEPS + 1,)
+    batch = batch_of(scan)
+    shares = batch.pair_shares
+    assert shares.shape == (1, PAIR_STEPS + 1)
     assert shares.sum() == pytest.approx(1.0)
-    distances = [math.dist(a, b) for a, b in combinations(returns.points.tolist(), 2)]
-    assert len(returns) <= 90  # no return is left out of so few
+    distances = [math.dist(a, b) for a, b in combinations(batch.points.T.tolist(), 2)]
+    assert batch.counts[0] <= 90  # no return is left out of so few
     far = sum(distance >= 12.0 for distance in distances)
-    assert shares[-1] == pytest.approx(far / len(distances))
+    assert shares[0, -1] == pytest.approx(far / len(distances))
 
 
 def test_a_dense_scan_is_thinned_for_its_pairs() -> None:
     rng = np.random.default_rng(0)
-    dense = returns_of(scan_of(rng.uniform(2.0, 4.0, 1440)))
-    sparse = returns_of(scan_of(dense.ranges[np.argsort(dense.bearings)][::4]))
+    dense = batch_of(scan_of(rng.uniform(2.0, 4.0, 1440)))
+    sparse = batch_of(scan_of(dense.ranges[np.argsort(dense.bearings)][::4]))
     assert np.abs(np.cumsum(dense.pair_shares) - np.cumsum(sparse.pair_shares)).max() < 0.1
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 5])
-def test_pairs_are_all_combinations(count: int) -> None:
-    first, second = pairs_of(count)
-    assert list(zip(first.tolist(), second.tolist(), strict=True)) == list(
-        combinations(range(count), 2)
-    )
+@given(st.lists(st.tuples(readings, st.booleans()), max_size=5))
+def test_a_batch_holds_each_of_its_scans(scans: list[tuple[list[float], bool]]) -> None:
+    given_scans = [scan_of(np.array(ranges), full) for ranges, full in scans]
+    batch = ReturnsBatch.of(given_scans)
+    assert len(batch) == len(scans)
+    for k, scan in enumerate(given_scans):
+        alone = returns_of(scan)
+        assert batch[k].ranges.tolist() == alone.ranges.tolist()
+        assert batch[k].points.tolist() == alone.points.tolist()
+        assert batch[k].steps.tolist() == alone.steps.tolist()
+        assert (batch[k].closed, batch[k].beams) == (alone.closed, alone.beams)
+        assert batch[k].no_return == alone.no_return

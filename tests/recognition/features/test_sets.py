@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.features.returns import returns_of
+from specmap_cli.recognition.features.group import BatchGroup, WrongCountError
+from specmap_cli.recognition.features.returns import ReturnsBatch
 from specmap_cli.recognition.features.sets import (
     BUILT_IN,
     KeyframeFeatures,
@@ -43,8 +45,18 @@ def test_a_set_names_every_column_once(name: str) -> None:
 def test_columns_hold_what_their_group_gives(name: str) -> None:
     values = dict(zip(feature_names(name), scan_features(scan(), name).tolist(), strict=True))
     for group in BUILT_IN[name]:
-        given = np.array(group.compute(returns_of(scan())), dtype=np.float32).tolist()
+        given = group.values(ReturnsBatch.of([scan()]))[0].astype(np.float32).tolist()
         assert [values[column] for column in group.columns] == given
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_a_scan_has_the_same_features_whatever_comes_with_it(name: str) -> None:
+    half = PlanarScan(0, np.linspace(-1.5, 1.5, 91), np.linspace(1.0, 6.0, 91), 20.0, False)
+    nothing = PlanarScan(0, np.zeros(0), np.zeros(0), 20.0, full_circle=False)
+    lost = replace(half, ranges=np.full(91, np.inf))
+    scans = [scan(), lost, *(scan(2.0 + 0.1 * k, 60 + k) for k in range(40)), nothing, half]
+    together = scans_features(iter(scans), name)
+    assert together.tolist() == [scan_features(each, name).tolist() for each in scans]
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -170,14 +182,25 @@ def test_a_function_that_breaks_its_word_is_told(
         scan_features(scan(), "mine")
 
 
+def test_a_package_may_compute_many_scans_at_once(install: Callable[..., None]) -> None:
+    head = HEAD.replace("FeatureGroup", "BatchGroup")
+    code = "GROUPS = (BatchGroup(lambda batch: batch.counts[:, None] * 1.0, ('returns',)),)"
+    install("mine", head + code)
+    assert scans_features([scan(beams=90), scan(beams=180)], "mine").tolist() == [[90.0], [180.0]]
+    wrong = BatchGroup(lambda batch: np.zeros((len(batch), 2)), ("one",))
+    with pytest.raises(WrongCountError, match="gives 2 values for its 1 columns"):
+        wrong.values(ReturnsBatch.of([scan()]))
+
+
 def test_keyframes_have_their_features_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     computed: list[float] = []
 
-    def counting(scan: PlanarScan, feature_set: str) -> object:
-        computed.append(float(scan.ranges[0]))
-        return scan_features(scan, feature_set)
+    def counting(scans: Iterable[PlanarScan], feature_set: str) -> object:
+        listed = list(scans)
+        computed.extend(float(scan.ranges[0]) for scan in listed)
+        return scans_features(listed, feature_set)
 
-    monkeypatch.setattr("specmap_cli.recognition.features.sets.scan_features", counting)
+    monkeypatch.setattr("specmap_cli.recognition.features.sets.scans_features", counting)
     with KeyframeStore() as store:
         for k in range(4):
             pose = Pose2(0.1 * k, 0.0, 0.0)
@@ -194,7 +217,7 @@ def test_keyframes_have_their_features_computed_once(monkeypatch: pytest.MonkeyP
         first = features.of([2, 0])
         again = features.of([0, 1, 2])
         assert features.of([]).shape == (0, len(feature_names("table1")))
-        expected = np.array([scan_features(store.scan(k), "table1") for k in range(3)])
+        expected = scans_features([store.scan(k) for k in range(3)], "table1")
     assert again == pytest.approx(expected)
     assert first.tolist() == again[[2, 0]].tolist()
     assert sorted(computed) == pytest.approx([1.8, 2.8, 3.8])
