@@ -54,6 +54,18 @@ class Target:
         product = self.spectrum * np.conj(scipy.fft.rfft2(pictures))
         return np.asarray(scipy.fft.irfft2(product.sum(axis=0), self.shape))
 
+    def correlate_turned(self, pictures: NDArray[Any]) -> NDArray[Any]:
+        """(2, *shape) `correlate` of the pictures, and of these turned by half a turn.
+
+        They turn about the centre of cell [0, 0]. The transform of a picture turned so is the
+        conjugate of its own.
+        """
+        spectrum = scipy.fft.rfft2(pictures)
+        turned = self.spectrum * spectrum
+        upright = self.spectrum * np.conj(spectrum, out=spectrum)
+        both = np.stack([upright.sum(axis=0), turned.sum(axis=0)])
+        return np.asarray(scipy.fft.irfft2(both, self.shape))
+
 
 @dataclass(frozen=True, slots=True)
 class Peak:
@@ -72,9 +84,26 @@ def cell_counts(points: NDArray[Any], cell_m: float, shape: tuple[int, int]) -> 
 
     Cell [0, 0] is centred on the origin; what lies below or left of it comes in at the far ends.
     """
-    columns, rows = np.floor(points / cell_m + 0.5).astype(np.intp).T
-    flat = (rows % shape[0]) * shape[1] + columns % shape[1]
+    flat = _cell_numbers(points, cell_m, shape)
     return np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
+
+
+def marked_cells(
+    points: NDArray[Any], cell_m: float, shape: tuple[int, int]
+) -> NDArray[np.float32]:
+    """(shape) 1 in the cells of a periodic picture that hold some of points (N, 2), else 0.
+
+    The cells are those of `cell_counts`.
+    """
+    picture = np.zeros(shape, dtype=np.float32)
+    picture.reshape(-1)[_cell_numbers(points, cell_m, shape)] = 1.0
+    return picture
+
+
+def _cell_numbers(points: NDArray[Any], cell_m: float, shape: tuple[int, int]) -> NDArray[np.intp]:
+    """(N,) the cell of each point, counted row by row."""
+    columns, rows = np.floor(points / cell_m + 0.5).astype(np.intp).T
+    return np.asarray((rows % shape[0]) * shape[1] + columns % shape[1])
 
 
 def local_maxima(correlation: NDArray[Any]) -> NDArray[Any]:
