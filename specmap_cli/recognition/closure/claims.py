@@ -2,12 +2,15 @@
 
 What grows is kept small. A submap's classifier is trained again only when the map has grown. The
 new submap's classifier is trained once for each of a few groups of old submaps, and applied to the
-group that was left out. Negatives are capped and evenly spread.
+group that was left out. All classifiers that a new submap asks for are trained together, and take
+their negatives from one pool, to which every submap gives alike: it is as large in a large building
+as in a small one, and after many rounds as after the first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +21,13 @@ from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import Booster, StumpBoost
-from specmap_cli.recognition.learning.trees import CodeArray, Quantiser, TreeBoost
+from specmap_cli.recognition.learning.growing import Growth, Question, grown
+from specmap_cli.recognition.learning.quantiser import CodeArray, Quantiser
+from specmap_cli.recognition.learning.trees import TreeBoost
 
 IndexArray = NDArray[np.intp]
 
+_POOL = 1.5  # times closure_negatives: as many are left without a group, of three
 _OWN_SAMPLES = 2  # times samples_per_submap: of all stays of the submap that is trained
 _QUANTISED_FROM = 4000  # scans that the bins are cut from: enough for quantiles of 32 bins
 _QUANTISED_GROWTH = 2  # the bins are cut anew once there are this many times the stays
@@ -61,6 +67,19 @@ class _Scans:
     def __len__(self) -> int:
         return len(self.features)
 
+    def taken(self, rows: IndexArray) -> _Scans:
+        """Some of the scans."""
+        codes = None if self.codes is None else self.codes[:, rows]
+        return _Scans(self.features[rows], codes)
+
+    @classmethod
+    def joined(cls, parts: Sequence[_Scans]) -> _Scans:
+        """The scans of several, one after the other; with bins if all of them have some."""
+        codes = [scans.codes for scans in parts if scans.codes is not None]
+        features = np.concatenate([scans.features for scans in parts])
+        cut = np.concatenate(codes, axis=1) if len(codes) == len(parts) else None
+        return cls(features, cut)
+
 
 @dataclass(frozen=True, slots=True)
 class _Trained:
@@ -69,6 +88,18 @@ class _Trained:
     booster: Booster
     among: int
     scans: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Pool:
+    """Scans of all old submaps, some of each: what classifiers take their negatives from."""
+
+    scans: _Scans
+    owner: IndexArray  # (n,) the submap of each
+
+    def without(self, submaps: Collection[int], most: int) -> IndexArray:
+        """The rows of at most `most` scans of other submaps than these, evenly spread."""
+        return evenly(np.flatnonzero(~np.isin(self.owner, list(submaps))), most)
 
 
 class ClaimRanker:
@@ -106,48 +137,81 @@ class ClaimRanker:
         if len(ids) < 2:
             return {i: Claims.alike(1.0, len(self._submaps[i])) for i in ids}
         new = self._quantised(_Scans(features))
-        groups = self.config.groups or len(ids)
-        found: dict[int, Claims] = {}
-        for group in range(min(groups, len(ids))):
-            inside = ids[group::groups]
-            rest = [i for i in ids if i not in inside]
-            c_new = self._train([new], rest)
-            for i in inside:
-                c_old = self._classifier(i, ids)
-                found[i] = _claims(c_new, c_old, new, self._submaps[i])
-        return found
+        count = min(self.config.groups or len(ids), len(ids))
+        groups = [ids[k::count] for k in range(count)]
+        c_new = self._taught(new, groups, ids)
+        return {
+            i: _claims(c_new[k], self._classifiers[i].booster, new, self._submaps[i])
+            for k, group in enumerate(groups)
+            for i in group
+        }
 
-    def _classifier(self, submap: int, ids: Sequence[int]) -> Booster:
-        """The old submap's classifier, trained again when the map or the submap has grown."""
-        own = sum(len(scans) for scans in self._submaps[submap])
+    def _taught(
+        self, new: _Scans, groups: Sequence[Sequence[int]], ids: Sequence[int]
+    ) -> list[Booster]:
+        """The new submap's classifiers, one for each group that it is trained without.
+
+        Old submaps whose classifiers are out of date are taught beside it.
+        """
+        stale = [i for i in ids if self._is_stale(i, len(ids))]
+        own = [self._own([new])] * len(groups) + [self._own(self._submaps[i]) for i in stale]
+        boosters = self._trained(own, [*groups, *([i] for i in stale)], self._pool(ids))
+        for i, booster in zip(stale, boosters[len(groups) :], strict=True):
+            self._classifiers[i] = _Trained(booster, len(ids), self._held(i))
+        return boosters[: len(groups)]
+
+    def _is_stale(self, submap: int, among: int) -> bool:
+        """Whether an old submap's classifier is to be trained: the map or the submap has grown."""
         before = self._classifiers.get(submap)
         growth = 1.0 + self.config.refresh_growth
         # without growth allowed, nothing is kept: these are never less than themselves
-        if before is not None and len(ids) < before.among * growth and own < before.scans * growth:
-            return before.booster
-        booster = self._train(self._submaps[submap], [i for i in ids if i != submap])
-        self._classifiers[submap] = _Trained(booster, len(ids), own)
-        return booster
-
-    def _train(self, own: Sequence[_Scans], others: Sequence[int]) -> Booster:
-        """One submap's stays against other submaps, whose scans are thinned evenly to the cap."""
-        config = self.config
-        positive = _thinned(own, _OWN_SAMPLES * config.samples_per_submap)
-        stays = [scans for i in others for scans in self._submaps[i]]
-        negative = _thinned(stays, config.closure_negatives)
-        y = np.repeat([1.0, -1.0], [sum(len(r) for _, r in part) for part in (positive, negative)])
-        chosen = [*positive, *negative]
-        names = feature_names(config.feature_set)
-        if config.booster == "stumps":
-            X = np.vstack([scans.features[rows] for scans, rows in chosen])
-            return StumpBoost(names, config.closure_rounds).fit(X, y)
-        assert self._quantiser is not None
-        codes = [scans.codes[:, rows] for scans, rows in chosen if scans.codes is not None]
-        seed = int(self.rng.integers(2**31))
-        booster = TreeBoost(
-            names, config.closure_rounds, config.closure_shrinkage, config.feature_share, seed
+        return before is None or not (
+            among < before.among * growth and self._held(submap) < before.scans * growth
         )
-        return booster.fit_codes(np.concatenate(codes, axis=1), self._quantiser, y)
+
+    def _held(self, submap: int) -> int:
+        """How many scans of an old submap are remembered."""
+        return sum(len(scans) for scans in self._submaps[submap])
+
+    def _own(self, stays: Sequence[_Scans]) -> _Scans:
+        """The scans that a submap's classifier claims, of all its stays."""
+        return _thinned(stays, _OWN_SAMPLES * self.config.samples_per_submap)
+
+    def _pool(self, ids: Sequence[int]) -> _Pool:
+        """The pool of negatives: alike many scans of every old submap, of all its stays."""
+        each = math.ceil(_POOL * self.config.closure_negatives / len(ids))
+        parts = [_thinned(self._submaps[i], each) for i in ids]
+        return _Pool(_Scans.joined(parts), np.repeat(ids, [len(part) for part in parts]))
+
+    def _trained(
+        self, own: Sequence[_Scans], left_out: Sequence[Collection[int]], pool: _Pool
+    ) -> list[Booster]:
+        """Classifiers of several submaps' scans against the pool without some submaps each."""
+        most = self.config.closure_negatives
+        others = [pool.without(submaps, most) for submaps in left_out]
+        ends = np.cumsum([len(pool.scans), *(len(scans) for scans in own)])
+        questions = [
+            Question(
+                np.concatenate([np.arange(end - len(scans), end), rows]),
+                np.repeat([True, False], [len(scans), len(rows)]),
+            )
+            for end, scans, rows in zip(ends[1:].tolist(), own, others, strict=True)
+        ]
+        return self._boosters(_Scans.joined([pool.scans, *own]), questions)
+
+    def _boosters(self, scans: _Scans, questions: Sequence[Question]) -> list[Booster]:
+        config, names = self.config, feature_names(self.config.feature_set)
+        if self._quantiser is None or scans.codes is None:
+            return [
+                StumpBoost(names, config.closure_rounds).fit(
+                    scans.features[asked.samples], np.where(asked.positive, 1.0, -1.0)
+                )
+                for asked in questions
+            ]
+        rounds, shrinkage = config.closure_rounds, config.closure_shrinkage
+        growth = Growth(rounds, shrinkage, config.feature_share, int(self.rng.integers(2**31)))
+        forests = grown(scans.codes, self._quantiser, questions, growth)
+        return [TreeBoost.of(names, forest) for forest in forests]
 
     def _quantised(self, new: _Scans) -> _Scans:
         """The new scans cut into bins, after all old ones have theirs; stumps need none.
@@ -190,16 +254,13 @@ def _claims(c_new: Booster, c_old: Booster, new: _Scans, stays: Sequence[_Scans]
     )
 
 
-def _thinned(stays: Sequence[_Scans], most: int) -> list[tuple[_Scans, IndexArray]]:
-    """At most `most` scans, evenly spread over the stays: each stay with its rows."""
+def _thinned(stays: Sequence[_Scans], most: int) -> _Scans:
+    """At most `most` scans, evenly spread over the stays."""
     starts = np.concatenate([[0], np.cumsum([len(scans) for scans in stays])]).astype(np.intp)
     chosen = evenly(np.arange(int(starts[-1])), most)
     bounds = np.searchsorted(chosen, starts)
-    return [
-        (scans, chosen[a:b] - start)
-        for scans, start, a, b in zip(stays, starts[:-1], bounds[:-1], bounds[1:], strict=True)
-        if b > a
-    ]
+    parts = zip(stays, starts[:-1], bounds[:-1], bounds[1:], strict=True)
+    return _Scans.joined([scans.taken(chosen[a:b] - start) for scans, start, a, b in parts])
 
 
 def _chance(margins: FloatArray) -> float:

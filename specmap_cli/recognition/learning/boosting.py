@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.recognition.learning.growing import shares
 from specmap_cli.recognition.learning.json_fields import field, number, objects
-from specmap_cli.recognition.learning.trees import TreeBoost, shares
+from specmap_cli.recognition.learning.trees import TreeBoost
 
 __all__ = ["Booster", "Stump", "StumpBoost", "TreeBoost", "booster_from_dict"]
 
@@ -58,7 +59,8 @@ class StumpBoost:
         order = np.argsort(X, axis=0, kind="stable").T
         values = np.take_along_axis(X.T, order, axis=1)
         splits = values[:, 1:] > values[:, :-1]  # a threshold stands between different values only
-        weights = shares(np.ones(len(y)))
+        everyone = np.zeros(len(y), dtype=np.intp)  # of one question
+        weights = shares(np.ones(len(y)), everyone, 1)
         self.rounds_ = []
         for _ in range(self.rounds):
             feature, threshold, polarity, error = _best_stump(values, splits, (weights * y)[order])
@@ -70,7 +72,7 @@ class StumpBoost:
             if error < _SMALLEST_ERROR:
                 break
             h = np.where(polarity * X[:, feature] < polarity * threshold, 1.0, -1.0)
-            weights = shares(weights * np.exp(-votes * y * h))  # eq. 3
+            weights = shares(weights * np.exp(-votes * y * h), everyone, 1)  # eq. 3
         return self
 
     def margins(self, X: NDArray[Any]) -> FloatArray:

@@ -14,8 +14,11 @@ from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names, feature_sets
 from specmap_cli.recognition.learning.boosting import Booster, StumpBoost, booster_from_dict
+from specmap_cli.recognition.learning.forest import Forest
+from specmap_cli.recognition.learning.growing import Growth, Question, grown
 from specmap_cli.recognition.learning.json_fields import mapping, refuse, text
-from specmap_cli.recognition.learning.trees import Forest, Quantiser, TreeBoost
+from specmap_cli.recognition.learning.quantiser import Quantiser
+from specmap_cli.recognition.learning.trees import TreeBoost
 
 _ID_DIGITS = 18  # of a submap's id in a file: those of 64 bits
 
@@ -39,20 +42,10 @@ class OneVsAll:
         ids = sorted(samples)
         X = np.vstack([samples[i] for i in ids])
         owner = np.repeat(ids, [len(samples[i]) for i in ids])
-        quantiser = Quantiser.of(X)
-        codes = quantiser.codes(X)
-        boosters: dict[int, Booster] = {}
-        for i in ids:
-            booster = self._booster(seed=int(rng.integers(2**31)))
-            negatives = evenly(np.flatnonzero(owner != i), self.config.negatives)
-            chosen = np.concatenate([np.flatnonzero(owner == i), negatives])
-            y = np.where(owner[chosen] == i, 1, -1)
-            if isinstance(booster, TreeBoost):
-                booster.fit_codes(codes[:, chosen], quantiser, y)
-            else:
-                booster.fit(X[chosen], y)
-            boosters[i] = booster
-        return self._of(boosters)
+        questions = {i: self._question(owner, i) for i in ids}
+        if self.config.booster == "trees":
+            return self._of(self._trees(X, questions, int(rng.integers(2**31))))
+        return self._of({i: self._stumps(X, question) for i, question in questions.items()})
 
     def margins(self, X: NDArray[Any]) -> FloatArray:
         """(n, m) margin of every class, columns in the order of `classes_`."""
@@ -103,11 +96,24 @@ class OneVsAll:
         self.forest_ = Forest.joined(trees) if alike else None
         return self
 
-    def _booster(self, seed: int) -> Booster:
+    def _question(self, owner: NDArray[Any], class_: int) -> Question:
+        """Which samples (n,) the classifier of a class learns from: its own, and some others."""
+        own, others = np.flatnonzero(owner == class_), np.flatnonzero(owner != class_)
+        chosen = np.concatenate([own, evenly(others, self.config.negatives)])
+        return Question(chosen, owner[chosen] == class_)
+
+    def _trees(
+        self, X: FloatArray, questions: Mapping[int, Question], seed: int
+    ) -> dict[int, Booster]:
         names, config = feature_names(self.feature_set), self.config
-        if config.booster == "stumps":
-            return StumpBoost(names, config.rounds)
-        return TreeBoost(names, config.rounds, config.shrinkage, config.feature_share, seed)
+        growth = Growth(config.rounds, config.shrinkage, config.feature_share, seed)
+        quantiser = Quantiser.of(X)
+        forests = grown(quantiser.codes(X), quantiser, list(questions.values()), growth)
+        return {i: TreeBoost.of(names, f) for i, f in zip(questions, forests, strict=True)}
+
+    def _stumps(self, X: FloatArray, question: Question) -> StumpBoost:
+        booster = StumpBoost(feature_names(self.feature_set), self.config.rounds)
+        return booster.fit(X[question.samples], np.where(question.positive, 1, -1))
 
 
 def _submap_id(key: str) -> int:

@@ -90,18 +90,34 @@ def test_an_old_submap_is_never_among_the_negatives_that_judge_it(
     config = PAPER.model_copy(update={"groups": groups})
     made, new = ranker(config, 5), scans_of(7)
     left_out: dict[str, list[set[int]]] = {"new": [], "old": []}
-    train = ClaimRanker._train
+    trained = ClaimRanker._trained
 
-    def watched(self: ClaimRanker, own: Any, others: list[int]) -> Any:
-        whose = "new" if own[0].features is new else "old"
-        left_out[whose].append(set(range(5)) - set(others))
-        return train(self, own, others)
+    def watched(self: ClaimRanker, own: Any, others: Any, pool: Any) -> Any:
+        for scans, out in zip(own, others, strict=True):
+            rows = pool.without(out, 1_000_000)
+            whose = "new" if np.array_equal(scans.features, new) else "old"
+            left_out[whose].append(set(range(5)) - set(pool.owner[rows].tolist()))
+        return trained(self, own, others, pool)
 
-    monkeypatch.setattr(ClaimRanker, "_train", watched)
+    monkeypatch.setattr(ClaimRanker, "_trained", watched)
     assert sorted(made.claims(new)) == list(range(5))
     assert sorted(map(sorted, left_out["old"])) == [[0], [1], [2], [3], [4]]
     assert len(left_out["new"]) == min(groups or 5, 5)
     assert sorted(i for out in left_out["new"] for i in out) == [0, 1, 2, 3, 4]
+
+
+def test_every_submap_gives_as_many_negatives_however_often_it_was_visited() -> None:
+    config = TREES.model_copy(update={"closure_negatives": 40})
+    made = ranker(config, 3)
+    for visit in range(1, 9):
+        made.remember(10 + visit, scans_of(1, seed=visit))
+        made.merge(1, 10 + visit)
+    pool = made._pool([0, 1, 2])
+    assert np.bincount(pool.owner).tolist() == [20, 20, 20]  # half as many again as are used
+    assert len(pool.without([0], 40)) == 40
+    of_one = pool.scans.features[pool.owner == 1]
+    seen = [any((scans_of(1, seed=v) == row).all(axis=1).any() for row in of_one) for v in (1, 8)]
+    assert seen == [True, True]  # evenly spread over its stays
 
 
 def test_stays_of_one_submap_are_claimed_one_by_one_and_judged_together() -> None:

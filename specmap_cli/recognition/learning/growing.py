@@ -1,0 +1,246 @@
+"""Growing the trees of many classifiers at once: Real AdaBoost on quantised features.
+
+A round draws a share of the features, the same for all classifiers, and finds the best root split
+and the best split below it for each of them from weighted histograms. Leaves vote half the log
+odds of their weights (Schapire and Singer, 1999), shrunk. Classifiers share nothing but the draws:
+each is the same whether it is learned alone or with others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.recognition.learning.forest import Forest
+from specmap_cli.recognition.learning.quantiser import BINS, CodeArray, Quantiser
+
+IndexArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
+
+# Weight trimming (Friedman, Hastie and Tibshirani, 2000): every few rounds the samples that hold
+# the last 2 % of the weight are left out of the search for splits, which they hardly change.
+_TRIM_EVERY = 8
+_LIGHT_SHARE = 0.02
+_NO_EDGE = 1e300  # a threshold that no value reaches, as JSON knows no infinity
+_VOTE_DECIMALS = 6  # of votes, which are of the order of one: readable, and safe from rounding
+_WHOLE = 2.0**52  # weights are whole multiples of 2^-52: sums of them below 2 are exact
+_SAMPLES_AT_ONCE = 1 << 15  # of all classifiers grown together: bounds the memory, some 10 MB
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a classifier learns: the columns (n,) of the codes that it sees, and which it claims."""
+
+    samples: IndexArray
+    positive: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """How trees are grown: `shrinkage` scales every vote, `seed` draws the features of a round."""
+
+    rounds: int
+    shrinkage: float
+    feature_share: float
+    seed: int
+
+    def draws(self, features: int) -> list[IndexArray]:
+        """The features of every round, ascending."""
+        rng = np.random.default_rng(self.seed)
+        drawn = max(1, round(self.feature_share * features))
+        return [np.sort(rng.choice(features, drawn, replace=False)) for _ in range(self.rounds)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Trees:
+    """A round's trees, one a classifier: features and cuts (C, 3), votes (C, 4)."""
+
+    features: IndexArray
+    cuts: IndexArray
+    votes: FloatArray
+
+
+def grown(
+    codes: CodeArray, quantiser: Quantiser, questions: Sequence[Question], growth: Growth
+) -> list[Forest]:
+    """The forest of every question, from the bins (F, N) of all samples by `quantiser`.
+
+    The two sides of each question start with equal total weight.
+    """
+    draws = growth.draws(len(codes))
+    forests: list[Forest] = []
+    for part in _batches(questions):
+        rounds = _boosted(codes, _Asked.of(part), draws, growth.shrinkage)
+        forests.extend(_forests(rounds, quantiser, len(part)))
+    return forests
+
+
+def shares(weights: FloatArray, owner: IndexArray, owners: int) -> FloatArray:
+    """Weights (S,) scaled to a sum of one for each owner, such that any sum of some is exact.
+
+    So two splits that part the samples alike are equally good to the last bit, whatever the order
+    of summation, and the first one is taken on every processor.
+    """
+    whole = np.rint(weights * _WHOLE)
+    totals = np.bincount(owner, whole, minlength=owners)
+    return np.asarray(np.rint(whole / totals[owner] * _WHOLE) / _WHOLE)
+
+
+def _batches(questions: Sequence[Question]) -> Iterator[Sequence[Question]]:
+    """The questions in their order, as many at a time as their samples allow; at least one."""
+    first, held = 0, 0
+    for k, question in enumerate(questions):
+        if k > first and held + len(question.samples) > _SAMPLES_AT_ONCE:
+            yield questions[first:k]
+            first, held = k, 0
+        held += len(question.samples)
+    if first < len(questions):
+        yield questions[first:]
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The samples of C questions in a row: their columns, question and side (S,) each."""
+
+    samples: IndexArray
+    question: IndexArray
+    positive: BoolArray
+    counts: IndexArray  # (C,) samples of each question
+
+    @classmethod
+    def of(cls, questions: Sequence[Question]) -> _Asked:
+        counts = np.array([len(question.samples) for question in questions], dtype=np.intp)
+        return cls(
+            np.concatenate([question.samples for question in questions]),
+            np.repeat(np.arange(len(questions)), counts),
+            np.concatenate([question.positive for question in questions]),
+            counts,
+        )
+
+    def taken(self, rows: IndexArray) -> _Asked:
+        """Some of the samples, ascending."""
+        counts = np.bincount(self.question[rows], minlength=len(self.counts))
+        return _Asked(self.samples[rows], self.question[rows], self.positive[rows], counts)
+
+    def even_weights(self) -> FloatArray:
+        """(S,) half of the weight of each question to either side."""
+        positive = np.bincount(self.question, self.positive, minlength=len(self.counts))
+        sides = np.column_stack([self.counts - positive, positive])
+        each = 0.5 / np.maximum(sides, 1.0)
+        return shares(
+            each[self.question, self.positive.astype(np.intp)], self.question, len(self.counts)
+        )
+
+    def heavy(self, weights: FloatArray) -> IndexArray:
+        """The samples that remain without the lightest of each question, ascending."""
+        kept = []
+        first = 0
+        for count in self.counts.tolist():
+            own = weights[first : first + count]
+            ordered = np.sort(own)
+            summed = np.cumsum(ordered)
+            least = ordered[np.searchsorted(summed, _LIGHT_SHARE * summed[-1], side="right")]
+            kept.append(first + np.flatnonzero(own >= least))
+            first += count
+        return np.concatenate(kept)
+
+
+def _boosted(
+    codes: CodeArray, asked: _Asked, draws: Sequence[IndexArray], shrinkage: float
+) -> list[_Trees]:
+    """The rounds' trees of all questions."""
+    count = len(asked.counts)
+    smooth = (0.5 / asked.counts)[:, None]  # half a sample on each side: no odds are infinite
+    side = 8 * asked.question + 4 * asked.positive
+    weights = asked.even_weights()
+    trees = []
+    for k, drawn in enumerate(draws):
+        if k % _TRIM_EVERY == 0:
+            heavy = asked.heavy(weights)
+            searched = asked.taken(heavy)
+        features, cuts = _split(codes[drawn], searched, weights[heavy])
+        features = drawn[features]
+        leaf = side + _leaves(codes, asked, features, cuts)
+        sums = np.bincount(leaf, weights, minlength=8 * count).reshape(count, 2, 4)
+        odds = (sums[:, 1] + smooth) / (sums[:, 0] + smooth)
+        votes = np.round(0.5 * shrinkage * np.log(odds), _VOTE_DECIMALS)
+        trees.append(_Trees(features, cuts, votes))
+        growth = np.exp(np.stack([votes, -votes], axis=1))  # eq. 3, a leaf and side at a time
+        weights = shares(weights * growth.ravel()[leaf], asked.question, count)
+    return trees
+
+
+def _split(codes: CodeArray, asked: _Asked, weights: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """The best tree of each question on the features drawn: feature and cut (C, 3) of its nodes.
+
+    `codes` (K, N) are those features' bins. A sample goes above where its bin passes the cut.
+    """
+    count, drawn = len(asked.counts), len(codes)
+    shape = (count, drawn, 2, BINS)
+    own = codes.take(asked.samples, axis=1)
+    first = asked.question * (drawn * 2 * BINS) + BINS * asked.positive.astype(np.intp)
+    cell = np.asarray(own + first, dtype=np.intp)
+    cell += (np.arange(drawn) * (2 * BINS))[:, None]
+    whole = _weigh(cell, weights, shape)
+    root, root_cut = _best_splits(whole)
+    upper = own[root[asked.question], np.arange(len(weights))] > root_cut[asked.question]
+    # the histogram of the smaller side is summed, that of the larger one is the rest
+    fewer_above = 2 * np.bincount(asked.question, upper, minlength=count) <= asked.counts
+    fewer = np.flatnonzero(upper == fewer_above[asked.question])
+    smaller = _weigh(cell.take(fewer, axis=1), weights[fewer], shape)
+    found, cut = _best_splits(np.concatenate([whole - smaller, smaller]))
+    below = np.arange(count) + np.where(fewer_above, 0, count)
+    above = np.arange(count) + np.where(fewer_above, count, 0)
+    features = np.column_stack([root, found[below], found[above]])
+    return features, np.column_stack([root_cut, cut[below], cut[above]])
+
+
+def _weigh(cells: IndexArray, weights: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """The histograms of weights (S,) in the cells (K, S) of each feature."""
+    spread = np.broadcast_to(weights, cells.shape).ravel()
+    summed = np.bincount(cells.ravel(), spread, minlength=math.prod(shape))
+    return np.asarray(summed, dtype=np.float64).reshape(shape)
+
+
+def _best_splits(histograms: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """Feature and cut (N,) of least sum of sqrt(W+ W-) over both sides, for each of N nodes.
+
+    `histograms` (N, K, 2, BINS): weights by feature, side of the question and bin. Single precision
+    is enough: sums are exact before they are rounded to it.
+    """
+    summed = np.cumsum(histograms, axis=3)
+    below = summed[..., :-1].astype(np.float32)
+    above = (summed[..., -1:] - summed[..., :-1]).astype(np.float32)
+    impurity = np.sqrt(below[:, :, 0] * below[:, :, 1])
+    impurity += np.sqrt(above[:, :, 0] * above[:, :, 1])
+    best = impurity.reshape(len(histograms), -1).argmin(axis=1)
+    return np.divmod(best, BINS - 1)
+
+
+def _leaves(codes: CodeArray, asked: _Asked, features: IndexArray, cuts: IndexArray) -> IndexArray:
+    """(S,) number of the leaf of every sample in the tree of its question."""
+    bins, starts = codes.ravel(), (features * codes.shape[1]).ravel()
+    passed = cuts.ravel().astype(np.uint8)
+    node = 3 * asked.question
+    upper = bins[starts[node] + asked.samples] > passed[node]
+    node += 1
+    node += upper
+    above = bins[starts[node] + asked.samples] > passed[node]
+    return np.asarray(2 * upper + above, dtype=np.intp)
+
+
+def _forests(rounds: Sequence[_Trees], quantiser: Quantiser, count: int) -> list[Forest]:
+    """The trees of each of `count` questions, with thresholds in the features' units."""
+    if not rounds:
+        return [Forest.bare()] * count
+    features = np.stack([trees.features for trees in rounds], axis=1)
+    thresholds = quantiser.edges[features, np.stack([trees.cuts for trees in rounds], axis=1)]
+    # no edge stands there: the feature has fewer distinct values, and nothing lies above
+    thresholds = np.where(np.isfinite(thresholds), thresholds, _NO_EDGE)
+    votes = np.stack([trees.votes for trees in rounds], axis=1)
+    return [Forest(*parts) for parts in zip(features, thresholds, votes, strict=True)]
