@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 
 import numpy as np
 
@@ -17,15 +17,22 @@ from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.pipelines.exploration import Explored, online_labels
 from specmap_cli.pipelines.stopwatch import Stopwatch
-from specmap_cli.pipelines.worker import in_background
-from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.learning.misfit import held_out_misfit
-from specmap_cli.recognition.learning.training import sensor_of, train_raw, train_virtual
+from specmap_cli.pipelines.worker import ahead
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
+from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
+from specmap_cli.recognition.learning.training import (
+    cast_samples,
+    sensor_of,
+    track_samples,
+    train_raw,
+    train_virtual,
+)
 from specmap_cli.segmentation.refinement import regions_of
 from specmap_cli.topology.graph import build_topology, settle_labels
 from specmap_cli.topology.topological_map import TopologicalMap
 
 Submaps = Mapping[int, Sequence[int]]
+Samples = Mapping[int, FloatArray]
 
 
 def whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[GridMap, int]:
@@ -103,24 +110,40 @@ def learn(
 ) -> tuple[dict[int, GridMap], ClassifierSet]:
     """The grid of each submap in the frame of its first keyframe, and the classifiers of all.
 
-    The classifiers of raw scans need no grids: they are trained beside the drawing of these.
+    What needs no grids is done beside the drawing of these, and beside what needs them.
     """
     submaps = submaps_of(labels)
     raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
-    with in_background(
-        lambda: train_raw(store, submaps, config, raw_rng, explored.features)
-    ) as trained_raw:
+    with ahead(lambda: _without_grids(store, explored, submaps, poses, config, raw_rng)) as beside:
         progress.start("grids", len(store))
         with clock.stage("grids"):
             grids = _submap_grids(store, submaps, poses, config, progress)
         progress.start("training", None)
         with clock.stage("training"):
-            virtual = train_virtual(store, submaps, poses, grids, config, virtual_rng)
-            misfit = held_out_misfit(store, submaps, poses, config.localization)
+            virtual = None
+            if config.localization.virtual:
+                cast = cast_samples(submaps, poses, grids, config.localization, virtual_rng)
+                virtual = train_virtual(next(beside), cast, config, virtual_rng)
+            raw, misfit = beside.result
             classifiers = ClassifierSet(
-                sensor=sensor_of(store, submaps), raw=trained_raw(), virtual=virtual, misfit=misfit
+                sensor=sensor_of(store, submaps), raw=raw, virtual=virtual, misfit=misfit
             )
     return grids, classifiers
+
+
+def _without_grids(
+    store: KeyframeStore,
+    explored: Explored,
+    submaps: Submaps,
+    poses: FloatArray,
+    config: Config,
+    rng: np.random.Generator,
+) -> Generator[Samples, None, tuple[Recogniser, HeldOutMisfit]]:
+    """The virtual scans along the track, if wanted; then what raw scans teach, and the misfit."""
+    if config.localization.virtual:
+        yield track_samples(store, submaps, poses, config.localization)
+    raw = train_raw(store, submaps, config, rng, explored.features)
+    return raw, held_out_misfit(store, submaps, poses, config.localization)
 
 
 def _submap_grids(

@@ -127,6 +127,10 @@ class KeyframeFeatures:
         self.feature_set = feature_set
         self._rows: dict[int, NDArray[np.float32]] = {}
 
+    def known(self, numbers: Sequence[int]) -> list[int]:
+        """Those of some keyframes whose features were computed already, in their order."""
+        return [number for number in numbers if number in self._rows]
+
     def of(self, numbers: Sequence[int]) -> FloatArray:
         """(n, F) features of some keyframes, by their numbers."""
         new = [number for number in dict.fromkeys(numbers) if number not in self._rows]

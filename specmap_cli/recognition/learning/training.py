@@ -38,16 +38,21 @@ def train_localizer(
 ) -> ClassifierSet:
     """Classifiers of raw scans and, where wanted, of virtual ones.
 
-    The two are independent: `train_raw` and `train_virtual` may be called apart, each with one of
-    `rng.spawn(2)`. `submaps` lists the keyframes of each submap, ascending; `poses` (n, 3) are
-    those of all keyframes, map from base; `grids` are in the frame of each submap's first keyframe.
+    The two are independent: each may be trained apart, with one of `rng.spawn(2)`. `submaps` lists
+    the keyframes of each submap, ascending; `poses` (n, 3) are those of all keyframes, map from
+    base; `grids` are in the frame of each submap's first keyframe.
     """
     raw_rng, virtual_rng = rng.spawn(2)
+    virtual, localization = None, config.localization
+    if localization.virtual:
+        along = track_samples(store, submaps, poses, localization)
+        cast = cast_samples(submaps, poses, grids, localization, virtual_rng)
+        virtual = train_virtual(along, cast, config, virtual_rng)
     return ClassifierSet(
         sensor=sensor_of(store, submaps),
         raw=train_raw(store, submaps, config, raw_rng),
-        virtual=train_virtual(store, submaps, poses, grids, config, virtual_rng),
-        misfit=held_out_misfit(store, submaps, poses, config.localization),
+        virtual=virtual,
+        misfit=held_out_misfit(store, submaps, poses, localization),
     )
 
 
@@ -65,29 +70,31 @@ def train_raw(
 ) -> Recogniser:
     """What tells the submaps apart by raw scans; `features` are those known so far.
 
-    A submap that was seen very often is learned from some of its scans, evenly spread.
+    A submap that was seen often is learned from some of its scans, evenly spread; first of all from
+    those whose features are known, which loop closure has chosen evenly, too.
     """
     feature_set, most = config.recognition.feature_set, config.recognition.positives
     features = features or KeyframeFeatures(store, feature_set)
-    chosen = {i: evenly(np.asarray(numbers), most).tolist() for i, numbers in submaps.items()}
-    samples = {i: features.of(numbers) for i, numbers in chosen.items()}
+    samples = {i: features.of(_chosen(numbers, features, most)) for i, numbers in submaps.items()}
     return train(samples, feature_set, config, rng)
 
 
+def _chosen(numbers: Sequence[int], features: KeyframeFeatures, most: int) -> list[int]:
+    """At most `most` of a submap's keyframes, ascending: those with known features, then others."""
+    known = evenly(np.array(features.known(numbers), dtype=np.intp), most)
+    others = evenly(np.setdiff1d(numbers, known), most - len(known))
+    return sorted([*known.tolist(), *others.tolist()])
+
+
 def train_virtual(
-    store: KeyframeStore,
-    submaps: Mapping[int, Sequence[int]],
-    poses: FloatArray,
-    grids: Mapping[int, GridMap],
+    along: Mapping[int, FloatArray],
+    cast: Mapping[int, FloatArray],
     config: Config,
     rng: np.random.Generator,
-) -> Recogniser | None:
-    """What tells the submaps apart by virtual scans; None where these are not wanted."""
-    localization = config.localization
-    if not localization.virtual:
-        return None
-    samples = virtual_samples(store, submaps, poses, grids, localization, rng)
-    return train(samples, localization.feature_set, config, rng)
+) -> Recogniser:
+    """What tells the submaps apart by virtual scans: `track_samples` and `cast_samples`."""
+    samples = {i: np.vstack([along[i], cast[i]]) for i in sorted(along)}
+    return train(samples, config.localization.feature_set, config, rng)
 
 
 def train(
@@ -103,19 +110,32 @@ def train(
     return Recogniser(classifiers, known.fit(samples) if known.can_fit(samples) else None)
 
 
-def virtual_samples(
+def track_samples(
     store: KeyframeStore,
+    submaps: Mapping[int, Sequence[int]],
+    poses: FloatArray,
+    localization: LocalizationConfig,
+) -> dict[int, FloatArray]:
+    """Features (n, F) of virtual scans of every submap, of what was seen of late along the track.
+
+    They need no grids.
+    """
+    owner = _owners(submaps, len(poses))
+    scans: dict[int, list[PlanarScan]] = {i: [] for i in sorted(submaps)}
+    for keyframe, scan in _along_the_track(store, owner, poses, localization):
+        scans[int(owner[keyframe])].append(scan)
+    return {i: scans_features(own, localization.feature_set) for i, own in scans.items()}
+
+
+def cast_samples(
     submaps: Mapping[int, Sequence[int]],
     poses: FloatArray,
     grids: Mapping[int, GridMap],
     localization: LocalizationConfig,
     rng: np.random.Generator,
 ) -> dict[int, FloatArray]:
-    """Features (n, F) of virtual scans of every submap: along the track, and from free cells."""
+    """Features (n, F) of virtual scans of every submap, cast from free cells near its track."""
     owner = _owners(submaps, len(poses))
-    seen: dict[int, list[PlanarScan]] = {i: [] for i in sorted(submaps)}
-    for keyframe, scan in _along_the_track(store, owner, poses, localization):
-        seen[int(owner[keyframe])].append(scan)
     samples = {}
     counts = _share_out(localization.augmentation, {i: g.free_area_m2 for i, g in grids.items()})
     tracked = np.flatnonzero(owner != NO_SUBMAP)
@@ -126,8 +146,8 @@ def virtual_samples(
         distance, nearest = tree.query(map_from_submap.apply(drawn))
         near = (distance < localization.augmentation_reach_m) & (owner[tracked][nearest] == i)
         beams, reach = localization.virtual_beams, localization.virtual_range_m
-        cast = cast_circles(grids[i], drawn[near][: counts[i]], beams, reach)
-        samples[i] = scans_features([*seen[i], *cast], localization.feature_set)
+        scans = cast_circles(grids[i], drawn[near][: counts[i]], beams, reach)
+        samples[i] = scans_features(scans, localization.feature_set)
     return samples
 
 
@@ -145,7 +165,7 @@ def _along_the_track(
     poses: FloatArray,
     localization: LocalizationConfig,
 ) -> Iterator[tuple[int, PlanarScan]]:
-    """Keyframes in turn with what the window showed there as a scan, of several lengths."""
+    """Keyframes in turn with what the window showed there, of several lengths."""
     windows = [RecentScans(localization, share) for share in _WINDOW_SHARES]
     numbers = np.flatnonzero(owner != NO_SUBMAP)
     sampled = set(evenly(numbers, localization.track_samples).tolist())

@@ -26,11 +26,12 @@ from specmap_cli.recognition.learning import training
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.learning.misfit import held_out_misfit
 from specmap_cli.recognition.learning.training import (
+    cast_samples,
     sensor_of,
+    track_samples,
     train_localizer,
     train_raw,
     train_virtual,
-    virtual_samples,
 )
 from specmap_cli.recognition.localization.localizer import Localizer
 
@@ -97,6 +98,29 @@ def test_a_submap_seen_very_often_is_learned_from_some_of_its_scans(
     assert all(numbers[-1] == n[-1] for numbers, n in zip(asked, SUBMAPS.values(), strict=True))
 
 
+def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
+    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = Config(recognition=RecognitionConfig(rounds=2, positives=12))
+    features = KeyframeFeatures(store, "full")
+    features.of([*range(5, 35), 50, 51])
+    asked: list[list[int]] = []
+    of = KeyframeFeatures.of
+
+    def watched(self: KeyframeFeatures, numbers: list[int]) -> FloatArray:
+        asked.append(numbers)
+        return of(self, numbers)
+
+    monkeypatch.setattr(KeyframeFeatures, "of", watched)
+    train_raw(store, SUBMAPS, config, np.random.default_rng(0), features)
+    enough, few = asked
+    assert (len(enough), enough[0], enough[-1]) == (12, 5, 34)
+    assert set(enough) <= set(range(5, 35))
+    assert (len(few), few[0], few[-1]) == (12, 44, 79)
+    assert {50, 51} < set(few)
+    assert few == sorted(few)
+
+
 def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: KeyframeStore) -> None:
     config = settings()
     learned = train_raw(store, SUBMAPS, config, np.random.default_rng(0))
@@ -119,7 +143,9 @@ def test_the_two_kinds_are_learned_apart_or_together_alike(
     config = settings()
     both = train_localizer(store, SUBMAPS, store.poses, grids, config, np.random.default_rng(3))
     raw_rng, virtual_rng = np.random.default_rng(3).spawn(2)
-    virtual = train_virtual(store, SUBMAPS, store.poses, grids, config, virtual_rng)
+    cast = cast_samples(SUBMAPS, store.poses, grids, config.localization, virtual_rng)
+    along = track_samples(store, SUBMAPS, store.poses, config.localization)
+    virtual = train_virtual(along, cast, config, virtual_rng)
     apart = ClassifierSet(
         sensor=sensor_of(store, SUBMAPS),
         raw=train_raw(store, SUBMAPS, config, raw_rng),
@@ -134,7 +160,6 @@ def test_virtual_classifiers_are_left_out_when_not_wanted(
 ) -> None:
     config = settings(virtual=False)
     arguments = (store, SUBMAPS, store.poses, grids, config)
-    assert train_virtual(*arguments, np.random.default_rng(0)) is None
     assert train_localizer(*arguments, np.random.default_rng(0)).virtual is None
 
 
@@ -161,7 +186,9 @@ def samples_of(
 ) -> dict[int, FloatArray]:
     config = settings(**localization).localization
     rng = np.random.default_rng(seed)
-    return virtual_samples(store, SUBMAPS, store.poses, grids, config, rng)
+    along = track_samples(store, SUBMAPS, store.poses, config)
+    cast = cast_samples(SUBMAPS, store.poses, grids, config, rng)
+    return {i: np.vstack([along[i], cast[i]]) for i in SUBMAPS}
 
 
 def test_virtual_scans_are_cast_from_free_cells_near_the_submap_s_own_track(
