@@ -35,6 +35,18 @@ class Laser:
         float, typer.Option("--noise", help="Standard deviation of a range, metres.")
     ] = 0.01
     dropouts: Annotated[float, typer.Option(help="Share of beams that return nothing.")] = 0.0
+    rings: Annotated[
+        int, typer.Option(help="Of a 3D lidar, each of so many beams. 1: a planar laser.")
+    ] = 1
+    vertical_fov_deg: Annotated[
+        float, typer.Option("--vertical-fov", help="3D: lowest ring to highest, degrees.")
+    ] = 45.0
+    laser_height_m: Annotated[
+        float, typer.Option("--laser-height", help="3D: lidar above the floor, metres.")
+    ] = 0.6
+    ceiling_m: Annotated[
+        float, typer.Option("--ceiling", help="3D: walls and ceiling above the floor, metres.")
+    ] = 2.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,12 +82,14 @@ def simulate(
     """Record a simulated robot that tours a floor plan.
 
     A robot with a planar laser drives through all space it can reach. Writes an MCAP with /scan,
-    /odom and /tf_static, and the true poses beside it as .tum. Of the settings only the section
-    `limits` counts: how large the picture of the plan may be.
+    /odom and /tf_static, and the true poses beside it as .tum. With --rings it has a 3D lidar, and
+    /points in place of /scan. Of the settings only the section `limits` counts: how large the
+    picture of the plan may be.
 
     \b
     specmap simulate plan.yaml -o tour.mcap --laps 2
     specmap simulate plan.png --resolution 0.05 -o tour.mcap --fov 360 --beams 720
+    specmap simulate plan.yaml -o tour.mcap --fov 360 --rings 64 --beams 1024
     """
     from specmap_cli.grids.map_server import read_grid
     from specmap_cli.pipelines.simulate import simulate as record

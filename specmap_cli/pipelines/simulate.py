@@ -21,6 +21,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.logs.writer import LogWriter
 from specmap_cli.maps.tables import planar_trajectory_text
 from specmap_cli.simulation.lasers import Laser
+from specmap_cli.simulation.lidars import Cloud
 from specmap_cli.simulation.simulator import (
     START_NS,
     SimulatedTour,
@@ -29,7 +30,7 @@ from specmap_cli.simulation.simulator import (
 )
 
 BASE_FRAME, ODOM_FRAME, LASER_FRAME = "base_link", "odom", "laser"  # as in ROS's REP 105
-SCAN_TOPIC, ODOM_TOPIC = "/scan", "/odom"
+SCAN_TOPIC, CLOUD_TOPIC, ODOM_TOPIC = "/scan", "/points", "/odom"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +66,8 @@ def simulate(
 ) -> SimulationResult:
     """Write a tour of `plan` as MCAP: /scan, /odom and /tf_static, and the true poses as TUM.
 
+    A 3D lidar has /points in place of /scan.
+
     `truth` is where the true poses of the base in the plan go, one line a scan; by default `out`
     with the suffix .tum. Raises MapError when the robot fits nowhere in the plan and UsageError
     when a file cannot be written, or both would be one file.
@@ -95,35 +98,46 @@ def _write_tour(
     """Write every message of a tour; returns the true poses at its scans."""
     stamps: list[int] = []
     poses: list[Pose2] = []
-    _write_mounting(writer, tour.laser)
-    for stamp, pose, sweep in _messages(tour):
-        if sweep is None:
+    _write_mounting(writer, tour)
+    for stamp, pose, reading in _messages(tour):
+        if reading is None:
             writer.odometry(ODOM_TOPIC, ODOM_FRAME, BASE_FRAME, stamp, pose)
             continue
-        _write_scan(writer, tour.laser, sweep, rate_hz)
+        if isinstance(reading, Cloud):
+            writer.cloud(CLOUD_TOPIC, LASER_FRAME, stamp, *reading)
+        else:
+            _write_scan(writer, tour.laser, reading, rate_hz)
         stamps.append(stamp)
         poses.append(pose)
         progress.advance()
     return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses, dtype=np.float64))
 
 
-def _messages(tour: SimulatedTour) -> Iterator[tuple[int, Pose2, Sweep | None]]:
-    """Stamp, pose and scan of every message, in the order of the stamps.
+def _messages(tour: SimulatedTour) -> Iterator[tuple[int, Pose2, Sweep | Cloud | None]]:
+    """Stamp, pose and scan or cloud of every message, in the order of the stamps.
 
     Messages of the odometry have no scan, and its pose; those of the laser have the true pose.
     """
     odometry = ((stamp, pose, None) for stamp, pose in tour.odometry_messages())
-    scans = ((sweep.stamp_ns, pose, sweep) for sweep, pose in tour.scans())
-    yield from heapq.merge(odometry, scans, key=itemgetter(0))
+    yield from heapq.merge(odometry, _readings(tour), key=itemgetter(0))
 
 
-def _write_mounting(writer: LogWriter, laser: Laser) -> None:
+def _readings(tour: SimulatedTour) -> Iterator[tuple[int, Pose2, Sweep | Cloud]]:
+    """What the laser sees: its stamp, the true pose, and the scan or cloud."""
+    if tour.lidar is None:
+        yield from ((sweep.stamp_ns, pose, sweep) for sweep, pose in tour.scans())
+    else:
+        yield from tour.clouds()
+
+
+def _write_mounting(writer: LogWriter, tour: SimulatedTour) -> None:
     """Where the laser sits on the robot, on /tf_static."""
-    x, y, theta = laser.base_from_laser
+    x, y, theta = tour.laser.base_from_laser
+    z = 0.0 if tour.lidar is None else tour.lidar.height_m
     level = np.zeros(1)
     quaternion = quaternions_from_rpy(level, level, np.array([theta]))[0].tolist()
     writer.static_transform(
-        BASE_FRAME, LASER_FRAME, (x, y, 0.0), quaternion_xyzw=quaternion, stamp_ns=START_NS
+        BASE_FRAME, LASER_FRAME, (x, y, z), quaternion_xyzw=quaternion, stamp_ns=START_NS
     )
 
 

@@ -53,6 +53,11 @@ class Laser:
         self, world: World, drive: Drive, times_s: FloatArray, rng: np.random.Generator
     ) -> Iterator[FloatArray]:
         """Measured ranges (B,) of the scans that begin at the times (n,), +inf = no return."""
+        for ranges in self.casts(world, drive, times_s):
+            yield from self.measured(ranges, rng)
+
+    def casts(self, world: World, drive: Drive, times_s: FloatArray) -> Iterator[FloatArray]:
+        """True ranges (m, B) of the scans that begin at the times (n,), some scans at a time."""
         for first in range(0, len(times_s), _BATCH):
             begins = times_s[first : first + _BATCH]
             times = begins[:, None] + self.beam_times_s[None, :]
@@ -60,10 +65,10 @@ class Laser:
             angles = lasers[..., 2] + self.bearings
             origins = lasers[..., :2].reshape(-1, 2)
             ranges = world.cast(origins, angles.reshape(-1), self.range_max_m)
-            yield from self._measured(ranges.reshape(times.shape), rng)
+            yield ranges.reshape(times.shape)
 
-    def _measured(self, ranges: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """True ranges as this laser reports them, in float32's precision."""
+    def measured(self, ranges: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """True ranges of any shape as this laser reports them, in float32's precision."""
         measured = ranges + rng.normal(0.0, self.noise_m, ranges.shape)
         if self.step_m > 0.0:
             measured = np.round(measured / self.step_m) * self.step_m

@@ -1,4 +1,4 @@
-"""The simulator: a robot with a planar laser tours a floor plan, and errs as real ones do.
+"""The simulator: a robot with a laser tours a floor plan, and errs as real ones do.
 
 The plan is the truth: the robot visits all space it can reach, and the true pose of every scan is
 known. Same plan, options and version: the same scans, bit for bit.
@@ -27,6 +27,7 @@ from specmap_cli.simulation.lasers import (
     drifting_odometry,
     laser_bearings,
 )
+from specmap_cli.simulation.lidars import Cloud, Lidar, ring_elevations
 from specmap_cli.simulation.tours import plan_tour, reachable_space
 from specmap_cli.simulation.worlds import World
 
@@ -50,6 +51,12 @@ class SimulationOptions(BaseModel):
     laser_x_m: float = 0.1
     laser_y_m: float = 0.0
     laser_yaw_deg: float = 0.0
+    rings: int = Field(1, ge=1, le=256, description="1: a planar laser; more: a 3D lidar")
+    vertical_fov_deg: float = Field(
+        45.0, gt=0, lt=180, description="from the lowest ring to the highest, centred on level"
+    )
+    laser_height_m: float = Field(0.6, gt=0, description="of a 3D lidar above the floor")
+    ceiling_m: float = Field(2.5, gt=0, description="of walls and ceiling above the floor")
     speed_mps: float = Field(0.6, gt=0, le=20)
     acceleration_mps2: float = Field(0.5, gt=0, le=20, description="and braking")
     turn_rate_degps: float = Field(90.0, gt=0, le=1000)
@@ -70,6 +77,12 @@ class SimulationOptions(BaseModel):
             raise ValueError(f"sweep_s is longer than the {1.0 / self.rate_hz:g} s between scans")
         return self
 
+    @model_validator(mode="after")
+    def _lidar_stands_in_the_room(self) -> SimulationOptions:
+        if self.rings > 1 and self.laser_height_m >= self.ceiling_m:
+            raise ValueError(f"laser_height_m is not below ceiling_m, {self.ceiling_m:g} m")
+        return self
+
 
 def simulation_options(**values: Any) -> SimulationOptions:
     """Options by name. Raises UsageError naming the option that is unknown or out of range."""
@@ -87,11 +100,12 @@ class SimulatedTour:
     """A tour as it will be recorded: everything but the ranges, which are cast scan by scan.
 
     `truth` is the robot's way in the plan, `odometry` the same by dead reckoning, at the times of
-    its own messages. `noise` seeds the errors of the laser.
+    its own messages. `noise` seeds the errors of the laser. A 3D `lidar` has `laser` for its level.
     """
 
     world: World
     laser: Laser
+    lidar: Lidar | None = None
     truth: Drive
     odometry: Drive
     scan_times_s: FloatArray
@@ -109,7 +123,7 @@ class SimulatedTour:
         return path_length(self.truth.at(self.scan_times_s))
 
     def scans(self) -> Iterator[tuple[Sweep, Pose2]]:
-        """Every scan, as read from a log, with its true base pose in the plan."""
+        """Every planar scan, as read from a log, with its true base pose in the plan."""
         laser, times = self.laser, self.scan_times_s
         truth, guesses = self.truth.at(times), self.odometry.at(times)
         beam_times = laser.beam_times_s if laser.sweep_s > 0.0 else None
@@ -132,6 +146,14 @@ class SimulatedTour:
                 odom_from_base=guess,
             )
             yield sweep, _pose(truth[index])
+
+    def clouds(self) -> Iterator[tuple[int, Pose2, Cloud]]:
+        """Stamp, true base pose in the plan and returns of every sweep of a 3D lidar."""
+        assert self.lidar is not None
+        truth, rng = self.truth.at(self.scan_times_s), np.random.default_rng(self.noise)
+        clouds = self.lidar.clouds(self.world, self.truth, self.scan_times_s, rng)
+        for time, pose, cloud in zip(self.scan_times_s, truth, clouds, strict=True):
+            yield stamp_of(time), _pose(pose), cloud
 
     def odometry_messages(self) -> Iterator[tuple[int, Pose2]]:
         """Stamp and pose of every message of the odometry, in turn."""
@@ -160,9 +182,11 @@ def simulated_tour(plan: GridMap, options: SimulationOptions) -> SimulatedTour:
     truth = drive(path, limits)
     duration = min(truth.duration_s, options.max_duration_s or math.inf)
     scan_times = np.arange(0.0, duration + _ROUNDING_S, 1.0 / options.rate_hz)
+    laser = _laser(options)
     return SimulatedTour(
         world=world,
-        laser=_laser(options),
+        laser=laser,
+        lidar=_lidar(laser, options) if options.rings > 1 else None,
         truth=truth,
         odometry=_odometry(truth, float(scan_times[-1]), options, np.random.default_rng(wheels)),
         scan_times_s=scan_times,
@@ -172,7 +196,12 @@ def simulated_tour(plan: GridMap, options: SimulationOptions) -> SimulatedTour:
 
 
 def simulate_sweeps(plan: GridMap, options: SimulationOptions) -> Iterator[tuple[Sweep, Pose2]]:
-    """The scans of a tour with odometry, as read from a log, each with its true base pose."""
+    """The planar scans of a tour with odometry, as read from a log, with their true base poses.
+
+    Raises UsageError for a 3D lidar: its clouds become scans only when a log of them is read.
+    """
+    if options.rings > 1:
+        raise UsageError("rings: a 3D lidar has clouds; write a log of them by specmap simulate")
     yield from simulated_tour(plan, options).scans()
 
 
@@ -197,6 +226,15 @@ def _laser(options: SimulationOptions) -> Laser:
         step_m=options.range_step_m,
         dropouts=options.dropouts,
         sweep_s=options.sweep_s,
+    )
+
+
+def _lidar(level: Laser, options: SimulationOptions) -> Lidar:
+    return Lidar(
+        level=level,
+        elevations=ring_elevations(math.radians(options.vertical_fov_deg), options.rings),
+        height_m=options.laser_height_m,
+        ceiling_m=options.ceiling_m,
     )
 
 

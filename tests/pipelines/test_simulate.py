@@ -20,7 +20,10 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import Sweep
+from specmap_cli.core.settings import LogConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.logs import open_log
+from specmap_cli.logs.stream import SweepStream
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.simulation.room_truth import RoomTruth
 from specmap_cli.simulation.simulator import (
@@ -219,3 +222,32 @@ def test_the_lines_of_the_readme_make_the_sample_logs(arguments: list[str], tmp_
         assert (topic, time) == (kept_topic, kept_time)
         if topic == "/scan":
             np.testing.assert_allclose(made.ranges, kept.ranges, atol=0.0011)
+
+
+def test_a_lidar_of_several_rings_is_recorded_as_clouds(flat: GridMap, tmp_path: Path) -> None:
+    options = SimulationOptions(
+        field_of_view_deg=360,
+        beams=90,
+        rings=16,
+        range_max_m=30.0,
+        sweep_s=0.08,
+        laser_x_m=0.2,
+        laser_height_m=0.8,
+        max_duration_s=0.5,
+    )
+    made = simulate(flat, options, tmp_path / "a.mcap")
+    found = list(messages(made.log))
+    assert {topic for topic, _, _ in found} == {"/tf_static", "/points", "/odom"}
+    at = found[0][2].transforms[0].transform.translation
+    assert (at.x, at.y, at.z) == (0.2, 0.0, 0.8)
+    clouds = [message for topic, _, message in found if topic == "/points"]
+    assert len(clouds) == made.scans == len(tum(made.truth)) == 6
+    assert [field.name for field in clouds[0].fields] == ["x", "y", "z", "time"]
+    with open_log([made.log]) as log:
+        sweeps = list(SweepStream(log, LogConfig()))
+    for sweep in sweeps:
+        assert sweep.cloud is not None
+        assert sweep.cloud_times_s is not None
+        assert np.isfinite(sweep.planar.ranges).any()
+        assert sweep.cloud[:, 2].min() == pytest.approx(0.0, abs=0.1)  # the floor
+        assert sweep.cloud[:, 2].max() == pytest.approx(2.5, abs=0.1)  # the ceiling

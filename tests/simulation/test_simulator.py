@@ -172,3 +172,14 @@ def test_options_out_of_range_are_one_line(values: dict[str, Any], message: str)
 def test_options_cannot_be_changed_once_given() -> None:
     with pytest.raises(ValidationError, match="frozen"):
         BRIEF.seed = 3  # type: ignore[misc]
+
+
+def test_a_lidar_must_stand_below_the_ceiling() -> None:
+    with pytest.raises(UsageError, match="laser_height_m is not below ceiling_m, 2 m"):
+        simulation_options(rings=8, laser_height_m=2.0, ceiling_m=2.0)
+    assert simulation_options(laser_height_m=2.0, ceiling_m=2.0).rings == 1
+
+
+def test_clouds_are_no_planar_scans(flat: GridMap) -> None:
+    with pytest.raises(UsageError, match="rings: a 3D lidar has clouds"):
+        next(simulate_sweeps(flat, brief(rings=8)))
