@@ -78,9 +78,12 @@ def cloud_points(
     """
     clock = PointClock() if clock is None else clock
     table = record.points.reshape(-1)
-    points = np.column_stack([table[axis].astype(np.float64) for axis in "xyz"])
+    points = np.empty((len(table), 3))
+    for column, axis in enumerate("xyz"):
+        points[:, column] = table[axis]
     squared = np.einsum("ij,ij->i", points, points)
-    kept = (squared > 0.0) & (squared <= config.cloud_range_max_m**2)  # false for NaN as well
+    usable = (squared > 0.0) & (squared <= config.cloud_range_max_m**2)  # false for NaN as well
+    kept = slice(None) if usable.all() else np.flatnonzero(usable)
     recorded = _times(record.points.dtype, table, stamp_ns, clock)
     times = recorded[kept] if recorded is not None else np.zeros(0)
     span = float(np.ptp(times)) if len(times) and np.isfinite(times).all() else 0.0

@@ -8,6 +8,7 @@ it, those still lower counted against it: under a table top or a shelf there are
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -51,8 +52,8 @@ class CloudLeveller:
 
 def floor_of(cloud: FloatArray, config: LogConfig) -> Level | None:
     """The floor in a cloud (N, 3), None when it shows none."""
-    squares = (cloud**2).sum(axis=1)
-    near = cloud[squares <= config.floor_radius_m**2]
+    squares = np.einsum("ij,ij->i", cloud, cloud)
+    near = cloud[np.flatnonzero(squares <= config.floor_radius_m**2)]
     near = near[first_in_cells(near, _CELL_M)]
     if len(near) < _FEWEST:
         return None
@@ -71,6 +72,7 @@ def floor_of(cloud: FloatArray, config: LogConfig) -> Level | None:
     return Level(rotation, height) if enough and upright and height < 0.0 else None
 
 
+@cache
 def _tilts(most_rad: float) -> FloatArray:
     """Rotations (T, 3, 3) to level frames whose vertical is within an angle of the lidar's z."""
     steps = math.floor(most_rad / _STEP_RAD)

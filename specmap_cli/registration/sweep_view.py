@@ -83,7 +83,8 @@ def _cloud_of(
 
     Points nearer than `min_range_m` over ground are the robot itself.
     """
-    distance = np.sqrt((cloud[:, :2] ** 2).sum(axis=1))
+    x, y = cloud[:, 0], cloud[:, 1]
+    distance = np.sqrt(x * x + y * y)
     kept = np.flatnonzero((distance > config.min_range_m) & (distance <= config.cloud_range_m))
     kept = kept[first_in_cells(cloud[kept], config.cloud_voxel_m / 2)]
     usable = times_s is not None and usable_times(times_s, len(cloud))
