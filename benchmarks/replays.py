@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.reading import write_rosbag2
 from specmap_cli.core.geometry import Pose2, quaternions_from_rpy
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
@@ -26,6 +27,14 @@ def write_clouds(log: Path, out: Path, max_range: float) -> int:
             writer.cloud("/points", "laser", sweep.stamp_ns, points)
             count += 1
     return count
+
+
+def write_cloud_bag(log: Path, out: Path, topic: str) -> int:
+    """The clouds of a 3D log as a rosbag2 directory; how many."""
+    with open_log([log]) as source:
+        messages = list(source.messages([topic]))
+    write_rosbag2(out, messages)
+    return len(messages)
 
 
 def write_plays(log: Path, out: Path, plays: int) -> int:

@@ -22,11 +22,12 @@ from pathlib import Path
 from benchmarks import localizing, rooms
 from benchmarks.data import log_file
 from benchmarks.processes import SCRIPTS, Cost, measure
-from benchmarks.replays import write_clouds, write_plays
+from benchmarks.replays import write_cloud_bag, write_clouds, write_plays
 from specmap_cli.core.config import load_config
 from specmap_cli.core.settings import RegistrationConfig
 
 FLOOR_PLAN = "lab_intel"
+CLOUD_RANGE_M = 30.0  # of KISS-ICP on fr079_3d: no room of the building is longer
 BUILD = [str(SCRIPTS / "specmap"), "build", "--overwrite", "-q"]
 HEADING = f"{'':26} {'wall s':>8} {'cpu s':>8} {'largest MB':>10} {'together':>8}"
 
@@ -52,17 +53,23 @@ def main() -> None:
 
 def pairs(folder: Path, arguments: argparse.Namespace) -> None:
     """Whole builds against bare odometry."""
-    settings = RegistrationConfig()
+    settings, repeats = RegistrationConfig(), range(arguments.repeats)
     clouds = folder / "points.mcap"
     scans = write_clouds(log_file("fr079"), clouds, settings.max_range_m)
-    build = [*BUILD, str(log_file("fr079").resolve()), "-o", "map"]
-    ours = [measure(build, folder) for _ in range(arguments.repeats)]
-    theirs = [
-        kiss_icp(clouds, folder, settings.max_range_m, settings.voxel_m)
-        for _ in range(arguments.repeats)
-    ]
+    planar = settings.max_range_m, settings.voxel_m
     print(f"fr079, {scans:,} scans, whole processes, fastest of {arguments.repeats}")
-    _pair(ours, theirs)
+    ours = [_build(log_file("fr079"), folder) for _ in repeats]
+    _pair(ours, [kiss_icp(clouds, folder, *planar) for _ in repeats])
+
+    clouds, in_space = folder / "clouds", (CLOUD_RANGE_M, settings.cloud_voxel_m)
+    count = write_cloud_bag(log_file("fr079_3d"), clouds, "/points")
+    print(f"fr079_3d, {count:,} clouds, the same")
+    ours = [_build(log_file("fr079_3d"), folder) for _ in repeats]
+    _pair(ours, [kiss_icp(clouds, folder, *in_space) for _ in repeats])
+
+
+def _build(log: Path, folder: Path) -> Cost:
+    return measure([*BUILD, str(log.resolve()), "-o", "map"], folder)
 
 
 def _pair(ours: Sequence[Cost], theirs: Sequence[Cost]) -> None:
@@ -94,7 +101,7 @@ def growth(folder: Path, arguments: argparse.Namespace) -> None:
     for plays in arguments.plays:
         log = folder / f"plays{plays}.mcap"
         scans = write_plays(log_file("fr079"), log, plays)
-        cost = measure([*BUILD, log.name, "-o", "map"], folder)
+        cost = _build(log, folder)
         log.unlink()
         first = first or cost
         times, more = cost.processor_s / first.processor_s, cost.together_mb / first.together_mb
@@ -104,7 +111,7 @@ def growth(folder: Path, arguments: argparse.Namespace) -> None:
 
 def stages(folder: Path, _: argparse.Namespace) -> None:
     """Seconds of each stage, as run.json tells them; registration runs beside the others."""
-    measure([*BUILD, str(log_file("fr079").resolve()), "-o", "map"], folder)
+    _build(log_file("fr079"), folder)
     seconds = json.loads((folder / "map" / "run.json").read_text(encoding="utf-8"))["seconds"]
     print("fr079, wall seconds of each stage")
     print(", ".join(f"{name} {value:.2f}" for name, value in seconds.items()))
