@@ -8,6 +8,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.layout.condensing import Condensed
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import (
     SETTLED,
@@ -40,17 +41,17 @@ def tighten(graph: Graph, draft: Draft, config: RelaxationConfig) -> Draft:
     """Loops pull over any drift at first; those outvoted are let go step by step.
 
     Graduated non-convexity (Yang et al., RA-L 2020): Cauchy's kernel starts wider than the largest
-    error and narrows to its usual width.
+    error and narrows to its usual width. Solved roughly: others follow, `settle` the last of them.
     """
     hasty = config.model_copy(update={"solve_iterations": min(_HASTY, config.solve_iterations)})
-    solution = _solution(graph, draft, np.inf, config)
+    solution = _solution(graph, draft, np.inf, config, _ROUGHLY)
     width = float(np.sqrt(solution.chi2[len(graph.odometry) :].max(initial=0.0)))
     while width > config.kernel_sigmas:
         solution = _solution(
-            graph, replace(draft, poses=np.round(solution.poses, _DECIMALS)), width, hasty
+            graph, replace(draft, poses=np.round(solution.poses, _DECIMALS)), width, hasty, _ROUGHLY
         )
         width /= _NARROWER
-    return solved(graph, replace(draft, poses=solution.poses), config)
+    return renewed(graph, replace(draft, poses=solution.poses), config)
 
 
 def settle(graph: Graph, draft: Draft, config: RelaxationConfig) -> tuple[Draft, tuple[Link, ...]]:
@@ -82,10 +83,21 @@ def _solution(
     links = LinkArrays.of((*_motions(graph, draft), *draft.loops), graph.row, widths)
     count = _first_rows(draft.poses, links, len(graph.odometry))
     among = (links.i < count) & (links.j < count)
-    found = solve(draft.poses[:count], links.some(among), config.solve_iterations, settled)
+    found = _solved(draft.poses[:count], links.some(among), config.solve_iterations, settled)
     tail = compose(invert(draft.poses[count - 1]), draft.poses[count:])
     poses = np.concatenate([found.poses, compose(found.poses[-1], tail)])
     return replace(found, poses=poses, chi2=squared(poses, links))
+
+
+def _solved(poses: FloatArray, links: LinkArrays, iterations: int, settled: float) -> Solution:
+    """The solution of a path (M, 3), of which the first M - 1 links are the motions.
+
+    Its chains are solved as one motion each. Where a rough one will do that is all.
+    """
+    condensed = Condensed.of(links, len(poses) - 1)
+    found = solve(poses[condensed.kept], condensed.links, iterations, settled)
+    found = replace(found, poses=condensed.expanded(found.poses))
+    return found if settled > SETTLED else solve(found.poses, links, iterations, settled)
 
 
 def _first_rows(poses: FloatArray, links: LinkArrays, motions: int) -> int:

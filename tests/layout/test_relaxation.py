@@ -167,7 +167,7 @@ def test_limits_that_were_hit_are_told(drive: tuple[FloatArray, list[PlanarScan]
     truth, scans = drive
     elsewhere = np.vstack([truth[:60], truth[300:360]])
     tight = RelaxationConfig(solve_iterations=1, stray_tries=2)
-    with stored(drifted(elsewhere), [*scans[:60], *scans[300:360]]) as store:
+    with stored(drifted(elsewhere, 0.003), [*scans[:60], *scans[300:360]]) as store:
         layout = relax(store, [true_constraint(elsewhere, 3, 50)], [60], tight)
         usual = relax(store, [true_constraint(elsewhere, 3, 50)], [60], CONFIG)
     assert layout.limits["stray_tries"] == 1
