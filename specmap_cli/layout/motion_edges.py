@@ -7,7 +7,7 @@ localization", ICRA 2007): along a bare corridor a scan fixes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,26 +52,42 @@ def motion_links(
     """
     poses = store.poses[nodes]
     motions = compose(invert(poses[:-1]), poses[1:])
-    links = []
-    for source, target, motion in zip(nodes[:-1].tolist(), nodes[1:], motions, strict=True):
-        step, end = Pose2(*motion.tolist()), int(target)
-        kind, bridge = _kind(end, breaks), breaks.get(end)
-        if bridge is not None:
-            information = bridge.information
-        elif kind == "loose":
-            information = guess_information(config)
-        else:
-            information = step_information(step, store.points(end, config.match_range_m), config)
-        links.append(
-            Link(
-                source=source,
-                target=end,
-                source_from_target=step,
-                information=information,
-                kind=kind,
-            )
+    steps = [Pose2(*motion) for motion in motions.tolist()]
+    informations = _informations(store, nodes[1:].tolist(), steps, breaks, config)
+    return tuple(
+        Link(
+            source=source,
+            target=end,
+            source_from_target=step,
+            information=information,
+            kind=_kind(end, breaks),
         )
-    return tuple(links)
+        for source, end, step, information in zip(
+            nodes[:-1].tolist(), nodes[1:].tolist(), steps, informations, strict=True
+        )
+    )
+
+
+def _informations(
+    store: KeyframeStore,
+    ends: Sequence[int],
+    steps: Sequence[Pose2],
+    breaks: Mapping[int, Bridge | None],
+    config: RelaxationConfig,
+) -> FloatArray:
+    """(L, 3, 3) of the motions `steps` (L,) that end in these keyframes."""
+    fisher = [
+        np.zeros((3, 3))
+        if end in breaks
+        else observability(store.points(end, config.match_range_m), config.range_noise_m)
+        for end in ends
+    ]
+    informations = step_information(steps, np.array(fisher).reshape(-1, 3, 3), config)
+    for k, end in enumerate(ends):
+        if end in breaks:
+            bridge = breaks[end]
+            informations[k] = guess_information(config) if bridge is None else bridge.information
+    return informations
 
 
 def _kind(end: int, breaks: Mapping[int, Bridge | None]) -> LinkKind:
@@ -86,14 +102,16 @@ def guess_information(config: RelaxationConfig) -> FloatArray:
     return np.diag([config.guess_m**-2, config.guess_m**-2, config.guess_rad**-2])
 
 
-def step_information(step: Pose2, points: FloatArray, config: RelaxationConfig) -> FloatArray:
-    """Information (3, 3) of a motion `step`, weighed in the frame it ends in.
+def step_information(
+    steps: Sequence[Pose2], fisher: FloatArray, config: RelaxationConfig
+) -> FloatArray:
+    """Information (L, 3, 3) of motions `steps` (L,), each weighed in the frame it ends in.
 
-    `points` (N, 2) are the walls seen from its end.
+    `fisher` (L, 3, 3) is what the walls seen from its end tell of a place.
     """
-    position = _LEAST_M + config.step_share * step.distance
-    angle = _LEAST_RAD + config.turn_share * abs(step.theta)
-    moved = np.diag([position**2, position**2, angle**2])
-    fisher = observability(points, config.range_noise_m)
+    position = [_LEAST_M + config.step_share * step.distance for step in steps]
+    angle = [_LEAST_RAD + config.turn_share * abs(step.theta) for step in steps]
+    sigmas = np.column_stack([position, position, angle])
+    moved = sigmas[:, :, None] ** 2 * np.eye(3)
     unseen = inverse3(fisher + guess_information(config))
     return inverse3(moved + unseen)
