@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, reduce
 from typing import Any
 
 import cv2
@@ -177,8 +177,9 @@ class ScoreField:
         """The maximum over blocks of `factor` x `factor` cells: never below the fine field."""
         height, width = self.values.shape
         padded = np.pad(self.values, ((0, -height % factor), (0, -width % factor)))
-        blocks = padded.reshape(padded.shape[0] // factor, factor, -1, factor)
-        return replace(self, values=blocks.max(axis=(1, 3)), resolution=self.resolution * factor)
+        rows = reduce(np.maximum, (padded[k::factor] for k in range(factor)))
+        values = reduce(np.maximum, (rows[:, k::factor] for k in range(factor)))
+        return replace(self, values=values, resolution=self.resolution * factor)
 
 
 def thinned(points: FloatArray, cell_m: float) -> FloatArray:

@@ -25,6 +25,7 @@ from specmap_cli.layout.wall_matching import (
     confirmed,
     field_of,
     nearby_link,
+    sure_score,
 )
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 
@@ -116,9 +117,8 @@ class OlderWalls:
             return None
         away = self.points - (best.pose.x, best.pose.y)
         near = np.hypot(away[:, 0], away[:, 1]) < _NEAR_RANGES * config.match_range_m
-        score = 0.5 + 0.5 * config.loop_score  # halfway to a perfect fit
         field = field_of(self.points[near], config)
-        found = confirmed(field, source, best.pose, score, config)
+        found = confirmed(field, source, best.pose, sure_score(config), config)
         if found is None or _variance(found.information) > 2 * _PINNED_M**2:
             return None
         return found

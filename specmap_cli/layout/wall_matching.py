@@ -31,6 +31,10 @@ _REFINED_POINTS_M, _REFINED_STEPS = 0.1, 8
 _TURN_PER_M, _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.15, 0.06, 0.35
 # Of places that fit alike the nearer wins: a metre off costs as much as 1 % of the points.
 _PENALTY_PER_M2, _PENALTY_PER_RAD2 = 0.01, 0.05
+_APART_M = 0.5  # what looks alike in a building, doors or cupboards, stands farther apart
+# Between two places tried in a search the score falls to no less than this share of the best:
+# half the diagonal of a step of the fine one, 7 cm, is 0.7 sigma of the field.
+_HOPELESS = 0.75
 _SIDE = 4.0  # of the field of a place, in ranges: stray points beyond it cost no memory
 _WINDOW_M2 = SPREAD_M**2 / 3  # variance of a window that fits all over
 _OPEN_M2 = 2.0**2  # of a place along a corridor that shows nothing: the wall is still that wall
@@ -54,6 +58,13 @@ def match_walls(
     `guess` is `target_from_source`; `drift_m` bounds how wrong it may be.
     """
     field = field_of(target, config)
+    few = thinned(source, FINE_POINTS_M)
+    if len(few) < config.match_points:
+        return None
+    if drift_m <= _APART_M:
+        near = _settled(field, source, few, guess, config)
+        if near is not None:
+            return _fit(field, source, few, near)
     window = Window(
         distance_m=drift_m,
         angle_rad=float(np.clip(_TURN_PER_M * drift_m, _LEAST_TURN_RAD, _MOST_TURN_RAD)),
@@ -61,9 +72,32 @@ def match_walls(
         penalty_per_m2=_PENALTY_PER_M2,
         penalty_per_rad2=_PENALTY_PER_RAD2,
     )
-    few = thinned(source, COARSE_POINTS_M)
-    rough = search(field.coarser(_COARSE_CELLS), few, guess, window)
+    coarse = thinned(source, COARSE_POINTS_M)
+    rough = search(field.coarser(_COARSE_CELLS), coarse, guess, window)
+    if rough.score < _HOPELESS * config.loop_score:
+        return None
     return confirmed(field, source, rough.pose, config.loop_score, config)
+
+
+def _settled(
+    field: ScoreField, source: FloatArray, few: FloatArray, guess: Pose2, config: RelaxationConfig
+) -> Pose2 | None:
+    """The best pose right by the guess, if points (N, 2) fit so well there that no search is due.
+
+    `few` are some of the points.
+    """
+    if field.score(few, guess) < config.loop_score:
+        return None
+    near = refine(field, thinned(source, _REFINED_POINTS_M), guess, _REFINED_STEPS, _BLUR_M)
+    return near.pose if near.score >= sure_score(config) else None
+
+
+def sure_score(config: RelaxationConfig) -> float:
+    """Score of points of which nothing more is asked: halfway from what is asked to a perfect fit.
+
+    `loop_score` is what is asked.
+    """
+    return 0.5 + 0.5 * config.loop_score
 
 
 def field_of(target: FloatArray, config: RelaxationConfig) -> ScoreField:
@@ -83,10 +117,17 @@ def confirmed(
     if len(few) < config.match_points:
         return None
     fine = search(field, few, rough, _FINE)
+    if fine.score < _HOPELESS * least_score:
+        return None
     near = refine(field, thinned(source, _REFINED_POINTS_M), fine.pose, _REFINED_STEPS)
     if near.score < least_score:
         return None
-    pose = refine(field.sharper(), thinned(source, CELL_M), near.pose).pose
+    return _fit(field, source, few, near.pose)
+
+
+def _fit(field: ScoreField, source: FloatArray, few: FloatArray, near: Pose2) -> WallFit:
+    """The match of points (N, 2) at the optimum by a pose; its error is had from `few` of them."""
+    pose = refine(field.sharper(), thinned(source, CELL_M), near).pose
     spread = opened(covariance(field, few, pose))
     turn = np.eye(3)
     turn[:2, :2] = pose.rotation().T  # errors are weighed in the source's own frame

@@ -9,7 +9,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.matching import SPREAD_M
+from specmap_cli.grids.matching import SPREAD_M, Match, ScoreField, Window, search
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.wall_matching import WallFit, match_walls, nearby_link, opened
 from specmap_cli.layout.walls import Walls
@@ -64,6 +64,54 @@ def test_another_place_does_not_fit(perfect: Perfect) -> None:
     assert match_walls(source, target, here, 1.0, CONFIG) is None
     lax = RelaxationConfig(loop_score=0.0)
     assert match_walls(source, target, here, 1.0, lax) is not None, "the score alone refuses it"
+
+
+def counted_searches(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
+    """The windows that are searched from now on."""
+    windows: list[Window] = []
+
+    def counted(field: ScoreField, points: FloatArray, guess: Pose2, window: Window) -> Match:
+        windows.append(window)
+        return search(field, points, guess, window)
+
+    monkeypatch.setattr("specmap_cli.layout.wall_matching.search", counted)
+    return windows
+
+
+@pytest.mark.parametrize(("off_m", "drift_m", "searches"), [(0.05, 0.4, 0), (0.3, 0.4, 2)])
+def test_what_fits_where_it_is_said_to_be_is_not_searched(
+    perfect: Perfect,
+    monkeypatch: pytest.MonkeyPatch,
+    off_m: float,
+    drift_m: float,
+    searches: int,
+) -> None:
+    source, target, truth = pass_of(perfect, 190)
+    windows = counted_searches(monkeypatch)
+    fit = match_walls(source, target, truth @ Pose2(off_m, 0.0, 0.0), drift_m, CONFIG)
+    assert fit is not None
+    assert (truth.inverse() @ fit.target_from_source).distance < 0.05
+    assert len(windows) == searches
+
+
+def test_where_much_may_have_drifted_a_good_fit_is_not_the_end_of_it(
+    perfect: Perfect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Doors in a row look alike: the next one may fit better still."""
+    source, target, truth = pass_of(perfect, 190)
+    windows = counted_searches(monkeypatch)
+    assert match_walls(source, target, truth, 0.6, CONFIG) is not None
+    assert len(windows) == 2
+
+
+def test_what_shows_other_walls_is_given_up_after_the_rough_search(
+    perfect: Perfect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, _, _ = pass_of(perfect, 190)
+    windows = counted_searches(monkeypatch)
+    target = np.column_stack([np.linspace(20.0, 25.0, 200), np.full(200, 20.0)])
+    assert match_walls(source, target, Pose2(0.0, 0.0, 0.0), 0.4, CONFIG) is None
+    assert len(windows) == 1
 
 
 def test_what_lies_farther_off_than_the_drift_is_not_found(perfect: Perfect) -> None:
