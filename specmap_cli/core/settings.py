@@ -356,10 +356,12 @@ class RelaxationConfig(_Section):
     )
     match_range_m: float = Field(12.0, gt=0, description="farther returns are not matched")
     match_points: int = Field(20, ge=3, description="walls with fewer points are not matched")
-    loop_every_m: float = Field(1.0, gt=0, description="path between searches for nearby passes")
+    loop_every_m: float = Field(
+        1.0, gt=0, description="least path between searches for nearby passes"
+    )
     loop_path_m: float = Field(6.0, gt=0, description="less path than this between is no pass")
     loop_radius_m: float = Field(3.0, gt=0, description="how near a pass must be")
-    loops_per_node: int = Field(2, ge=0, description="passes matched at the most, 0: none")
+    loops_per_node: int = Field(2, ge=0, description="passes tried until one fits, 0: none")
     loop_score: float = Field(0.6, ge=0, le=1, description="a match below this is no edge")
     loop_search_m: float = Field(0.3, gt=0, description="a pass is searched this far at the least")
     loop_search_max_m: float = Field(2.0, gt=0, description="and this far at the most")

@@ -7,24 +7,28 @@ older, within what the path may have drifted since the last such match.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.layout.agreement import Ends
 from specmap_cli.layout.path_graph import Draft, Graph, Pair
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.solving import renewed
-from specmap_cli.layout.stops import stops
 from specmap_cli.layout.strays import Search, rejoin
+from specmap_cli.layout.uncertainty import misfit
 from specmap_cli.layout.wall_matching import match_walls, nearby_link
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 
 _NEWER_NODES = 3  # as PLACE_NODES, for the newer pass: its own drift must not blur it
 _METRES_A_RADIAN = 0.7  # of distance that are as bad as a turn, for the overlap of two scans
 _NODES_A_LINK = 150  # a solution of more nodes costs more, and waits for more links
+_NEWS = 1 / 3  # share of the least search by which a link must miss the draft to be news to it
+_LEAST_SHARE = 1e-6  # of drift: keeps a path that does not drift from dividing by zero
 _NEW_QUESTION_M = 1.0  # a guess that moved this far is worth another match
 
 
@@ -32,38 +36,77 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, config: RelaxationConf
     """The draft with the nearby passes that could be matched, solved again as they come in.
 
     Goes along the path. Where a part hangs on the others by a guess only, it is looked for among
-    all older walls first. Pairs that the draft was tried on are matched again only when they moved.
+    all older walls first. Nodes that the draft was tried at are asked again, but matched only
+    when they moved. Links that say what the draft says anyway are no reason to solve it.
     """
-    tried, tied_m, solved = dict(draft.tried), 0.0, len(draft.loops)
+    tried, linked = dict(draft.tried), _linked(graph, draft.loops)
+    asked = {newer for older, newer in tried if older != newer}
+    due_m, tied_m, news = config.loop_every_m, 0.0, 0
     renew_after = max(config.solve_every, len(graph.nodes) // _NODES_A_LINK)
     search: Search | None = None
-    for node in stops(graph.path, config.loop_every_m):
-        part, way_m = int(graph.parts[node]), float(graph.path[node])
+    for node, way_m in enumerate(graph.path.tolist()):
+        if way_m < due_m and node not in asked:
+            continue
+        part, due_m = int(graph.parts[node]), way_m + config.loop_every_m
         if part in draft.tied:
             drift_m = config.loop_search_m + config.drift_share * (way_m - tied_m)
-            passes = passes_at(node, graph, draft.poses, walls, tried, drift_m, config)
-            found = passes.links
+            passes = passes_at(node, graph, draft.poses, walls, tried, linked, drift_m, config)
+            found, is_tied = passes.links, passes.is_tied
             tried.update(passes.guesses)
             draft = draft.counting("loop_search_max_m", passes.cut_short)
+            if is_tied:
+                due_m = way_m + _spacing_m(passes.older, config)
         else:
             draft, search = rejoin(node, graph, draft, walls, search, config)
             found = search.finds if search is not None and part in draft.tied else ()
+            is_tied = bool(found)
+        if is_tied:
+            tied_m = way_m
         if found:
-            draft, tied_m = replace(draft, loops=(*draft.loops, *found)), way_m
-        if len(draft.loops) - solved >= renew_after:
-            draft, solved = renewed(graph, draft, config), len(draft.loops)
+            draft = replace(draft, loops=(*draft.loops, *found))
+            news += _news(graph, draft.poses, found, config)
+        if news >= renew_after:
+            draft, news = renewed(graph, draft, config), 0
     return replace(draft, tried=tried)
+
+
+def _linked(graph: Graph, loops: Sequence[Link]) -> set[Pair]:
+    """The rows, older and newer, that nearby passes tie."""
+    return {
+        (graph.row[link.source], graph.row[link.target]) for link in loops if link.kind == "nearby"
+    }
+
+
+def _spacing_m(older: int, config: RelaxationConfig) -> float:
+    """The way from a stop that is tied to the next one, where `older` passes came by.
+
+    What n passes tell of a place errs by one over the root of n: the more of them, the less one
+    match more can add. But never so far that the path drifts by half of the least search.
+    """
+    safe_m = 0.5 * config.loop_search_m / max(config.drift_share, _LEAST_SHARE)
+    return max(config.loop_every_m, min(math.sqrt(older) * config.loop_every_m, safe_m))
+
+
+def _news(graph: Graph, poses: FloatArray, links: Sequence[Link], config: RelaxationConfig) -> int:
+    """How many links miss the poses (M, 3) by a good part of what the next match searches."""
+    ends = Ends.of(graph, links)
+    missed = misfit(poses, ends.i, ends.j, ends.z)
+    return int(np.count_nonzero(np.hypot(*missed[:, :2].T) > _NEWS * config.loop_search_m))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Passes:
     """The links found at one node, and the pairs of rows that were matched from which `guesses`.
 
-    `cut_short` counts those that were not searched as far as the path may have drifted.
+    `is_tied` says that the node is tied to an older pass, by these links or from before; `older`
+    counts the passes that came by. `cut_short` counts the matches that were not searched as far as
+    the path may have drifted.
     """
 
     links: tuple[Link, ...]
     guesses: Mapping[Pair, Pose2]
+    is_tied: bool
+    older: int
     cut_short: int
 
 
@@ -73,47 +116,57 @@ def passes_at(
     poses: FloatArray,
     walls: Walls,
     tried: Mapping[Pair, Pose2],
+    linked: Collection[Pair],
     drift_m: float,
     config: RelaxationConfig,
 ) -> Passes:
     """Row `node` matched with older ones at the poses (M, 3), which may be wrong by `drift_m`.
 
-    Pairs that were `tried` are matched again only from a guess that differs by a metre.
+    One after the other until it is tied to one: what the next would add is little. Pairs that were
+    `tried` are matched again only from a guess that differs by a metre; some of them are `linked`.
     """
     reach_m = min(drift_m, config.loop_search_max_m)
     links: list[Link] = []
     guesses: dict[Pair, Pose2] = {}
-    matched = 0
-    for old in candidates(node, poses, graph.path, config):
+    matched, is_tied = 0, False
+    near = candidates(node, poses, graph.path, config)
+    for old in near[: config.loops_per_node]:
         guess = Pose2(*compose(invert(poses[old]), poses[node]).tolist())
         guesses[old, node] = guess
-        if not _is_new(guess, tried.get((old, node))):
-            continue
-        matched += 1
-        source = walls.around(node, _NEWER_NODES, poses)
-        target = walls.around(old, PLACE_NODES, poses)
-        fit = match_walls(source, target, guess, reach_m, config)
-        if fit is not None:
-            links.append(nearby_link(graph, old, node, fit))
+        if _is_new(guess, tried.get((old, node))):
+            matched += 1
+            source = walls.around(node, _NEWER_NODES, poses)
+            target = walls.around(old, PLACE_NODES, poses)
+            fit = match_walls(source, target, guess, reach_m, config)
+            if fit is not None:
+                links.append(nearby_link(graph, old, node, fit))
+        is_tied = bool(links) or (old, node) in linked
+        if is_tied:
+            break
     return Passes(
-        links=tuple(links), guesses=guesses, cut_short=matched if drift_m > reach_m else 0
+        links=tuple(links),
+        guesses=guesses,
+        is_tied=is_tied,
+        older=len(near),
+        cut_short=matched if drift_m > reach_m else 0,
     )
 
 
 def candidates(
     node: int, poses: FloatArray, path: FloatArray, config: RelaxationConfig
 ) -> list[int]:
-    """Older rows to match row `node` with: near it, far along the path, apart from each other."""
-    old = np.flatnonzero(path < path[node] - config.loop_path_m)
-    away = poses[old, :2] - poses[node, :2]
+    """Older rows near row `node`, one a pass, the best to match with first.
+
+    They lie far from it along the path, and from each other.
+    """
+    older = int(np.searchsorted(path, path[node] - config.loop_path_m))
+    away = poses[:older, :2] - poses[node, :2]
     distance = np.sqrt((away**2).sum(axis=1))
+    old = np.flatnonzero(distance < config.loop_radius_m)
     turn = np.abs(wrap_angles(poses[old, 2] - poses[node, 2]))
-    near = distance < config.loop_radius_m
-    old, rank = old[near], (distance + _METRES_A_RADIAN * turn)[near]
+    rank = distance[old] + _METRES_A_RADIAN * turn
     chosen: list[int] = []
     for k in old[np.argsort(rank, kind="stable")].tolist():
-        if len(chosen) == config.loops_per_node:
-            break
         if all(abs(path[k] - path[c]) > config.loop_radius_m for c in chosen):
             chosen.append(k)
     return chosen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angle
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.nearby_passes import candidates, find_passes, passes_at
 from specmap_cli.layout.path_graph import Draft, Graph
+from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.solving import renewed
 from specmap_cli.layout.stops import stops
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import as_tracked, between
@@ -33,8 +36,7 @@ def by_loops(node: int, poses: FloatArray, path: FloatArray, config: RelaxationC
             ranked.append((distance + 0.7 * turn, k))
     chosen: list[int] = []
     for _, k in sorted(ranked):
-        apart = all(abs(path[k] - path[other]) > config.loop_radius_m for other in chosen)
-        if apart and len(chosen) < config.loops_per_node:
+        if all(abs(path[k] - path[other]) > config.loop_radius_m for other in chosen):
             chosen.append(k)
     return chosen
 
@@ -43,22 +45,24 @@ def by_loops(node: int, poses: FloatArray, path: FloatArray, config: RelaxationC
     pose_arrays(16),
     st.lists(st.floats(0.0, 3.0), min_size=16, max_size=16),
     st.integers(0, 15),
-    st.integers(0, 4),
     st.floats(0.5, 60.0),
 )
 def test_candidates_are_near_far_along_the_path_and_apart(
-    poses: FloatArray, steps: list[float], node: int, most: int, radius: float
+    poses: FloatArray, steps: list[float], node: int, radius: float
 ) -> None:
     path = np.cumsum(steps)
-    config = RelaxationConfig(loops_per_node=most, loop_radius_m=radius)
+    config = RelaxationConfig(loop_radius_m=radius)
     assert candidates(node, poses, path, config) == by_loops(node, poses, path, config)
 
 
 def test_none_per_node_is_none(perfect: Perfect) -> None:
-    _, graph = perfect
+    store, graph = perfect
+    walls = Walls(store, graph, CONFIG.match_range_m)
     none = RelaxationConfig(loops_per_node=0)
-    assert candidates(190, graph.poses, graph.path, CONFIG) != []
-    assert candidates(190, graph.poses, graph.path, none) == []
+    assert passes_at(190, graph, graph.poses, walls, {}, set(), 0.5, CONFIG).links
+    found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5, none)
+    assert (found.links, found.guesses, found.is_tied) == ((), {}, False)
+    assert find_passes(graph, as_tracked(graph), walls, none).loops == ()
 
 
 @given(st.lists(st.floats(0.0, 3.0), min_size=1, max_size=30), st.floats(0.1, 5.0))
@@ -72,19 +76,38 @@ def test_stops_are_the_first_nodes_past_each_stretch(steps: list[float], every_m
         assert path[k] - last < every_m
 
 
+def rows_of(graph: Graph, links: Sequence[Link]) -> set[tuple[int, int]]:
+    return {(graph.row[link.source], graph.row[link.target]) for link in links}
+
+
 def test_a_pass_is_linked_and_remembered(perfect: Perfect) -> None:
     store, graph = perfect
     walls = Walls(store, graph, CONFIG.match_range_m)
-    first = passes_at(190, graph, graph.poses, walls, {}, 0.5, CONFIG)
-    assert len(first.links) >= 1
-    for found in first.links:
-        truth = between(graph.tracked, found.source, found.target)
-        assert (truth.inverse() @ found.source_from_target).distance < 0.1
-        assert found.target == graph.nodes[190]
+    first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5, CONFIG)
+    assert first.is_tied
+    (found,) = first.links
+    truth = between(graph.tracked, found.source, found.target)
+    assert (truth.inverse() @ found.source_from_target).distance < 0.1
+    assert found.target == graph.nodes[190]
     assert first.cut_short == 0
-    again = passes_at(190, graph, graph.poses, walls, first.guesses, 0.5, CONFIG)
+    linked = rows_of(graph, first.links)
+    again = passes_at(190, graph, graph.poses, walls, first.guesses, linked, 0.5, CONFIG)
     assert again.links == ()
+    assert again.is_tied
     assert again.guesses == first.guesses
+
+
+def test_the_second_pass_is_asked_when_the_first_does_not_fit(perfect: Perfect) -> None:
+    store, graph = perfect
+    walls = Walls(store, graph, CONFIG.match_range_m)
+    graph = replace(graph, path=10 * graph.path)  # so that neighbours are passes of their own
+    best, second = candidates(190, graph.poses, graph.path, CONFIG)[:2]
+    guess = Pose2(*compose(invert(graph.poses[best]), graph.poses[190]).tolist())
+    tried = {(best, 190): guess}  # to no avail
+    found = passes_at(190, graph, graph.poses, walls, tried, set(), 0.5, CONFIG)
+    assert rows_of(graph, found.links) == {(second, 190)}
+    one = RelaxationConfig(loops_per_node=1)
+    assert not passes_at(190, graph, graph.poses, walls, tried, set(), 0.5, one).is_tied
 
 
 @pytest.mark.parametrize(("shift", "count"), [(0.9, 0), (1.1, 1)])
@@ -94,16 +117,17 @@ def test_a_pair_that_moved_by_a_metre_is_matched_again(
     store, graph = perfect
     walls = Walls(store, graph, CONFIG.match_range_m)
     config = RelaxationConfig(loops_per_node=1)
-    first = passes_at(190, graph, graph.poses, walls, {}, 0.5, config)
+    first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5, config)
     moved = {pair: guess @ Pose2(shift, 0.0, 0.0) for pair, guess in first.guesses.items()}
-    assert len(passes_at(190, graph, graph.poses, walls, moved, 0.5, config).links) == count
+    found = passes_at(190, graph, graph.poses, walls, moved, set(), 0.5, config)
+    assert len(found.links) == count
 
 
 def test_a_search_shorter_than_the_drift_is_counted(perfect: Perfect) -> None:
     store, graph = perfect
     walls = Walls(store, graph, CONFIG.match_range_m)
     config = RelaxationConfig(loop_search_max_m=0.5)
-    found = passes_at(190, graph, graph.poses, walls, {}, 0.6, config)
+    found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.6, config)
     assert found.cut_short == len(found.guesses) > 0
     tied = as_tracked(graph)
     hasty = RelaxationConfig(loop_search_max_m=0.3)
@@ -130,6 +154,42 @@ def test_passes_are_found_along_the_second_lap(perfect: Perfect) -> None:
     assert len(fresh) <= 2, "nodes moved by millimetres: hardly another one is the nearest"
     assert found.loops == again.loops[: len(found.loops)]
     assert len(again.loops) <= len(found.loops) + len(fresh)
+
+
+def test_where_more_passes_came_by_stops_are_farther_apart(perfect: Perfect) -> None:
+    """Each neighbour of a node counts as a pass of its own: there are many."""
+    store, graph = perfect
+    walls = Walls(store, graph, CONFIG.match_range_m)
+    known = replace(graph, path=10 * graph.path)  # metres that are decimetres
+    sparse = RelaxationConfig(loop_every_m=10.0, loop_path_m=60.0, drift_share=0.004)
+    often = RelaxationConfig(loop_every_m=10.0, loop_path_m=60.0, drift_share=0.02)
+    found = find_passes(known, as_tracked(graph), walls, sparse)
+    newer = sorted(graph.row[link.target] for link in found.loops)
+    ways = np.diff(known.path[newer])
+    assert ways.min() >= 20.0
+    assert np.median(ways) < 45.0, "no farther than the path drifts by half of the least search"
+    assert len(find_passes(known, as_tracked(graph), walls, often).loops) > 1.5 * len(found.loops)
+
+
+def test_what_confirms_the_layout_does_not_renew_it(
+    perfect: Perfect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, graph = perfect
+    walls = Walls(store, graph, CONFIG.match_range_m)
+    solutions: list[int] = []
+
+    def counted(graph: Graph, draft: Draft, config: RelaxationConfig) -> Draft:
+        solutions.append(len(draft.loops))
+        return renewed(graph, draft, config)
+
+    monkeypatch.setattr("specmap_cli.layout.nearby_passes.renewed", counted)
+    config = RelaxationConfig(solve_every=2)
+    assert len(find_passes(graph, as_tracked(graph), walls, config).loops) >= 15
+    assert solutions == []
+    aside = graph.poses
+    aside[graph.parts == 1, 1] += 0.25
+    find_passes(graph, replace(as_tracked(graph), poses=aside), walls, config)
+    assert 0 < len(solutions) < 5, "the first bring the rest where it belongs"
 
 
 def test_the_layout_is_renewed_as_passes_come_in(perfect: Perfect) -> None:
