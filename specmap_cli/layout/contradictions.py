@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.records import IntArray
@@ -104,8 +105,11 @@ class Views:
     def partners(self, lasers: FloatArray, config: RelaxationConfig) -> tuple[IntArray, IntArray]:
         """Views of an older pass and a newer one through the same place (P,), the nearest."""
         pairs: list[tuple[int, int]] = []
-        for newer in range(len(lasers)):
-            old = np.flatnonzero(self.way < self.way[newer] - config.loop_path_m)
+        tree = cKDTree(lasers[:, :2])
+        for newer, way_m in enumerate(self.way.tolist()):
+            found = tree.query_ball_point(lasers[newer, :2], _PARTNER_M, return_sorted=True)
+            old = np.array(found, dtype=np.int64)
+            old = old[self.way[old] < way_m - config.loop_path_m]
             away = np.hypot(*(lasers[old, :2] - lasers[newer, :2]).T)
             near = np.flatnonzero(away < _PARTNER_M)
             best = near[np.argsort(away[near], kind="stable")[:_PARTNERS]]

@@ -18,7 +18,7 @@ from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.carrying import bridged, carried, keyframe_rows
 from specmap_cli.layout.closing import Closed, closed
-from specmap_cli.layout.contradictions import Views
+from specmap_cli.layout.contradictions import Standing, Views
 from specmap_cli.layout.evidence import (
     Choice,
     Healing,
@@ -103,37 +103,59 @@ def relax(
     draft, dropped = settle(graph, found.draft, config)
     judged = settled_verdicts(found.judged, dropped)
     refuted = tuple(one.link for one in found.judged if not one.believed)
-    finished = Finished("relaxed", draft, (*refuted, *dropped))
-    finished = chosen(graph, passes, finished, views, config)
-    return _layout(graph, finished, replace(found, judged=judged), views, config)
+    tracked = views.standing(graph.poses, config)
+    finished = Finished.of("relaxed", draft, (*refuted, *dropped), views, config)
+    finished = chosen(graph, passes, finished, tracked, views, config)
+    return _layout(graph, finished, replace(found, judged=judged), tracked, config)
 
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """A draft that is settled, the links it was settled without, and what it is made of."""
+    """A draft that is settled, the links it was settled without, and what it is made of.
+
+    `standing` is how its passes stand to each other.
+    """
 
     choice: Choice
     draft: Draft
     dropped: tuple[Link, ...]
+    standing: Standing
+
+    @classmethod
+    def of(
+        cls,
+        choice: Choice,
+        draft: Draft,
+        dropped: tuple[Link, ...],
+        views: Views,
+        config: RelaxationConfig,
+    ) -> Finished:
+        """The draft, weighed by what was seen along it."""
+        return cls(choice, draft, dropped, views.standing(draft.poses, config))
 
 
 def chosen(
-    graph: Graph, passes: Draft, finished: Finished, views: Views, config: RelaxationConfig
+    graph: Graph,
+    passes: Draft,
+    finished: Finished,
+    tracked: Standing,
+    views: Views,
+    config: RelaxationConfig,
 ) -> Finished:
     """The finished layout, or one nearer to what was tracked that fewer walls contradict.
 
-    That is the layout of nearby passes alone, or the path as it was tracked.
+    That is the layout of nearby passes alone, or the path as it was tracked, whose standing is
+    `tracked`.
     """
-    standing = views.standing(finished.draft.poses, config)
     links = (*finished.draft.loops, *finished.dropped)
     closures = tuple(link for link in links if link.kind == "closure")
     if closures:
         alone, outliers = settle(graph, passes, config)
-        now = views.standing(alone.poses, config)
-        if standing.is_worse_than(now):
-            finished, standing = Finished("passes", alone, (*closures, *outliers)), now
-    if standing.is_worse_than(views.standing(graph.poses, config)):
-        return Finished("tracked", replace(passes, poses=graph.poses, loops=()), links)
+        trial = Finished.of("passes", alone, (*closures, *outliers), views, config)
+        if finished.standing.is_worse_than(trial.standing):
+            finished = trial
+    if finished.standing.is_worse_than(tracked):
+        return Finished("tracked", replace(passes, poses=graph.poses, loops=()), links, tracked)
     return finished
 
 
@@ -160,7 +182,7 @@ def _layout(
     graph: Graph,
     finished: Finished,
     found: Closed,
-    views: Views,
+    tracked: Standing,
     config: RelaxationConfig,
 ) -> Layout:
     """The layout of all keyframes from the settled draft of the nodes."""
@@ -174,8 +196,8 @@ def _layout(
         groups=found.groups,
         parts=part_moves(graph, draft),
         bends=bends(graph, draft.poses, config),
-        standing_tracked=views.standing(graph.poses, config),
-        standing=views.standing(draft.poses, config),
+        standing_tracked=tracked,
+        standing=finished.standing,
         limits=draft.counting("stray_tries", given_up).limits,
     )
     return Layout(
