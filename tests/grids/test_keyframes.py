@@ -16,7 +16,12 @@ from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angle
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, KeyframeConfig
 from specmap_cli.grids import keyframes
-from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
+from specmap_cli.grids.keyframes import (
+    KeyframeSelector,
+    KeyframeStore,
+    integrate_keyframes,
+    telling,
+)
 from specmap_cli.grids.occupancy import OccupancyGrid
 from tests.strategies import planar_scans, poses
 
@@ -287,3 +292,28 @@ def test_a_grid_of_more_keyframes_than_are_read_at_once(monkeypatch: pytest.Monk
         parts = integrate_keyframes(store, range(7), store.poses, config).snapshot()
     np.testing.assert_array_equal(whole.cells, parts.cells)
     assert whole.origin == parts.origin
+
+
+def test_a_patrol_of_any_length_tells_as_much_as_the_place_holds() -> None:
+    lap = [(0.1 * step, 0.2, 0.1) for step in range(30)]
+    back = [(x, y, -3.0) for x, y, _ in lap[::-1]]
+    patrol = np.array([*lap, *back] * 40)
+    chosen = telling(patrol)
+    assert len(chosen) == 2 * 6 * 16  # two directions, six places half a metre wide
+    assert (np.diff(chosen) > 0).all()
+    laps = np.bincount(chosen // 60, minlength=40)
+    assert laps[:20].sum() == pytest.approx(laps[20:].sum(), rel=0.2)  # neither first nor last
+    assert len(telling(patrol[: 2 * 60])) == 2 * 60  # the first laps are taken in whole
+    assert len(telling(np.zeros((0, 3)))) == 0
+
+
+def test_keyframes_that_tell_nothing_new_stay_out_of_the_grid() -> None:
+    config = GridConfig(resolution_m=0.1)
+    with KeyframeStore() as store:
+        for _ in range(50):
+            store.append(replace(at(0.0), planar=scan_of(3)))
+        store.append(replace(at(3.0), planar=scan_of(3)))
+        grid = integrate_keyframes(store, range(51), store.poses, config)
+        few = integrate_keyframes(store, [0, 50], store.poses[[0, 50]], config)
+        assert float(grid._misses.max()) <= 2.0 * (16 + 1)  # a pass of a beam and the footprint
+    np.testing.assert_array_equal(grid.snapshot().cells, few.snapshot().cells)
