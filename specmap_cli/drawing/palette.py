@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 
 import cv2
 import numpy as np
@@ -83,7 +84,7 @@ def colour_graph(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> dict[i
     uses = np.zeros(len(FILLS), dtype=np.int64)
     for id_ in order:
         near = sorted({chosen[other] for other in near_to[id_] if other in chosen})
-        gaps = _DISTANCES[:, near].min(axis=1) if near else np.full(len(FILLS), DISTINCT)
+        gaps = fill_distances()[:, near].min(axis=1) if near else np.full(len(FILLS), DISTINCT)
         rank = np.lexsort((uses, -np.minimum(gaps, DISTINCT)))
         chosen[id_] = int(rank[0])
         uses[chosen[id_]] += 1
@@ -101,11 +102,9 @@ def touching(owner: OwnerArray, reach: int) -> set[tuple[int, int]]:
     return found
 
 
+@cache
 def fill_distances() -> FloatArray:
     """(F, F) CIELAB distances between the fills."""
     fills = np.array(FILLS, dtype=np.float32)[None] / 255.0
     lab = cv2.cvtColor(fills, cv2.COLOR_BGR2Lab)[0].astype(np.float64)
     return np.asarray(np.linalg.norm(lab[:, None] - lab[None], axis=-1))
-
-
-_DISTANCES = fill_distances()

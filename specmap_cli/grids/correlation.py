@@ -18,7 +18,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-import scipy.fft
+import scipy  # scipy.fft takes a fifth of a second to load: it is, when it is first used
 from numpy.typing import NDArray
 
 

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from specmap_cli.core.files import write_together
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.text import counted, stamp_text
 from specmap_cli.core.tracks import step_lengths
-from specmap_cli.drawing.canvas import Image
-from specmap_cli.drawing.predictions import render_labels
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.localization.localizer import Label
@@ -116,8 +115,10 @@ def csv_text(report: LocalizationReport, metric: bool) -> str:
     return "\n".join(lines) + "\n"
 
 
-def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> Image:
+def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> NDArray[np.uint8]:
     """The predicted submap along the trajectory, over the map where scans were matched in it."""
+    from specmap_cli.drawing.predictions import render_labels  # slow to load, and seldom wanted
+
     submaps = np.array(
         [
             NO_SUBMAP if scan.label.filtered_submap is None else scan.label.filtered_submap

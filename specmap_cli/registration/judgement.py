@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from scipy.spatial.transform import Rotation
-
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration.locating import ENOUGH, MOST, Located
@@ -42,6 +40,8 @@ class Verdict:
 
         A lidar of few rings says little about its own tilt, whose drift would lift the robot off.
         """
+        from scipy.spatial.transform import Rotation  # slow to load, and for 3D alone
+
         yaw, pitch, roll = Rotation.from_matrix(self.fit.pose[:3, :3]).as_euler("ZYX")
         level, kept = self.fit.pose.copy(), 1.0 - share
         level[:3, :3] = Rotation.from_euler("ZYX", [yaw, kept * pitch, kept * roll]).as_matrix()

@@ -14,6 +14,9 @@ from specmap_cli.recognition.learning.growing import Growth, Question, grown
 from specmap_cli.recognition.learning.json_fields import field, mapping, number, numbers, objects
 from specmap_cli.recognition.learning.quantiser import CodeArray, Quantiser
 
+_NODES = ("root", "below", "above")
+_LEAVES = 4
+
 
 class TreeBoost:
     """Real AdaBoost on trees of two levels; the two classes start with equal total weight.
@@ -79,13 +82,41 @@ class TreeBoost:
         """The booster that `to_dict` described; MapError names the entry that makes no sense."""
         column = {name: k for k, name in enumerate(names)}
         rounds = objects(data, "rounds")
-        features = np.zeros((len(rounds), 3), dtype=np.intp)
-        thresholds, votes = np.zeros((len(rounds), 3)), np.zeros((len(rounds), 4))
-        for k, entry in enumerate(rounds):
-            for j, part in enumerate(("root", "below", "above")):
-                where = f"round {k}, {part}"
-                split = mapping(entry, part, where)
-                features[k, j] = field(split, "feature", column, where)
-                thresholds[k, j] = number(split, "threshold", where)
-            votes[k] = numbers(entry, "votes", 4, f"round {k}")
-        return cls.of(names, Forest(features, thresholds, votes))
+        forest = _read_at_once(rounds, column)
+        return cls.of(names, _read_one_by_one(rounds, column) if forest is None else forest)
+
+
+def _read_at_once(rounds: Sequence[Any], column: Mapping[str, int]) -> Forest | None:
+    """The trees of `to_dict`, quickly; None for anything that needs a closer look."""
+    try:
+        parts = [entry[node] for entry in rounds for node in _NODES]
+        features = [column[part["feature"]] for part in parts]
+        thresholds = [part["threshold"] for part in parts]
+        votes = [vote for entry in rounds for vote in entry["votes"]]
+        if any(len(entry["votes"]) != _LEAVES for entry in rounds):
+            return None
+    except (TypeError, KeyError):
+        return None
+    if {*map(type, thresholds), *map(type, votes)} - {float}:
+        return None
+    forest = Forest(
+        np.array(features, dtype=np.intp).reshape(-1, len(_NODES)),
+        np.array(thresholds, dtype=np.float64).reshape(-1, len(_NODES)),
+        np.array(votes, dtype=np.float64).reshape(-1, _LEAVES),
+    )
+    finite = np.isfinite(forest.thresholds).all() and np.isfinite(forest.votes).all()
+    return forest if finite else None
+
+
+def _read_one_by_one(rounds: Sequence[Any], column: Mapping[str, int]) -> Forest:
+    """The same, value by value; MapError names the first entry that makes no sense."""
+    features = np.zeros((len(rounds), len(_NODES)), dtype=np.intp)
+    thresholds, votes = np.zeros(features.shape), np.zeros((len(rounds), _LEAVES))
+    for k, entry in enumerate(rounds):
+        for j, node in enumerate(_NODES):
+            where = f"round {k}, {node}"
+            split = mapping(entry, node, where)
+            features[k, j] = field(split, "feature", column, where)
+            thresholds[k, j] = number(split, "threshold", where)
+        votes[k] = numbers(entry, "votes", _LEAVES, f"round {k}")
+    return Forest(features, thresholds, votes)

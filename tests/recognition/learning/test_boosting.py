@@ -253,3 +253,17 @@ def test_nonsense_is_refused_in_one_line(kind: str, entry: Any, told: str) -> No
     with pytest.raises(MapError, match=told) as error:
         booster_from_dict({"kind": kind, "rounds": [entry]}, NAMES)
     assert "\n" not in str(error.value)
+
+
+def test_trees_are_read_alike_at_once_and_one_by_one() -> None:
+    """Whole numbers in a file, which people write, are read one by one."""
+    X, y = blobs()
+    written = TreeBoost(NAMES, 7).fit(X, y).to_dict()
+    by_hand = json.loads(json.dumps(written))
+    by_hand["rounds"][3]["above"]["threshold"] = 2
+    by_hand["rounds"][5]["votes"][1] = -1
+    found = booster_from_dict(by_hand, NAMES).to_dict()["rounds"]
+    assert found[3]["above"]["threshold"] == 2.0
+    assert found[5]["votes"] == [-1.0 if k == 1 else v for k, v in enumerate(found[5]["votes"])]
+    same = [k for k in range(7) if k not in (3, 5)]
+    assert [found[k] for k in same] == [written["rounds"][k] for k in same]
