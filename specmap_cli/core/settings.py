@@ -295,7 +295,7 @@ class RecognitionConfig(_Section):
     rounds: int = Field(200, ge=1, description="weak classifiers of a submap's final classifier")
     shrinkage: float = Field(0.5, gt=0, le=1, description="trees: scale of every vote")
     feature_share: float = Field(0.1, gt=0, le=1, description="trees: features drawn a round")
-    positives: int = Field(300, ge=10, description="scans of its own submap a classifier sees")
+    positives: int = Field(500, ge=10, description="scans of its own submap a classifier sees")
     negatives: int = Field(1500, ge=10, description="scans of other submaps a classifier sees")
     closure_rounds: int = Field(30, ge=1, description="weak classifiers while ranking")
     closure_shrinkage: float = Field(0.5, gt=0, le=1, description="as shrinkage, while ranking")

@@ -28,6 +28,7 @@ from specmap_cli.recognition.learning.trees import TreeBoost
 IndexArray = NDArray[np.intp]
 
 _POOL = 1.5  # times closure_negatives: as many are left without a group, of three
+_LEAST_ASKED = 8  # scans of a stay: a mean of chances to a tenth or two
 _OWN_SAMPLES = 2  # times samples_per_submap: of all stays of the submap that is trained
 _QUANTISED_FROM = 4000  # scans that the bins are cut from: enough for quantiles of 32 bins
 _QUANTISED_GROWTH = 2  # the bins are cut anew once there are this many times the stays
@@ -141,7 +142,7 @@ class ClaimRanker:
         groups = [ids[k::count] for k in range(count)]
         c_new = self._taught(new, groups, ids)
         return {
-            i: _claims(c_new[k], self._classifiers[i].booster, new, self._submaps[i])
+            i: _claims(c_new[k], self._classifiers[i].booster, new, self._asked(i))
             for k, group in enumerate(groups)
             for i in group
         }
@@ -159,6 +160,16 @@ class ClaimRanker:
         for i, booster in zip(stale, boosters[len(groups) :], strict=True):
             self._classifiers[i] = _Trained(booster, len(ids), self._held(i))
         return boosters[: len(groups)]
+
+    def _asked(self, submap: int) -> list[FloatArray]:
+        """The scans (n, F) of each stay of an old submap that a new one's classifier is asked.
+
+        About as many of a submap that was visited often as of one that was visited twice.
+        """
+        stays = self._submaps[submap]
+        most = _OWN_SAMPLES * self.config.samples_per_submap
+        each = max(_LEAST_ASKED, most // len(stays))
+        return [evenly(scans.features, each) for scans in stays]
 
     def _is_stale(self, submap: int, among: int) -> bool:
         """Whether an old submap's classifier is to be trained: the map or the submap has grown."""
@@ -240,11 +251,11 @@ def _cut(scans: _Scans, quantiser: Quantiser, anew: bool) -> _Scans:
     return replace(scans, codes=quantiser.codes(scans.features))
 
 
-def _claims(c_new: Booster, c_old: Booster, new: _Scans, stays: Sequence[_Scans]) -> Claims:
-    """The claims between a new submap and the stays of an old one by their two classifiers."""
+def _claims(c_new: Booster, c_old: Booster, new: _Scans, old: Sequence[FloatArray]) -> Claims:
+    """The claims between a new submap and scans (n, F) of an old one's stays by two classifiers."""
     of_new = c_old.margins(new.features)
-    of_stays = [c_new.margins(scans.features) for scans in stays]
-    of_old = np.concatenate(of_stays)
+    of_old = c_new.margins(np.concatenate(old))
+    of_stays = np.split(of_old, np.cumsum([len(scans) for scans in old])[:-1])
     by_stay = np.array([_chance(margins) for margins in of_stays])
     return Claims(
         new_by_old=float((of_new > 0.0).mean()),  # eq. 4

@@ -39,7 +39,7 @@ class LoopCloser:
         self._submaps: dict[int, list[Stay]] = {}
         self._submap_of: dict[int, int] = {}
         self._ranker = ClaimRanker(config, rng)
-        self._claims: dict[tuple[int, int], Claims] = {}
+        self._claims: dict[int, dict[int, Claims]] = {}  # the best of two submaps, by both
         self._compared: set[tuple[int, int]] = set()
         self._grids = PreparedGrids(config, _PREPARED)
 
@@ -52,7 +52,7 @@ class LoopCloser:
         features = evenly(new.features, self.config.samples_per_submap)
         new = replace(new, features=features, grid=cropped(new.grid))
         claims = self._ranker.claims(features)
-        self._claims.update({(old, new.number): claim for old, claim in claims.items()})
+        self._remember_claims(new.number, claims)
         self._ranker.remember(new.number, features)
         closures = self._verified(new, claims) if self.config.verify else self._claimed(new, claims)
         self._submaps[new.number] = [new]
@@ -74,6 +74,10 @@ class LoopCloser:
         most = _largest(stays, self.config.stays_kept)
         self._submaps[kept] = [stays[k] for k in most]
         self._ranker.merge(kept, gone, most)
+        gone_s = self._claims.pop(gone)
+        for other in gone_s:
+            del self._claims[other][gone]
+        self._remember_claims(kept, {i: c for i, c in gone_s.items() if i != kept})
         self._forget({stay.number for stay in stays} - {stays[k].number for k in most})
 
     def consider_leftovers(self, adjacency: Mapping[int, Collection[int]]) -> list[Closure]:
@@ -97,10 +101,21 @@ class LoopCloser:
                     return found
         return found
 
+    def _remember_claims(self, submap: int, claims: Mapping[int, Claims]) -> None:
+        """The claims between a submap and others, where none between them ranked better before.
+
+        One value for two submaps, however many stays they have: the table grows with the building.
+        """
+        own = self._claims.setdefault(submap, {})
+        for other, found in claims.items():
+            if other not in own or found.rank > own[other].rank:
+                own[other] = self._claims[other][submap] = replace(
+                    found, by_stay=_NO_CLAIMS.by_stay
+                )
+
     def _forget(self, gone: set[int]) -> None:
         """Nothing is kept of the stays `gone` but the submap that they are part of."""
         if gone:
-            self._claims = {k: v for k, v in self._claims.items() if gone.isdisjoint(k)}
             self._compared = {pair for pair in self._compared if gone.isdisjoint(pair)}
 
     def _leftover_pairs(self, adjacency: Mapping[int, Collection[int]]) -> list[tuple[int, int]]:
@@ -116,10 +131,8 @@ class LoopCloser:
         return chosen
 
     def _best_claims(self, old: int, new: int) -> Claims:
-        """The best ranked claims between stays of two submaps, none when they were never asked."""
-        keys = ((a.number, b.number) for a in self._submaps[old] for b in self._submaps[new])
-        asked = (self._claims.get((min(key), max(key)), _NO_CLAIMS) for key in keys)
-        return max(asked, key=lambda claims: claims.rank)
+        """The best ranked claims between two submaps, none when they were never asked."""
+        return self._claims[old].get(new, _NO_CLAIMS)
 
     def _claimed(self, new: Stay, claims: Mapping[int, Claims]) -> list[Closure]:
         """The paper's own rule: the largest xi merges when it passes the threshold."""
@@ -219,10 +232,11 @@ def _likely_duplicates(
 ) -> list[tuple[int, int]]:
     """Pairs (smaller, larger) of submaps one or two edges apart."""
     pairs: list[tuple[int, int]] = []
+    left = set(ids)
     for start in ids:
         near = set(adjacency.get(start, ()))
         near |= {n for neighbour in near for n in adjacency.get(neighbour, ())}
-        pairs.extend((start, other) for other in sorted(near) if other > start and other in ids)
+        pairs.extend((start, other) for other in sorted(near & left) if other > start)
     return pairs
 
 

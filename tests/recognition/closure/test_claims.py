@@ -106,6 +106,20 @@ def test_an_old_submap_is_never_among_the_negatives_that_judge_it(
     assert sorted(i for out in left_out["new"] for i in out) == [0, 1, 2, 3, 4]
 
 
+def test_of_a_submap_visited_often_no_more_scans_are_asked_than_of_one_visited_twice() -> None:
+    made = ranker(TREES.model_copy(update={"samples_per_submap": 40}), 2)
+    counts = []
+    for visit in range(1, 13):
+        asked = made._asked(1)
+        assert len(asked) == visit
+        assert len({len(X) for X in asked}) == 1  # every stay alike
+        counts.append(sum(map(len, asked)))
+        made.remember(10 + visit, scans_of(1, seed=visit))
+        made.merge(1, 10 + visit)
+    assert counts[:2] == [40, 80]
+    assert max(counts) <= 96  # eight of each stay at the least
+
+
 def test_every_submap_gives_as_many_negatives_however_often_it_was_visited() -> None:
     config = TREES.model_copy(update={"closure_negatives": 40})
     made = ranker(config, 3)

@@ -277,6 +277,28 @@ def test_of_many_stays_those_that_saw_most_are_remembered(building: Any, oracle:
     assert loop._submap_of[20] == 0
 
 
+def test_two_submaps_have_one_claim_on_each_other_however_many_stays_they_have(
+    building: Any,
+) -> None:
+    loop = closer(SMALL.model_copy(update={"verify": False, "stays_kept": 3}))
+    considered(loop, building, [0, 1, 2])
+    for number in range(4, 19):
+        if number % 4 == 3:
+            continue
+        before = {
+            i: loop._best_claims(*sorted((number % 4, i))) for i in range(3) if i != number % 4
+        }
+        considered(loop, building, [number])
+        fresh = {i: loop._best_claims(i, number) for i in before}
+        loop.merge(number % 4, number)
+        for i, claims in before.items():
+            best = max(claims, fresh[i], key=lambda found: found.rank)
+            assert loop._best_claims(*sorted((number % 4, i))) == best
+        assert {a: sorted(row) for a, row in loop._claims.items()} == {
+            a: sorted({0, 1, 2} - {a}) for a in range(3)
+        }
+
+
 def test_the_first_merge_with_a_submap_ends_the_search_in_it(building: Any, oracle: Oracle) -> None:
     loop = closer(SMALL.model_copy(update={"members": 9}))
     considered(loop, building, [0, 4, 8])
