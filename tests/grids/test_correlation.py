@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.grids.correlation import Peak, Target, cell_counts, local_maxima, peaks
+from specmap_cli.grids.correlation import (
+    Peak,
+    Target,
+    cell_counts,
+    local_maxima,
+    marked_cells,
+    peaks,
+)
 from tests.strategies import seeds
 
 sizes = st.tuples(st.integers(1, 12), st.integers(1, 12))
@@ -34,6 +41,19 @@ def test_every_shift_is_the_sum_of_products(
         assert correlation[row, column] == pytest.approx((padded * moved).sum())
 
 
+@given(seeds, sizes)
+def test_pictures_turned_by_half_a_turn_are_correlated_with_them(
+    seed: int, size: tuple[int, int]
+) -> None:
+    rng = np.random.default_rng(seed)
+    target = Target.of(rng.normal(size=(2, *size)), (3, 4))
+    pictures = rng.normal(size=(2, *target.shape))
+    turned = np.roll(pictures[:, ::-1, ::-1], (1, 1), axis=(1, 2))  # cell [0, 0] stays
+    upright, upside_down = target.correlate_turned(pictures)
+    assert upright == pytest.approx(target.correlate(pictures))
+    assert upside_down == pytest.approx(target.correlate(turned))
+
+
 def test_single_precision_stays_single() -> None:
     target = Target.of(np.ones((2, 5, 6), dtype=np.float32), (4, 4))
     pictures = np.ones((2, *target.shape), dtype=np.float32)
@@ -50,6 +70,7 @@ def test_counts_are_of_cells_centred_on_the_origin_around_the_picture(
         row, column = round(y / cell), round(x / cell)
         expected[row % size[0], column % size[1]] += 1
     assert cell_counts(points, cell, size).tolist() == expected.tolist()
+    assert marked_cells(points, cell, size).tolist() == (expected > 0).tolist()
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))

@@ -89,12 +89,13 @@ def prepared(grid: GridMap, config: RecognitionConfig) -> PreparedGrid | None:
         return None
     points = evenly(occupied, _MOST_POINTS)
     sigma = max(config.match_sigma_m, grid.resolution)
+    wide = ScoreField.from_grid(grid, 2.0 * sigma)
     return PreparedGrid(
         walls=grid.centres_of(points),
         metres_a_point=grid.resolution * len(occupied) / len(points),
         direction=wall_direction(grid),
-        field=ScoreField.from_grid(grid, sigma),
-        wide=ScoreField.from_grid(grid, 2.0 * sigma),
+        field=wide.sharper(),
+        wide=wide,
         area=_known_area(grid, config.inlier_m),
         coarse=_coarse(grid, config.match_cell_m),
     )
@@ -127,7 +128,8 @@ def wall_direction(grid: GridMap) -> float:
     picture = cv2.GaussianBlur(grid.occupied.astype(np.float32), (0, 0), _WALL_BLUR_CELLS)
     dx = cv2.Sobel(picture, cv2.CV_32F, 1, 0)
     dy = cv2.Sobel(picture, cv2.CV_32F, 0, 1)
-    gradient = dx + 1j * dy
+    steep = np.flatnonzero((dx != 0.0) | (dy != 0.0))  # few cells lie near a wall
+    gradient = dx.take(steep) + np.complex64(1j) * dy.take(steep)
     square = gradient * gradient
     total = complex((square * square / (np.abs(square) + _FLAT)).sum(dtype=np.complex128))
     return (math.atan2(total.imag, total.real) / 4.0) % (math.pi / 2.0)
@@ -173,10 +175,9 @@ def _coarse(grid: GridMap, about_m: float) -> CoarseGrid:
     padded = np.pad(
         grid.cells, ((0, -height % factor), (0, -width % factor)), constant_values=UNKNOWN
     )
-    blocks = padded.reshape(padded.shape[0] // factor, factor, -1, factor)
-    walls = (blocks == OCCUPIED).any(axis=(1, 3))
-    free = ((blocks == FREE).mean(axis=(1, 3)) > _FREE_MAJORITY) & ~walls
-    near = cv2.GaussianBlur(walls.astype(np.float32), (3, 3), _WALL_BLUR)
+    walls: BoolArray = _block_sums(padded == OCCUPIED, factor) > 0
+    free = (_block_sums(padded == FREE, factor) > _FREE_MAJORITY * factor * factor) & ~walls
+    near = np.asarray(cv2.GaussianBlur(walls.astype(np.float32), (3, 3), _WALL_BLUR), np.float32)
     near /= max(float(near.max()), _TINY)
     of_walls = np.where(walls, np.maximum(near, _LEAST_WALL), near) - _FREE_PENALTY * free
     of_free = -_FREE_PENALTY * walls
@@ -189,6 +190,12 @@ def _coarse(grid: GridMap, about_m: float) -> CoarseGrid:
         layers=np.stack([of_walls, of_free]).astype(np.float32),
         origin=grid.origin,
     )
+
+
+def _block_sums(cells: BoolArray, factor: int) -> NDArray[np.int32]:
+    """(H, W) how many of `factor` by `factor` cells are set, in blocks side by side."""
+    rows = np.stack([cells[k::factor] for k in range(factor)]).sum(axis=0, dtype=np.int32)
+    return np.asarray(np.stack([rows[:, k::factor] for k in range(factor)]).sum(axis=0))
 
 
 def _centres(grid: GridMap, cells: BoolArray) -> FloatArray:

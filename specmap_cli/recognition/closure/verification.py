@@ -55,13 +55,14 @@ class Check:
 def verify(old: PreparedGrid, new: PreparedGrid, config: RecognitionConfig) -> Check | None:
     """The best transform between two grids and its judgement; None when nothing overlaps.
 
-    Directions of walls are taken as they are first; when that looks promising but not right, they
-    are tried a few degrees off as well.
+    Directions of walls are taken as they are first; when that looks promising but is neither right
+    nor clear, they are tried a few degrees off as well.
     """
     search = TransformSearch(old, new)
     trials = _Trials(old, new, config)
     best = _best(trials, search.best(search.few), search.centre)
-    if best is not None and config.hopeless_score <= best.score < config.sure_score:
+    promising = best is not None and config.hopeless_score <= best.score < config.sure_score
+    if best is not None and promising and not _clear(best, config):
         other = _best(trials, search.best(search.many), search.centre)
         best = other if other is not None and _rank(other) > _rank(best) else best
     return best
@@ -136,6 +137,15 @@ def _best(trials: _Trials, guesses: Sequence[Pose2], centre: FloatArray) -> Chec
         return best
     final = trials.finely(best.old_from_new)
     return replace(final if final.score >= best.score else best, lead=_lead(checks, centre))
+
+
+def _clear(check: Check, config: RecognitionConfig) -> bool:
+    """Whether a transform leads, and each grid knows enough of the walls of the other.
+
+    Then what contradicts it is a difference of the places, not an error of the direction.
+    """
+    overlaps = check.overlap >= config.min_overlap and check.least_overlap >= config.least_overlap
+    return overlaps and check.lead >= config.min_lead
 
 
 def _lead(checks: Sequence[Check], centre: FloatArray) -> float:

@@ -35,6 +35,7 @@ from specmap_cli.recognition.features.returns import ReturnsBatch
 
 FeatureSet = tuple[FeatureGroup | BatchGroup, ...]
 
+_KEPT = 16384  # keyframes whose features are kept: those of some hours, 20 MB
 _TOGETHER = 32  # scans in a batch: much more of them leave the caches of a processor
 _LARGEST = float(np.finfo(np.float32).max)  # moments of odd scans are larger
 
@@ -117,14 +118,16 @@ def _batch_features(batch: ReturnsBatch, feature_set: str) -> FloatArray:
 
 
 class KeyframeFeatures:
-    """Features of the keyframes of a store, each computed once: a kilobyte a keyframe.
+    """Features of the keyframes of a store, each computed once while there is room.
 
-    They are kept in single precision, to which they are rounded anyway.
+    The first `most` are kept, a kilobyte each: in single precision, to which they are rounded
+    anyway. A robot that drives on all day has others computed again when they are asked for again.
     """
 
-    def __init__(self, store: KeyframeStore, feature_set: str) -> None:
+    def __init__(self, store: KeyframeStore, feature_set: str, most: int = _KEPT) -> None:
         self.store = store
         self.feature_set = feature_set
+        self.most = most
         self._rows: dict[int, NDArray[np.float32]] = {}
 
     def known(self, numbers: Sequence[int]) -> list[int]:
@@ -133,11 +136,13 @@ class KeyframeFeatures:
 
     def of(self, numbers: Sequence[int]) -> FloatArray:
         """(n, F) features of some keyframes, by their numbers."""
-        new = [number for number in dict.fromkeys(numbers) if number not in self._rows]
-        features = scans_features((self.store.scan(k) for k in new), self.feature_set)
-        self._rows.update(zip(new, features.astype(np.float32), strict=True))
-        rows = np.array([self._rows[number] for number in numbers], dtype=np.float64)
-        return rows.reshape(len(numbers), len(feature_names(self.feature_set)))
+        missing = [number for number in dict.fromkeys(numbers) if number not in self._rows]
+        features = scans_features((self.store.scan(k) for k in missing), self.feature_set)
+        new = dict(zip(missing, features.astype(np.float32), strict=True))
+        rows = [self._rows[k] if k in self._rows else new[k] for k in numbers]
+        self._rows.update(islice(new.items(), max(0, self.most - len(self._rows))))
+        values = np.array(rows, dtype=np.float64)
+        return values.reshape(len(numbers), len(feature_names(self.feature_set)))
 
 
 def _groups_of(feature_set: str, setting: str = "feature_set") -> FeatureSet:

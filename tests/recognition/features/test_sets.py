@@ -192,12 +192,15 @@ def test_a_package_may_compute_many_scans_at_once(install: Callable[..., None]) 
         wrong.values(ReturnsBatch.of([scan()]))
 
 
-def test_keyframes_have_their_features_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("most", "again"), [(16, []), (3, []), (2, [3.8]), (0, [1.8, 2.8, 3.8])])
+def test_keyframes_have_their_features_computed_once_while_there_is_room(
+    most: int, again: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
     computed: list[float] = []
 
     def counting(scans: Iterable[PlanarScan], feature_set: str) -> object:
         listed = list(scans)
-        computed.extend(float(scan.ranges[0]) for scan in listed)
+        computed.extend(round(float(scan.ranges[0]), 3) for scan in listed)
         return scans_features(listed, feature_set)
 
     monkeypatch.setattr("specmap_cli.recognition.features.sets.scans_features", counting)
@@ -213,14 +216,15 @@ def test_keyframes_have_their_features_computed_once(monkeypatch: pytest.MonkeyP
                     base_from_laser=IDENTITY,
                 )
             )
-        features = KeyframeFeatures(store, "table1")
-        first = features.of([2, 0])
-        again = features.of([0, 1, 2])
+        features = KeyframeFeatures(store, "table1", most)
+        first = features.of([0, 1, 0, 2])
+        assert computed == [1.8, 2.8, 3.8]
+        second = features.of([2, 1, 0])
+        assert sorted(computed[3:]) == again
         assert features.of([]).shape == (0, len(feature_names("table1")))
         expected = scans_features([store.scan(k) for k in range(3)], "table1")
-    assert again == pytest.approx(expected)
-    assert first.tolist() == again[[2, 0]].tolist()
-    assert sorted(computed) == pytest.approx([1.8, 2.8, 3.8])
+    assert first.tolist() == expected[[0, 1, 0, 2]].tolist()
+    assert second.tolist() == expected[::-1].tolist()
 
 
 def test_values_beyond_single_precision_are_cut() -> None:
