@@ -115,6 +115,13 @@ class ReturnsBatch:
         return self.segments.counts
 
     @cached_property
+    def range_changes(self) -> tuple[Segments, FloatArray]:
+        """How much each range differs from the next, around the circle when it is one."""
+        change = np.abs(self.ranges[self.segments.following] - self.ranges)
+        told = ~self.segments.last | self.segments.spread(self.closed & (self.counts > 2))
+        return self.segments.kept(told), change[told]
+
+    @cached_property
     def polygons(self) -> tuple[Segments, FloatArray]:
         """The vertices (2, M) of the area that each saw: with the laser itself unless a circle."""
         opened = (~self.closed).astype(np.intp)

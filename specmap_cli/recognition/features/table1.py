@@ -16,7 +16,7 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.features.group import BatchGroup
 from specmap_cli.recognition.features.returns import PAIR_STEP_M, ReturnsBatch
-from specmap_cli.recognition.features.segments import Segments, ratio
+from specmap_cli.recognition.features.segments import ratio
 
 # These define features: classifiers on disk hold thresholds on what comes of them.
 GAP_THRESHOLDS_M = (0.3, 0.6, 1.2)
@@ -29,8 +29,7 @@ _NO_AREA_M2 = 1e-9  # an area below this is that of a line
 
 def consecutive_differences(batch: ReturnsBatch) -> FloatArray:
     """Group 1: mean and standard deviation of the change from one range to the next."""
-    segments, change = _range_changes(batch)
-    change = np.abs(change)
+    segments, change = batch.range_changes
     mean = segments.mean(change)
     off = change - segments.spread(mean)
     return np.column_stack([mean, np.sqrt(segments.mean(off * off))])
@@ -38,8 +37,7 @@ def consecutive_differences(batch: ReturnsBatch) -> FloatArray:
 
 def gaps(batch: ReturnsBatch) -> FloatArray:
     """Group 2: how many changes from one range to the next pass each of `GAP_THRESHOLDS_M`."""
-    segments, change = _range_changes(batch)
-    change = np.abs(change)
+    segments, change = batch.range_changes
     limits = np.array(GAP_THRESHOLDS_M)[:, None]
     return segments.sum(change > limits).T.astype(np.float64)
 
@@ -181,13 +179,6 @@ def pair_histogram(batch: ReturnsBatch, edges_m: tuple[float, ...]) -> FloatArra
     """(n, len(edges) + 1) shares of pairs of returns by distance; edges are tenths of a metre."""
     starts = [0, *(round(edge / PAIR_STEP_M) for edge in edges_m)]
     return np.add.reduceat(batch.pair_shares, starts, axis=1)
-
-
-def _range_changes(batch: ReturnsBatch) -> tuple[Segments, FloatArray]:
-    """Change from each range to the next, around the circle when it is one."""
-    change = batch.ranges[batch.segments.following] - batch.ranges
-    told = ~batch.segments.last | batch.segments.spread(batch.closed & (batch.counts > 2))
-    return batch.segments.kept(told), change[told]
 
 
 _DISTANCE_COLUMNS = tuple(f"distance_{low:g}m" for low in (0.0, *DISTANCE_EDGES_M))
