@@ -93,9 +93,9 @@ def _localized(
     progress: Progress,
 ) -> Iterator[LocalizedScan]:
     """Each scan registered, labelled, and matched within its submap when `metric`."""
-    for sweep in stream:
-        posed = front_end.register(sweep)
-        scan = LocalizedScan(label=localizer.update(posed), track_from_base=posed.map_from_base)
+    tracked = (front_end.register(sweep) for sweep in stream)
+    for posed, label in localizer.labelled(tracked):
+        scan = LocalizedScan(label=label, track_from_base=posed.map_from_base)
         yield _in_submap(scan, posed, localizer) if metric else scan
         progress.advance()
 

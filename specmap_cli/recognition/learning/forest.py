@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 
+VOTE_DECIMALS = 6  # of votes, which are of the order of one: readable, and safe from rounding
+
 
 @dataclass(frozen=True, slots=True)
 class Forest:
@@ -47,3 +49,12 @@ class Forest:
         value = X[0][feature] if len(X) == 1 else np.take_along_axis(X, feature, axis=1)
         above = value >= self.thresholds.ravel()[node]
         return np.asarray(self.votes.ravel()[trees * 4 + 2 * upper + above])
+
+    def margins(self, X: NDArray[Any], classes: int) -> FloatArray:
+        """(n, m) sums of the votes of each of `classes` forests that were joined.
+
+        Rounded as the votes are: so the order of summation does not show.
+        """
+        votes = self.tree_votes(X)
+        sums = votes.reshape(len(X), classes, votes.shape[1] // classes).sum(axis=2)
+        return np.asarray(np.round(sums, VOTE_DECIMALS))

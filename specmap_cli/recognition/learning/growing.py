@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.recognition.learning.forest import Forest
+from specmap_cli.recognition.learning.forest import VOTE_DECIMALS, Forest
 from specmap_cli.recognition.learning.quantiser import BINS, CodeArray, Quantiser
 
 IndexArray = NDArray[np.intp]
@@ -27,7 +27,6 @@ BoolArray = NDArray[np.bool_]
 _TRIM_EVERY = 8
 _LIGHT_SHARE = 0.02
 _NO_EDGE = 1e300  # a threshold that no value reaches, as JSON knows no infinity
-_VOTE_DECIMALS = 6  # of votes, which are of the order of one: readable, and safe from rounding
 _WHOLE = 2.0**52  # weights are whole multiples of 2^-52: sums of them below 2 are exact
 _SAMPLES_AT_ONCE = 1 << 15  # of all classifiers grown together: bounds the memory, some 10 MB
 
@@ -168,7 +167,7 @@ def _boosted(
         leaf = side + _leaves(codes, asked, features, cuts)
         sums = np.bincount(leaf, weights, minlength=8 * count).reshape(count, 2, 4)
         odds = (sums[:, 1] + smooth) / (sums[:, 0] + smooth)
-        votes = np.round(0.5 * shrinkage * np.log(odds), _VOTE_DECIMALS)
+        votes = np.round(0.5 * shrinkage * np.log(odds), VOTE_DECIMALS)
         trees.append(_Trees(features, cuts, votes))
         growth = np.exp(np.stack([votes, -votes], axis=1))  # eq. 3, a leaf and side at a time
         weights = shares(weights * growth.ravel()[leaf], asked.question, count)

@@ -52,9 +52,7 @@ class OneVsAll:
         X = np.asarray(X, dtype=np.float64)
         if self.forest_ is None:
             return np.column_stack([b.margins(X) for b in self.boosters_.values()])
-        votes = self.forest_.tree_votes(X)
-        rounds = votes.shape[1] // len(self.classes_)
-        return np.asarray(votes.reshape(len(X), len(self.classes_), rounds).sum(axis=2))
+        return self.forest_.margins(X, len(self.classes_))
 
     def to_dict(self) -> dict[str, Any]:
         """Feature set and classifiers by class, ready for JSON."""

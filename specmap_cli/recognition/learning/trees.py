@@ -60,8 +60,7 @@ class TreeBoost:
 
     def margins(self, X: NDArray[Any]) -> FloatArray:
         """(n,) sums of votes: positive where the samples X (n, F) are claimed."""
-        votes = self.forest_.tree_votes(np.asarray(X, dtype=np.float64))
-        return np.asarray(votes.sum(axis=1), dtype=np.float64)
+        return self.forest_.margins(np.asarray(X, dtype=np.float64), classes=1)[:, 0]
 
     def to_dict(self) -> dict[str, Any]:
         """The fitted rounds by name, ready for JSON."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from specmap_cli.recognition.localization.metric import MetricTracker
 from specmap_cli.recognition.localization.views import ViewGrouping
 from specmap_cli.recognition.localization.walls import Ratio, WallCheck
 from specmap_cli.recognition.localization.witness import Impression, Witness
+
+_TOGETHER = 32  # scans whose features are computed at once
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +41,7 @@ class Label:
 
 
 class Localizer:
-    """Labels the scans of a log, one at a time, by the classifiers and topology of a map.
+    """Labels the scans of a log in turn, by the classifiers and topology of a map.
 
     `frames` are the submaps' frames in the layout: they say where a robot comes out that drives
     from one submap into another.
@@ -68,13 +71,25 @@ class Localizer:
         """How the log's laser is made to fit the classifiers; empty when it is the same."""
         return self._witness.note
 
+    def labelled(self, scans: Iterable[PosedScan]) -> Iterator[tuple[PosedScan, Label]]:
+        """The next scans, each with its label, some read ahead: many at once are cheaper to see.
+
+        Raises InputError when their laser sees too little.
+        """
+        left = iter(scans)
+        while some := list(islice(left, _TOGETHER)):
+            for posed, evidence in zip(some, self._witness.impressions(some), strict=True):
+                yield posed, self._update(posed, evidence)
+
     def update(self, posed: PosedScan) -> Label:
         """The label of the next scan. Raises InputError when its laser sees too little."""
+        return self._update(posed, self._witness.impressions([posed])[0])
+
+    def _update(self, posed: PosedScan, evidence: Impression) -> Label:
         if posed.restarted:
-            for part in (self._witness, self._doubt, self._views):
-                part.restart()
+            self._doubt.restart()
+            self._views.restart()
             self.filter.reset()
-        evidence = self._witness.evidence(posed)
         again = not self._views.begins(posed)
         log_likelihoods = self._log_likelihoods(posed, evidence, again)
         belief = self.filter.update(log_likelihoods, again)

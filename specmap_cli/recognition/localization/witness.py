@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.recognition.features.sets import scan_features
+from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.features.virtual import RecentScans
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.learning.sensor import Sensor
@@ -46,34 +49,40 @@ class Witness:
         """How the log's laser is made to fit the classifiers; empty when it is the same."""
         return self._sampler.note if self._sampler is not None else ""
 
-    def restart(self) -> None:
-        """Forget the window: the next pose has nothing to do with the last one."""
-        self._recent.clear()
+    def impressions(self, scans: Sequence[PosedScan]) -> list[Impression]:
+        """What is said of the next scans, in turn; many at once are cheaper than one by one.
 
-    def evidence(self, posed: PosedScan) -> Impression:
-        """What is said of the next scan. Raises InputError when its laser sees too little."""
-        raw, virtual = self.classifiers.raw, self.classifiers.virtual
-        features = scan_features(self._resampled(posed.planar), raw.feature_set)[None]
-        margins = raw.margins(features)[0]
-        strange = float(raw.strangeness(features)[0])
+        Where tracking starts afresh the window does, too. Raises InputError when the laser sees too
+        little.
+        """
+        raw = self.classifiers.raw
+        features = scans_features([self._resampled(s.planar) for s in scans], raw.feature_set)
+        margins, strange = raw.margins(features), raw.strangeness(features)
+        virtual = self.classifiers.virtual
         if virtual is None or not self.config.virtual:
-            planar = posed.planar
-            return Impression(raw=margins, all=margins, strange=strange, seen=planar, shown=1.0)
-        seen = self._virtual_scan(posed)
-        features = scan_features(seen, virtual.feature_set)[None]
+            return [
+                Impression(raw=votes, all=votes, strange=float(odd), seen=posed.planar, shown=1.0)
+                for posed, votes, odd in zip(scans, margins, strange, strict=True)
+            ]
+        windows = [self._window(posed) for posed in scans]
+        filled = np.array([share for _, share in windows])
+        features = scans_features([seen for seen, _ in windows], virtual.feature_set)
         # the virtual scan says less while the window fills
-        weight = self.config.raw_weight * self._recent.filled + 1.0 - self._recent.filled
-        both = weight * margins + virtual.margins(features)[0]
+        weight = self.config.raw_weight * filled + 1.0 - filled
+        both = weight[:, None] * margins + virtual.margins(features)
         if virtual.familiarity is not None:
-            strange = float(virtual.strangeness(features)[0])
+            strange = virtual.strangeness(features)
         view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
-        return Impression(
-            raw=margins,
-            all=both,
-            strange=strange,
-            seen=posed.planar if posed.planar.full_circle else seen,
-            shown=max(self._recent.filled, view),
-        )
+        return [
+            Impression(
+                raw=margins[k],
+                all=both[k],
+                strange=float(strange[k]),
+                seen=posed.planar if posed.planar.full_circle else windows[k][0],
+                shown=max(float(filled[k]), view),
+            )
+            for k, posed in enumerate(scans)
+        ]
 
     def _resampled(self, scan: PlanarScan) -> PlanarScan:
         """The scan as the laser of the map would have taken it."""
@@ -81,8 +90,10 @@ class Witness:
             self._sampler = BeamSampler(Sensor.of(scan), self.classifiers.sensor, self.config)
         return self._sampler.apply(scan)
 
-    def _virtual_scan(self, posed: PosedScan) -> PlanarScan:
-        """What a full circle would have seen from here, of the last metres."""
+    def _window(self, posed: PosedScan) -> tuple[PlanarScan, float]:
+        """What a full circle would have seen from here, of the last metres; how full these are."""
+        if posed.restarted:  # this pose has nothing to do with the last one
+            self._recent.clear()
         if not posed.lost:
             self._recent.add(posed)
-        return self._recent.scan(posed.stamp_ns, posed.map_from_laser)
+        return self._recent.scan(posed.stamp_ns, posed.map_from_laser), self._recent.filled

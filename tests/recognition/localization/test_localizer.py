@@ -121,6 +121,16 @@ def test_the_file_localises_as_well(trained: Trained, again: list[PosedScan]) ->
         assert read.update(scan) == direct.update(scan)  # to the last bit
 
 
+def test_scans_labelled_together_have_the_labels_that_they_have_one_by_one(
+    trained: Trained, again: list[PosedScan]
+) -> None:
+    together, alone = localizer(trained), localizer(trained)
+    scans = [*again[:40], replace(again[40], restarted=True), *again[41:70]]
+    labelled = list(together.labelled(iter(scans)))
+    assert [posed for posed, _ in labelled] == scans
+    assert [label for _, label in labelled] == [alone.update(scan) for scan in scans]
+
+
 def test_scans_of_another_place_are_unknown(trained: Trained, building: Any) -> None:
     guide = localizer(trained)
     labels = []
