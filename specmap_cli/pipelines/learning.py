@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, compose, invert
@@ -32,7 +33,7 @@ from specmap_cli.topology.graph import build_topology, settle_labels
 from specmap_cli.topology.topological_map import TopologicalMap
 
 Submaps = Mapping[int, Sequence[int]]
-Samples = Mapping[int, FloatArray]
+Samples = Mapping[int, NDArray[np.float32]]
 
 
 def whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[GridMap, int]:
@@ -141,7 +142,9 @@ def _without_grids(
 ) -> Generator[Samples, None, tuple[Recogniser, HeldOutMisfit]]:
     """The virtual scans along the track, if wanted; then what raw scans teach, and the misfit."""
     if config.localization.virtual:
-        yield track_samples(store, submaps, poses, config.localization)
+        along = track_samples(store, submaps, poses, config.localization)
+        # features are of single precision: so they fit into the pipe, and nothing waits for it
+        yield {i: features.astype(np.float32) for i, features in along.items()}
     raw = train_raw(store, submaps, config, rng, explored.features)
     return raw, held_out_misfit(store, submaps, poses, config.localization)
 

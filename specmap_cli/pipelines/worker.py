@@ -1,8 +1,8 @@
 """Work that runs ahead of its use in a second process.
 
-Registration needs nothing that later stages find out. The classifiers of raw scans need nothing of
-the virtual ones. Where there is a second processor, a forked child does such work meanwhile. The
-results are those of one process, bit for bit. They wait in a pipe of bounded size.
+Registration needs nothing that later stages find out. The classifiers of raw scans need no grids of
+submaps. Where there is a second processor, a forked child does such work meanwhile. The results are
+those of one process, bit for bit. They wait in a pipe of bounded size.
 
 The work is a generator: what it yields are the items, what it returns is the result.
 """
@@ -93,18 +93,6 @@ def ahead(produce: Callable[[], Generator[Item, None, Result]]) -> Iterator[Ahea
             child.terminate()
             child.join()
         cv2.setNumThreads(threads)
-
-
-@contextmanager
-def in_background(compute: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
-    """Run `compute()` beside the block; what the block gets is a function that waits for it."""
-
-    def produce() -> Generator[None, None, Result]:
-        yield from ()
-        return compute()
-
-    with ahead(produce) as running:
-        yield lambda: running.result
 
 
 def _possible() -> bool:

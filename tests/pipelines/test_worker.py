@@ -26,7 +26,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.pipelines import worker as module
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.pipelines.worker import ahead, in_background
+from specmap_cli.pipelines.worker import ahead
 from specmap_cli.simulation.simulator import SimulationOptions
 
 
@@ -153,10 +153,6 @@ class TestChild:
         with ahead(lambda: pids(3)) as running:
             next(running)
             assert running.result == 3  # what was not taken is skipped
-
-    def test_work_without_items_runs_beside(self) -> None:
-        with in_background(os.getpid) as wait:
-            assert wait() != os.getpid()
 
     def test_an_error_that_cannot_be_sent_is_told_as_itself(self) -> None:
         def work() -> Work:

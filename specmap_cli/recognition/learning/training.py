@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,8 +88,8 @@ def _chosen(numbers: Sequence[int], features: KeyframeFeatures, most: int) -> li
 
 
 def train_virtual(
-    along: Mapping[int, FloatArray],
-    cast: Mapping[int, FloatArray],
+    along: Mapping[int, NDArray[Any]],
+    cast: Mapping[int, NDArray[Any]],
     config: Config,
     rng: np.random.Generator,
 ) -> Recogniser:
