@@ -92,12 +92,13 @@ def _solution(
 def _solved(poses: FloatArray, links: LinkArrays, iterations: int, settled: float) -> Solution:
     """The solution of a path (M, 3), of which the first M - 1 links are the motions.
 
-    Its chains are solved as one motion each. Where a rough one will do that is all.
+    Where a rough one will do its chains are solved as one motion each.
     """
+    if settled <= SETTLED:
+        return solve(poses, links, iterations, settled)
     condensed = Condensed.of(links, len(poses) - 1)
     found = solve(poses[condensed.kept], condensed.links, iterations, settled)
-    found = replace(found, poses=condensed.expanded(found.poses))
-    return found if settled > SETTLED else solve(found.poses, links, iterations, settled)
+    return replace(found, poses=condensed.expanded(found.poses))
 
 
 def _first_rows(poses: FloatArray, links: LinkArrays, motions: int) -> int:
