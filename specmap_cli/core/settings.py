@@ -160,7 +160,7 @@ class RegistrationConfig(_Section):
     points_per_voxel: int = Field(10, ge=1, description="most points kept in a voxel; planar")
     cloud_points_per_voxel: int = Field(20, ge=1, description="as points_per_voxel, for 3D clouds")
     rebuild_keyframes: int = Field(
-        8, ge=1, description="keyframes between rebuilds of the voxels, which forget older ones"
+        4, ge=1, description="keyframes between rebuilds of the voxels, which forget older ones"
     )
     field_ranges: float = Field(
         2.0, ge=1, le=20, description="side of the score field, in ranges; walls beyond score 0"

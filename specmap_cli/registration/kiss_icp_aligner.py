@@ -16,12 +16,9 @@ from specmap_cli.core.geometry import FloatArray, product
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration.aligner import SensorKind
 
-# Steps below these, metres and radians, end the iterations. KISS-ICP's own 1e-4 moves a pose by
-# less than a millimetre more, a tenth of what the noise of a laser does.
-_CONVERGED = 3e-4
+_CONVERGED = 1e-4  # KISS-ICP's own: steps below it, metres and radians, end the iterations
 _CONVERGED_IN_SPACE = 5e-4  # in voxels of twice the size, and thousands of points average more
-# Enough for a coarse alignment, whose result is aligned again.
-_NEARLY_CONVERGED, _NEARLY_CONVERGED_IN_SPACE = 2e-3, 1e-3
+_NEARLY_CONVERGED = 1e-3  # enough for a coarse alignment, whose result is aligned again
 _GATE_KERNELS = 3.0  # points farther from the map than so many kernels have no match (its tau)
 _KEPT_RANGES = 2.0  # its map reaches this many sensor ranges; the window forgets long before
 
@@ -45,8 +42,7 @@ class KissIcpAligner:
         # one thread: the sums of several would come in another order at every run
         converged = _CONVERGED_IN_SPACE if sensor.in_space else _CONVERGED
         self._fine = Registration(config.iterations, converged, max_num_threads=1)
-        nearly = _NEARLY_CONVERGED_IN_SPACE if sensor.in_space else _NEARLY_CONVERGED
-        self._coarse = Registration(config.iterations, nearly, max_num_threads=1)
+        self._coarse = Registration(config.iterations, _NEARLY_CONVERGED, max_num_threads=1)
         reach_m = _KEPT_RANGES * sensor.range_m
         most = config.cloud_points_per_voxel if sensor.in_space else config.points_per_voxel
         self._voxels = VoxelHashMap(sensor.voxel_m, reach_m, most)
