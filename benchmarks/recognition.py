@@ -29,7 +29,7 @@ from specmap_cli.core.settings import Config
 from specmap_cli.evaluation.classification import classification_scores
 from specmap_cli.evaluation.protocols import HoldOut, hold_out
 from specmap_cli.evaluation.trajectories import associate, read_tum
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import GridMap, PackedGrid
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
@@ -250,11 +250,11 @@ def _many_submaps(count: int) -> None:
     rng = np.random.default_rng(0)
     width = len(feature_names(config.feature_set))
     loop = LoopCloser(config, rng)
-    empty = GridMap(np.full((4, 4), 2, dtype=np.uint8), RESOLUTION_M)
+    empty = PackedGrid.of(GridMap(np.full((4, 4), 2, dtype=np.uint8), RESOLUTION_M))
     started, marks = time.process_time(), []
     for number in range(count):
         features = rng.normal(rng.normal(0.0, 1.0, width), 0.7, (150, width))
-        loop.consider(Stay(number=number, features=features, grid=empty, track=np.zeros((5, 3))))
+        loop.consider(Stay(number=number, features=features, packed=empty, track=np.zeros((5, 3))))
         marks.append(time.process_time() - started)
     third = marks[count // 3] / (count // 3)
     print(

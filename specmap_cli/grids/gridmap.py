@@ -7,6 +7,7 @@ is the lowest y.
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,6 +99,29 @@ class GridMap:
         """(H, W) metres from each free cell's centre to the nearest cell that is not free."""
         padded = np.pad(self.free.astype(np.uint8), 1)
         return cell_distances(padded)[1:-1, 1:-1] * self.resolution
+
+
+@dataclass(frozen=True, slots=True)
+class PackedGrid:
+    """A grid to be kept among hundreds: its cells (H, W) in a twentieth of their memory."""
+
+    packed: bytes
+    shape: tuple[int, int]
+    resolution: float
+    origin: tuple[float, float]
+
+    @classmethod
+    def of(cls, grid: GridMap) -> PackedGrid:
+        """Pack a grid; `grid` gives it back."""
+        height, width = grid.cells.shape
+        packed = zlib.compress(grid.cells.tobytes(), level=1)
+        return cls(packed, (height, width), grid.resolution, grid.origin)
+
+    @property
+    def grid(self) -> GridMap:
+        """The grid that was packed."""
+        cells = np.frombuffer(zlib.decompress(self.packed), dtype=np.uint8).reshape(self.shape)
+        return GridMap(cells, self.resolution, self.origin)
 
 
 def slices_near(

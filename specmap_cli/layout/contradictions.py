@@ -25,6 +25,7 @@ from specmap_cli.layout.stops import stops
 _BEARINGS = 180  # two degrees each: neighbours cover what headings err by
 _MOST_VIEWS = 4000  # of a log, evenly; 6 MB
 _PARTNERS = 4  # views of other passes that each is compared with: the nearest
+_TOGETHER = 256  # pairs of views compared at once: some MB
 _PARTNER_M = 4.0  # as far as two views see the same walls from about the same side
 _SAME_M, _CLEAR_M = 0.2, 0.4  # a wall at the same range, and one that stands clear before it
 _CLEAR_SHARE = 0.03  # and per metre of range: walls seen at a low angle
@@ -98,8 +99,10 @@ class Views:
         older, newer = self.partners(lasers, config)
         agree = contradict = 0
         for a, b in ((older, newer), (newer, older)):
-            same, clear = self._compared(lasers, a, b)
-            agree, contradict = agree + same, contradict + clear
+            for first in range(0, len(a), _TOGETHER):
+                some = slice(first, first + _TOGETHER)
+                same, clear = self._compared(lasers, a[some], b[some])
+                agree, contradict = agree + same, contradict + clear
         return Standing(agree, contradict)
 
     def partners(self, lasers: FloatArray, config: RelaxationConfig) -> tuple[IntArray, IntArray]:
@@ -119,8 +122,6 @@ class Views:
 
     def _compared(self, lasers: FloatArray, a: IntArray, b: IntArray) -> tuple[int, int]:
         """How many walls seen from `b` (P,) agree with and stand clear before what `a` saw."""
-        if not len(a):
-            return 0, 0
         seen = self.ranges[b].astype(np.float64)
         bearing = (np.arange(_BEARINGS) + 0.5) * (2 * np.pi / _BEARINGS) - np.pi
         there = compose(invert(lasers[a]), lasers[b])

@@ -15,6 +15,7 @@ from specmap_cli.core.labels import Neighbours, neighbours
 from specmap_cli.core.records import Closure, IntArray, PosedScan, Trajectory
 from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config
+from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.pipelines.stopwatch import Stopwatch
@@ -155,7 +156,7 @@ class SubmapRecogniser:
         return Stay(
             number=region.number,
             features=self.features.of(seen.tolist()),
-            grid=grid.snapshot(),
+            packed=PackedGrid.of(grid.snapshot()),
             track=track,
             map_from_stay=self.store.pose(region.keyframes[0]),
             travelled_m=travelled_m,

@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from specmap_cli.grids.gridmap import (
+    FREE,
     NO_OBSTACLE_M,
     OCCUPIED,
     UNKNOWN,
     GridMap,
+    PackedGrid,
     cell_distances,
 )
 from tests.strategies import grid_maps, seeds
@@ -116,3 +118,14 @@ def test_one_more_obstacle_brings_none_farther_away(grid: GridMap, seed: int) ->
     after = GridMap(cells, grid.resolution).obstacle_distance()
     assert (after <= before).all()
     assert after.flat[seed % cells.size] == 0.0
+
+
+def test_a_packed_grid_is_the_grid_in_a_fraction_of_its_memory() -> None:
+    cells = np.full((300, 200), UNKNOWN, dtype=np.uint8)
+    cells[50:250, 40:160] = FREE
+    cells[50:250, 40] = OCCUPIED
+    grid = GridMap(cells, 0.05, (-3.0, 7.5))
+    packed = PackedGrid.of(grid)
+    assert (packed.grid.cells == cells).all()
+    assert (packed.grid.resolution, packed.grid.origin) == (0.05, (-3.0, 7.5))
+    assert 20 * len(packed.packed) < cells.nbytes

@@ -13,7 +13,7 @@ import pytest
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, PackedGrid
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.grids.ray_casting import cast_ranges
 from specmap_cli.recognition.closure.stay import Stay
@@ -71,7 +71,7 @@ class Building:
         for pose, scan in zip(track, scans, strict=True):
             grid.integrate(scan, Pose2(*pose.tolist()))
         features = scans_features(scans, feature_set)
-        return Stay(number=0, features=features, grid=grid.snapshot(), track=track)
+        return Stay(number=0, features=features, packed=PackedGrid.of(grid.snapshot()), track=track)
 
     def visit(
         self,

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,7 @@ class Claims:
 class _Scans:
     """One stay's features (n, F), and their bins (F, n) once they are cut."""
 
-    features: FloatArray
+    features: NDArray[Any]
     codes: CodeArray | None = None
 
     def __len__(self) -> int:
@@ -114,7 +115,7 @@ class ClaimRanker:
         self._quantiser: Quantiser | None = None
         self._quantised_at = 0
 
-    def remember(self, submap: int, features: FloatArray) -> None:
+    def remember(self, submap: int, features: NDArray[Any]) -> None:
         """A submap with the features (n, F) of its scans becomes one of the old ones."""
         self._submaps[submap] = [_Scans(features)]
 
@@ -128,7 +129,7 @@ class ClaimRanker:
         self._submaps[kept] = stays if remembered is None else [stays[k] for k in remembered]
         self._classifiers.pop(gone, None)
 
-    def claims(self, features: FloatArray) -> dict[int, Claims]:
+    def claims(self, features: NDArray[Any]) -> dict[int, Claims]:
         """The claims between a new submap's scans (n, F) and every old submap.
 
         With a single old submap there is nothing to tell it apart from: both claim all (the paper
@@ -161,7 +162,7 @@ class ClaimRanker:
             self._classifiers[i] = _Trained(booster, len(ids), self._held(i))
         return boosters[: len(groups)]
 
-    def _asked(self, submap: int) -> list[FloatArray]:
+    def _asked(self, submap: int) -> list[NDArray[Any]]:
         """The scans (n, F) of each stay of an old submap that a new one's classifier is asked.
 
         About as many of a submap that was visited often as of one that was visited twice.
@@ -251,7 +252,7 @@ def _cut(scans: _Scans, quantiser: Quantiser, anew: bool) -> _Scans:
     return replace(scans, codes=quantiser.codes(scans.features))
 
 
-def _claims(c_new: Booster, c_old: Booster, new: _Scans, old: Sequence[FloatArray]) -> Claims:
+def _claims(c_new: Booster, c_old: Booster, new: _Scans, old: Sequence[NDArray[Any]]) -> Claims:
     """The claims between a new submap and scans (n, F) of an old one's stays by two classifiers."""
     of_new = c_old.margins(new.features)
     of_old = c_new.margins(np.concatenate(old))

@@ -17,6 +17,7 @@ import numpy as np
 from specmap_cli.core.records import Closure
 from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.closure.prepared import PreparedGrids, cropped
 from specmap_cli.recognition.closure.stay import Stay
@@ -49,8 +50,8 @@ class LoopCloser:
         Returns the pairs that were considered, best first; at most one has `merged` set, and stays
         advice until `merge` is called.
         """
-        features = evenly(new.features, self.config.samples_per_submap)
-        new = replace(new, features=features, grid=cropped(new.grid))
+        features = evenly(new.features, self.config.samples_per_submap).astype(np.float32)
+        new = replace(new, features=features, packed=PackedGrid.of(cropped(new.grid)))
         claims = self._ranker.claims(features)
         self._remember_claims(new.number, claims)
         self._ranker.remember(new.number, features)

@@ -35,7 +35,7 @@ from specmap_cli.recognition.features.returns import ReturnsBatch
 
 FeatureSet = tuple[FeatureGroup | BatchGroup, ...]
 
-_KEPT = 16384  # keyframes whose features are kept: those of some hours, 20 MB
+_KEPT = 4096  # keyframes whose features are kept: those of some sixty visits, 4 MB
 _TOGETHER = 32  # scans in a batch: much more of them leave the caches of a processor
 _LARGEST = float(np.finfo(np.float32).max)  # moments of odd scans are larger
 

@@ -13,7 +13,7 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import Closure
 from specmap_cli.core.settings import RecognitionConfig
-from specmap_cli.grids.gridmap import UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import UNKNOWN, GridMap, PackedGrid
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
 from specmap_cli.recognition.closure.prepared import PreparedGrid
@@ -90,7 +90,7 @@ def test_a_submap_without_a_wall_is_considered_and_refused_once(building: Any) -
     loop = closer()
     loop.consider(building.visit(0, 0))
     empty = GridMap(np.full((30, 30), UNKNOWN, dtype=np.uint8), 0.05)
-    (closure,) = loop.consider(replace(building.visit(1, 0), grid=empty))
+    (closure,) = loop.consider(replace(building.visit(1, 0), packed=PackedGrid.of(empty)))
     assert (closure.old, closure.new, closure.verified) == (0, 1, False)
     assert closure.reason == "a grid shows too few walls to match"
     assert math.isnan(closure.score)
@@ -266,7 +266,7 @@ def test_of_many_stays_those_that_saw_most_are_remembered(building: Any, oracle:
     whole = building.visit(4, 0)
     half = whole.grid.window(slice(0, whole.grid.cells.shape[0] // 2), slice(0, 10**6))
     considered(loop, building, [0])
-    loop.consider(replace(whole, grid=half))
+    loop.consider(replace(whole, packed=PackedGrid.of(half)))
     considered(loop, building, [8])
     loop.merge(0, 4)
     loop.merge(0, 8)
@@ -389,7 +389,7 @@ def test_grids_are_prepared_once_and_kept_cropped(
     loop = closer(SMALL.model_copy(update={"candidates": 9}))
     stay = building.visit(0, 0)
     wide = GridMap(np.pad(stay.grid.cells, 50, constant_values=UNKNOWN), 0.05)
-    loop.consider(replace(stay, grid=wide))
+    loop.consider(replace(stay, packed=PackedGrid.of(wide)))
     considered(loop, building, [1, 2, 3])
     assert len(prepared) == 4
     assert all(shape < wide.cells.shape for shape in prepared)
@@ -401,7 +401,7 @@ def test_considering_changes_nothing_of_the_stay(building: Any) -> None:
     loop = closer(SMALL.model_copy(update={"samples_per_submap": 5}))
     loop.consider(stay)
     assert (stay.features == copy.features).all()
-    assert stay.grid is copy.grid
+    assert stay.packed is copy.packed
     assert len(loop._submaps[0][0].features) == 5
     assert loop._submaps[0][0].map_from_stay is None
     assert building.visit(1, 1, travelled_m=3.0).map_from_stay != IDENTITY

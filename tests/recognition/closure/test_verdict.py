@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.settings import RecognitionConfig
-from specmap_cli.grids.gridmap import FREE, GridMap
+from specmap_cli.grids.gridmap import FREE, GridMap, PackedGrid
 from specmap_cli.recognition.closure.stay import Stay
 from specmap_cli.recognition.closure.verdict import verdict
 from specmap_cli.recognition.closure.verification import Check
@@ -28,7 +28,9 @@ LINE = np.column_stack([np.arange(0.0, 8.0, 0.25), np.zeros(32), np.zeros(32)])
 def stay(number: int = 0, **known: Any) -> Stay:
     """A stay along a line of 8 m; only its track and what is known of its frame matter."""
     grid = GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.05)
-    return Stay(number=number, features=np.zeros((1, 1)), grid=grid, track=LINE, **known)
+    return Stay(
+        number=number, features=np.zeros((1, 1)), packed=PackedGrid.of(grid), track=LINE, **known
+    )
 
 
 @pytest.mark.parametrize(
