@@ -94,9 +94,10 @@ def map_log(
     """
     check_feature_sets(config)
     clock = Stopwatch()
-    exploration = Exploration(config, store, clock, observer)
     accepts = accepts or KeyframeSelector(config.keyframes).accepts
-    explored, tracking = explore_log(stream, config, exploration, accepts, progress)
+    explored, tracking = explore_log(  # what only the exploration knew is gone after it
+        stream, config, Exploration(config, store, clock, observer), accepts, progress
+    )
     if not len(store):
         found = "; ".join(tracking.warnings) or "too few returns in them"
         raise NoResultError(
