@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.carrying import bridged, carried, keyframe_rows
 from specmap_cli.layout.closing import Closed, closed
 from specmap_cli.layout.contradictions import Standing, Views
+from specmap_cli.layout.drift import deviations
 from specmap_cli.layout.evidence import (
     Choice,
     Healing,
@@ -144,14 +146,17 @@ def chosen(
 ) -> Finished:
     """The finished layout, or one nearer to what was tracked that fewer walls contradict.
 
-    That is the layout of nearby passes alone, or the path as it was tracked, whose standing is
-    `tracked`.
+    That is the layout of nearby passes and of the closures that say what these say, or the path as
+    it was tracked, whose standing is `tracked`.
     """
     links = (*finished.draft.loops, *finished.dropped)
     closures = tuple(link for link in links if link.kind == "closure")
     if closures:
-        alone, outliers = settle(graph, passes, config)
-        trial = Finished.of("passes", alone, (*closures, *outliers), views, config)
+        is_near = deviations(graph, passes, closures, config).away_m <= config.closure_slack_m
+        near = tuple(compress(closures, is_near))
+        alone, outliers = settle(graph, replace(passes, loops=(*passes.loops, *near)), config)
+        dropped = (*compress(closures, ~is_near), *outliers)
+        trial = Finished.of("passes", alone, dropped, views, config)
         if finished.standing.is_worse_than(trial.standing):
             finished = trial
     if finished.standing.is_worse_than(tracked):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,12 +13,12 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.closing import Closed, closed, suspects
-from specmap_cli.layout.contradictions import Views
+from specmap_cli.layout.contradictions import Standing, Views
 from specmap_cli.layout.judging import Judged, Reason
 from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.layout.path_graph import Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.relaxation import Constraint, relax
+from specmap_cli.layout.relaxation import Constraint, Finished, chosen, relax
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import (
     STIFF,
@@ -25,6 +26,7 @@ from tests.layout.driving import (
     drifted,
     graph_by_hand,
     link,
+    round_trip,
     stored,
     true_constraint,
     true_link,
@@ -198,3 +200,24 @@ def test_what_is_worse_than_the_path_as_tracked_is_not_taken(drive: Drive) -> No
     assert layout.kept == ()
     assert len(layout.dropped) == 3
     assert [edge.kind for edge in layout.dropped].count("closure") == 3
+
+
+class Trusting:
+    """Views that see nothing wrong in any layout they are asked of."""
+
+    def standing(self, *_: object) -> Standing:
+        return Standing(agree=1000)
+
+
+def test_what_the_passes_say_anyway_is_kept_with_them() -> None:
+    """Closures that agree make the layout worse: those that say what the passes say stay."""
+    truth = round_trip(1.5)
+    graph, count = graph_by_hand(truth), len(truth)
+    passes = as_tracked(graph, *(true_link(truth, k, k + 480) for k in (20, 120)))
+    near = true_link(truth, 60, 540, "closure")
+    wrong = link(130, count - 10, (6.0, 5.0, 1.0), "closure")
+    spoiled = Finished("relaxed", passes, (near, wrong), Standing(agree=1000, contradict=500))
+    found = chosen(graph, passes, spoiled, Standing(), cast(Views, Trusting()), CONFIG)
+    assert found.choice == "passes"
+    assert found.draft.loops == (*passes.loops, near)
+    assert found.dropped == (wrong,)
