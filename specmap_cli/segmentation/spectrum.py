@@ -13,7 +13,7 @@ from specmap_cli.core.geometry import FloatArray
 
 _DENSE = 160  # rows up to which solving for all eigenpairs is quicker than iterating
 _TOLERANCE = 1e-6  # relative, of the iteration: far below what moves a count of eigenvalues
-_FIRST, _NODES_A_CLUSTER = 12, 40  # eigenpairs asked for at first: a guess that is seldom short
+_FIRST, _NODES_A_CLUSTER = 12, 80  # eigenpairs asked for at first: a guess that is seldom short
 _START_SEED, _START_RANGE = 0, (0.5, 1.5)  # positive, so never at right angles to the first vector
 
 
