@@ -9,6 +9,7 @@ The work is a generator: what it yields are the items, what it returns is the re
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -83,7 +84,9 @@ def ahead(produce: Callable[[], Generator[Item, None, Result]]) -> Iterator[Ahea
         with _held_signals(), warnings.catch_warnings():
             # Python 3.12 warns of other threads: of a progress bar's, whose locks the child avoids
             warnings.simplefilter("ignore", DeprecationWarning)
+            gc.freeze()  # a collection in the child would make it a copy of every page of objects
             child.start()
+            gc.unfreeze()
         sender.close()
         yield Ahead(_received(receiver, child))
     finally:
