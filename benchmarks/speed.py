@@ -1,14 +1,16 @@
 """What specmap costs: against `kiss_icp_pipeline` in the same run, and as a log grows.
 
-    SPECMAP_DATA=... python -m benchmarks.speed [--only pairs growth stages localize plan]
-                                                [--repeats 2] [--plays 1 2 4 8]
+    SPECMAP_DATA=... python -m benchmarks.speed [--repeats 2] [--plays 1 2 4 8]
+                     [--only pairs growth stages lidar corridors localize plan]
 
-`pairs`: `specmap build` and `kiss_icp_pipeline` on the same scans, whole processes, with the same
-range and voxel size; the planar log as it is, KISS-ICP reading its returns as PointCloud2, and the
-3D log as a rosbag2 for both. Absolute times wander on shared machines: the figures to read are the
-ratios of the fastest runs. `growth`: fr079 played several times over, processor time and memory
-against one play. `stages`: seconds of each stage of one build. `localize`: scans a second of
-processor time. `plan`: the segmentation of a floor plan against two OpenCV passes over it.
+`pairs`: `specmap build` and `kiss_icp_pipeline` on the same scans, whole processes, in voxels of
+the same size. KISS-ICP gets the returns of the planar log as PointCloud2, with our range, and the
+clouds of the 3D log as a rosbag2, up to 30 m (ours: `registration.cloud_range_m`). Absolute times
+wander on shared machines: the figures to read are the ratios of the fastest runs. `growth`: fr079
+played several times over, processor time and memory against one play. `stages`: seconds of each
+stage of one build. `lidar`: a simulated lidar of 64 rings by 1,024, clouds a second. `corridors`:
+1.5 km of them, processor time a scan against that of fr079. `localize`: scans a second of processor
+time. `plan`: the segmentation of a floor plan against two OpenCV passes over it.
 """
 
 from __future__ import annotations
@@ -21,12 +23,17 @@ from pathlib import Path
 
 from benchmarks import localizing, rooms
 from benchmarks.data import log_file
+from benchmarks.hard_logs.cases import TWO_PERCENT, long_building
 from benchmarks.processes import SCRIPTS, Cost, measure
 from benchmarks.replays import write_cloud_bag, write_clouds, write_plays
 from specmap_cli.core.config import load_config
 from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.grids.map_server import read_grid
+from specmap_cli.pipelines.simulate import simulate
+from specmap_cli.simulation.simulator import SimulationOptions
 
 FLOOR_PLAN = "lab_intel"
+SAMPLE_PLAN = Path("sample_logs/office.yaml")
 CLOUD_RANGE_M = 30.0  # of KISS-ICP on fr079_3d: no room of the building is longer
 BUILD = [str(SCRIPTS / "specmap"), "build", "--overwrite", "-q"]
 HEADING = f"{'':26} {'wall s':>8} {'cpu s':>8} {'largest MB':>10} {'together':>8}"
@@ -38,6 +45,8 @@ def main() -> None:
         "pairs": pairs,
         "growth": growth,
         "stages": stages,
+        "lidar": lidar,
+        "corridors": long_corridors,
         "localize": localize,
         "plan": floor_plan,
     }
@@ -115,6 +124,27 @@ def stages(folder: Path, _: argparse.Namespace) -> None:
     seconds = json.loads((folder / "map" / "run.json").read_text(encoding="utf-8"))["seconds"]
     print("fr079, wall seconds of each stage")
     print(", ".join(f"{name} {value:.2f}" for name, value in seconds.items()))
+
+
+def lidar(folder: Path, _: argparse.Namespace) -> None:
+    """Sweeps of many points in the sample office: how many are built a second."""
+    options = SimulationOptions(field_of_view_deg=360.0, rings=64, beams=1024, max_duration_s=60.0)
+    tour = simulate(read_grid(SAMPLE_PLAN), options, folder / "lidar.mcap")
+    cost = _build(tour.log, folder)
+    print(f"64 rings by 1,024, {tour.scans} clouds\n{HEADING}\n{_row('specmap build', cost)}")
+    print(f"{tour.scans / cost.wall_s:.0f} clouds a second of wall time")
+
+
+def long_corridors(folder: Path, _: argparse.Namespace) -> None:
+    """A scan in a long building against one in a small one."""
+    corridors = long_building(TWO_PERCENT, iter, folder / "corridors.mcap")
+    each_ms = []
+    for name, log in (("fr079", log_file("fr079")), ("1.5 km of corridors", corridors.log)):
+        cost = _build(log, folder)
+        run = json.loads((folder / "map" / "run.json").read_text(encoding="utf-8"))
+        each_ms.append(1000.0 * cost.processor_s / run["counts"]["scans"])
+        print(f"{name:26} {each_ms[-1]:.2f} ms of processor time a scan")
+    print(f"{'':26} {each_ms[1] / each_ms[0]:.2f} times as much")
 
 
 def localize(_: Path, __: argparse.Namespace) -> None:

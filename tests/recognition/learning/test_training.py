@@ -81,17 +81,23 @@ def grids(store: KeyframeStore) -> dict[int, GridMap]:
     return made
 
 
-def test_a_submap_seen_very_often_is_learned_from_some_of_its_scans(
-    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[list[int]] = []
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
+    """The keyframes whose features were asked for, call by call."""
+    calls: list[list[int]] = []
     of = KeyframeFeatures.of
 
     def watched(self: KeyframeFeatures, numbers: list[int]) -> FloatArray:
-        asked.append(numbers)
+        calls.append(numbers)
         return of(self, numbers)
 
     monkeypatch.setattr(KeyframeFeatures, "of", watched)
+    return calls
+
+
+def test_a_submap_seen_very_often_is_learned_from_some_of_its_scans(
+    store: KeyframeStore, asked: list[list[int]]
+) -> None:
     recognition = RecognitionConfig(rounds=2, positives=10)
     train_raw(store, SUBMAPS, Config(recognition=recognition), np.random.default_rng(0))
     assert [len(numbers) for numbers in asked] == [min(10, len(n)) for n in SUBMAPS.values()]
@@ -99,19 +105,12 @@ def test_a_submap_seen_very_often_is_learned_from_some_of_its_scans(
 
 
 def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
-    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
+    store: KeyframeStore, asked: list[list[int]]
 ) -> None:
     config = Config(recognition=RecognitionConfig(rounds=2, positives=12))
     features = KeyframeFeatures(store, "full")
     features.of([*range(5, 35), 50, 51])
-    asked: list[list[int]] = []
-    of = KeyframeFeatures.of
-
-    def watched(self: KeyframeFeatures, numbers: list[int]) -> FloatArray:
-        asked.append(numbers)
-        return of(self, numbers)
-
-    monkeypatch.setattr(KeyframeFeatures, "of", watched)
+    asked.clear()
     train_raw(store, SUBMAPS, config, np.random.default_rng(0), features)
     enough, few = asked
     assert (len(enough), enough[0], enough[-1]) == (12, 5, 34)
