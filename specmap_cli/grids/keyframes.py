@@ -133,6 +133,11 @@ class KeyframeStore:
         self._laser_of.append(self._number_of[laser])
         return len(self) - 1
 
+    def extend(self, other: KeyframeStore) -> None:
+        """Store all keyframes of another store behind the own ones, in their order."""
+        for number in range(len(other)):
+            self.append(other.posed(number))
+
     def __len__(self) -> int:
         return len(self._stamps_ns)
 
@@ -164,6 +169,16 @@ class KeyframeStore:
         laser = self._laser(number)
         stamp_ns = self._stamps_ns[number]
         return PlanarScan(stamp_ns, bearings, ranges, laser.range_max, laser.full_circle)
+
+    def posed(self, number: int) -> PosedScan:
+        """One keyframe as it was registered."""
+        return PosedScan(
+            index=number,
+            stamp_ns=self._stamps_ns[number],
+            map_from_base=self.pose(number),
+            planar=self.scan(number),
+            base_from_laser=self.base_from_laser(number),
+        )
 
     def base_from_laser(self, number: int) -> Pose2:
         """Mounting of the laser of one keyframe."""

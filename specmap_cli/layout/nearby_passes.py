@@ -32,20 +32,23 @@ _LEAST_SHARE = 1e-6  # of drift: keeps a path that does not drift from dividing 
 _NEW_QUESTION_M = 1.0  # a guess that moved this far is worth another match
 
 
-def find_passes(graph: Graph, draft: Draft, walls: Walls, config: RelaxationConfig) -> Draft:
+def find_passes(
+    graph: Graph, draft: Draft, walls: Walls, config: RelaxationConfig, first: int = 0
+) -> Draft:
     """The draft with the nearby passes that could be matched, solved again as they come in.
 
-    Goes along the path. Where a part hangs on the others by a guess only, it is looked for among
+    Goes along the path, from row `first` on. Where a part hangs on the others by a guess only, it is looked for among
     all older walls first. Nodes that the draft was tried at are asked again, but matched only
     when they moved. Links that say what the draft says anyway are no reason to solve it.
     """
     tried, linked = dict(draft.tried), _linked(graph, draft.loops)
     asked = {newer for older, newer in tried if older != newer}
-    due_m, tied_m, news = config.loop_every_m, 0.0, 0
+    start_m, news = float(graph.path[first]), 0
+    due_m, tied_m = start_m + config.loop_every_m, start_m
     renew_after = max(config.solve_every, len(graph.nodes) // _NODES_A_LINK)
     search: Search | None = None
     for node, way_m in enumerate(graph.path.tolist()):
-        if way_m < due_m and node not in asked:
+        if node < first or (way_m < due_m and node not in asked):
             continue
         part, due_m = int(graph.parts[node]), way_m + config.loop_every_m
         if part in draft.tied:

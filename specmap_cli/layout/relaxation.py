@@ -49,6 +49,17 @@ class Constraint:
     source_from_target: Pose2
     information: FloatArray
 
+    @property
+    def link(self) -> Link:
+        """The edge of the pose graph."""
+        return Link(
+            source=self.source,
+            target=self.target,
+            source_from_target=self.source_from_target,
+            information=self.information,
+            kind="closure",
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
@@ -94,7 +105,7 @@ def relax(
     """
     if not config.enabled or len(store) < 2:
         return Layout(poses=store.poses)
-    closures = [_closure(constraint) for constraint in constraints]
+    closures = [constraint.link for constraint in constraints]
     ends = {end for closure in closures for end in (closure.source, closure.target)}
     graph = graph_of(store, ends, breaks, config)
     walls, views = Walls(store, graph, config.match_range_m), Views.of(store, graph, config)
@@ -108,7 +119,7 @@ def relax(
     tracked = views.standing(graph.poses, config)
     finished = Finished.of("relaxed", draft, (*refuted, *dropped), views, config)
     finished = chosen(graph, passes, finished, tracked, views, config)
-    return _layout(graph, finished, replace(found, judged=judged), tracked, config)
+    return layout_of(graph, finished, replace(found, judged=judged), tracked, config)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,24 +184,17 @@ def corrected(trajectory: Trajectory, store: KeyframeStore, layout: Layout) -> T
     return replace(trajectory, poses=poses)
 
 
-def _closure(constraint: Constraint) -> Link:
-    return Link(
-        source=constraint.source,
-        target=constraint.target,
-        source_from_target=constraint.source_from_target,
-        information=constraint.information,
-        kind="closure",
-    )
-
-
-def _layout(
+def layout_of(
     graph: Graph,
     finished: Finished,
     found: Closed,
     tracked: Standing,
     config: RelaxationConfig,
 ) -> Layout:
-    """The layout of all keyframes from the settled draft of the nodes."""
+    """The layout of all keyframes from the settled draft of the nodes.
+
+    `found` says what was judged on the way, `tracked` how the passes stood before it.
+    """
     draft, dropped = finished.draft, finished.dropped
     loose = loose_starts(graph, draft.loops)
     spent = [part for part, tries in draft.tries.items() if tries >= config.stray_tries]

@@ -1,0 +1,135 @@
+"""Submaps that stay: what is known keeps its id and its border, only new space is divided afresh.
+
+A new keyframe in the territory of an old submap belongs to it. Beyond it, the division of the
+joint map says what hangs together: the rest of a room that was half seen goes to the submap of that
+room, anything else becomes a new submap with an id that no other ever had.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from specmap_cli.core.geometry import FloatArray, compose, invert
+from specmap_cli.core.records import IntArray
+from specmap_cli.core.tracks import step_lengths
+from specmap_cli.topology.graph import settle_labels
+from specmap_cli.topology.regions import NOBODY, Regions
+
+_BESIDE_M = 0.15  # from the border of a region: a robot that stands there is still in it
+_MOST = 0.5  # share of a submap in one region of the joint map: that region is the same place
+
+
+@dataclass(frozen=True, slots=True)
+class Heritage:
+    """A map that new keyframes are added to.
+
+    `poses` (n, 3) and `submaps` (n,) of its keyframes, `regions` the division of its cells, all as
+    they were in that map. `next_id` is the first id that no submap of it ever had.
+    """
+
+    poses: FloatArray
+    submaps: IntArray
+    regions: Regions
+    next_id: int
+
+
+def inherited(old: Heritage, poses: FloatArray, divided: IntArray, region_min_m: float) -> IntArray:
+    """The submap (m,) of each keyframe of a joint map: those of the old map, then the new ones.
+
+    `poses` (m, 3) are those in the joint map, `divided` (m,) the region of its own division that
+    each keyframe lies in. Old keyframes keep their submaps. New space on which the robot drove less
+    than `region_min_m` becomes no submap of its own.
+    """
+    count = len(old.poses)
+    labels = np.concatenate([old.submaps, _territory(old, poses)])
+    strange = labels == NOBODY
+    strange[:count] = False
+    heirs = _heirs(old.submaps, divided)
+    names = _names(divided[strange].tolist(), heirs, old.next_id)
+    labels[strange] = [names[region] for region in divided[strange].tolist()]
+    own = _without_grazed(labels[count:], poses[count:], old.next_id, region_min_m)
+    labels[count:] = settle_labels(own, poses[count:], region_min_m)
+    return _renumbered(labels, old.next_id)
+
+
+def _territory(old: Heritage, poses: FloatArray) -> IntArray:
+    """(m - n,) the old submap in whose region each new keyframe lies, NOBODY outside.
+
+    A place is carried back into the old map by the old keyframe nearest to it.
+    """
+    count = len(old.poses)
+    nearest = cKDTree(poses[:count, :2]).query(poses[count:, :2])[1]
+    back = compose(old.poses[nearest], compose(invert(poses[nearest]), poses[count:]))
+    grid, owner = old.regions.grid, old.regions.owner
+    nobody = (owner == NOBODY).astype(np.uint8)
+    away, which = cv2.distanceTransformWithLabels(
+        nobody, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    owners = np.full(int(which.max()) + 1, NOBODY, dtype=np.int64)
+    owners[which[nobody == 0]] = owner[nobody == 0]
+    cells = grid.cells_of(back[:, :2])
+    inside = grid.inside(cells)
+    rows, columns = cells[inside].T
+    found = np.full(len(back), NOBODY, dtype=np.int64)
+    near = away[rows, columns] * grid.resolution <= _BESIDE_M
+    found[inside] = np.where(near, owners[which[rows, columns]], NOBODY)
+    return found
+
+
+def _heirs(submaps: IntArray, divided: IntArray) -> dict[int, int]:
+    """For regions of the joint map that are an old submap's place: its id.
+
+    Most of the old keyframes of the submap lie there, and of all such submaps it has the most.
+    """
+    heirs: dict[int, tuple[int, int]] = {}
+    for submap in np.unique(submaps[submaps != NOBODY]).tolist():
+        regions, counts = np.unique(divided[: len(submaps)][submaps == submap], return_counts=True)
+        most = int(counts.argmax())
+        if counts[most] > _MOST * counts.sum():
+            region = int(regions[most])
+            best = heirs.get(region)
+            if best is None or counts[most] > best[0]:
+                heirs[region] = (int(counts[most]), submap)
+    return {region: submap for region, (_, submap) in heirs.items()}
+
+
+def _names(regions: list[int], heirs: dict[int, int], next_id: int) -> dict[int, int]:
+    """The submap of each region with new space, new ids in the order of appearance."""
+    names: dict[int, int] = {}
+    for region in regions:
+        if region not in names and region in heirs:
+            names[region] = heirs[region]
+        elif region not in names:
+            names[region] = next_id
+            next_id += 1
+    return names
+
+
+def _without_grazed(labels: IntArray, poses: FloatArray, next_id: int, way_m: float) -> IntArray:
+    """Labels (k,) without new submaps driven less than `way_m`: these go to where the robot was.
+
+    A recording that is nowhere else makes a submap, however little it drove.
+    """
+    steps = np.append(step_lengths(poses), 0.0)
+    grazed = [
+        label
+        for label in np.unique(labels[labels >= next_id]).tolist()
+        if steps[labels == label].sum() < way_m
+    ]
+    stays = ~np.isin(labels, grazed)
+    if not stays.any():
+        return labels
+    source = np.where(stays, np.arange(len(labels)), int(np.argmax(stays)))
+    return np.asarray(labels[np.maximum.accumulate(source)], dtype=np.int64)
+
+
+def _renumbered(labels: IntArray, next_id: int) -> IntArray:
+    """Labels whose new ids have no gaps, in the order of first visit."""
+    order: dict[int, int] = {}
+    for label in labels[labels >= next_id].tolist():
+        order.setdefault(label, next_id + len(order))
+    return np.array([order.get(label, label) for label in labels.tolist()], dtype=np.int64)
