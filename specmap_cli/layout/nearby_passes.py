@@ -37,9 +37,10 @@ def find_passes(
 ) -> Draft:
     """The draft with the nearby passes that could be matched, solved again as they come in.
 
-    Goes along the path, from row `first` on. Where a part hangs on the others by a guess only, it is looked for among
-    all older walls first. Nodes that the draft was tried at are asked again, but matched only
-    when they moved. Links that say what the draft says anyway are no reason to solve it.
+    Goes along the path, from row `first` on. Where a part hangs on the others by a guess only, it
+    is looked for among all older walls first. Nodes that the draft was tried at are asked again,
+    but matched only when they moved. Links that say what the draft says anyway are no reason to
+    solve it.
     """
     tried, linked = dict(draft.tried), _linked(graph, draft.loops)
     asked = {newer for older, newer in tried if older != newer}
