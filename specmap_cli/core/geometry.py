@@ -165,3 +165,12 @@ def quaternions_from_rpy(roll: NDArray[Any], pitch: NDArray[Any], yaw: NDArray[A
         axis=-1,
     )
     return np.asarray(np.where(quaternions[..., 3:] < 0.0, -quaternions, quaternions))
+
+
+def rpy_from_quaternions(quaternions: NDArray[Any]) -> FloatArray:
+    """(n, 3) roll, pitch and yaw of unit quaternions (n, 4), as in `quaternions_from_rpy`."""
+    x, y, z, w = np.asarray(quaternions, dtype=np.float64).T
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.column_stack([roll, pitch, yaw])

@@ -1,4 +1,4 @@
-"""Tables of poses as text: trajectories in TUM format (t x y z qx qy qz qw), and labels.csv."""
+"""labels.csv: the keyframes of a map with their submaps, as text and back."""
 
 from __future__ import annotations
 
@@ -8,65 +8,13 @@ import numpy as np
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.files import read_bytes
-from specmap_cli.core.geometry import quaternions_from_rpy
-from specmap_cli.core.labels import runs
-from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
+from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.shortage import reason
-from specmap_cli.core.text import counted, decimal, stamp_ns, stamp_text
+from specmap_cli.core.text import decimal, stamp_ns, stamp_text
 
 LABELS_HEADER = "stamp,x,y,theta,submap"
 _FARTHEST = 1e8  # metres: twice around the earth, farther than any place in a map
-
-
-def trajectory_text(trajectory: Trajectory) -> str:
-    """TUM lines in space; nine decimals of seconds and quaternions, six of metres.
-
-    A line `# lost: ...` stands before scans whose poses are guesses, `# found` before those after
-    them: readers of the format pass over lines that begin with #.
-    """
-    poses = trajectory.poses
-    tilt = np.zeros_like(poses) if trajectory.tilt is None else trajectory.tilt
-    places = np.column_stack([poses[:, :2], tilt[:, 0]])
-    quaternions = quaternions_from_rpy(tilt[:, 1], tilt[:, 2], poses[:, 2])
-    lines, remarks = [], _remarks(trajectory)
-    for row, (stamp, place, quaternion) in enumerate(
-        zip(trajectory.stamps_ns.tolist(), places.tolist(), quaternions.tolist(), strict=True)
-    ):
-        lines.append(remarks.get(row, ""))
-        position = " ".join(decimal(value) for value in place)
-        rotation = " ".join(decimal(value, 9) for value in quaternion)
-        lines.append(f"{stamp_text(stamp)} {position} {rotation}\n")
-    return "".join(lines)
-
-
-def _remarks(trajectory: Trajectory) -> dict[int, str]:
-    """The lines before some rows of a trajectory that tell of lost scans."""
-    lost = trajectory.lost
-    if lost is None or not lost.any():
-        return {}
-    return {
-        start: f"# lost: the poses of the next {counted(end - start, 'scan')} are guesses\n"
-        if lost[start]
-        else "# found\n"
-        for start, end in runs(lost)
-        if start or lost[start]
-    }
-
-
-def planar_trajectory_text(trajectory: Trajectory) -> str:
-    """TUM lines of true poses in the plane, their stamps in whole microseconds.
-
-    Metres have nine decimals; z, qx and qy are a bare 0.
-    """
-    half = 0.5 * trajectory.poses[:, 2]
-    columns = np.column_stack([trajectory.poses[:, :2], np.sin(half), np.cos(half)])
-    lines = []
-    for stamp, row in zip(trajectory.stamps_ns.tolist(), columns.tolist(), strict=True):
-        x, y, qz, qw = (decimal(value, 9) for value in row)
-        seconds = stamp_text(stamp)[:-3]
-        lines.append(f"{seconds} {x} {y} 0 0 0 {qz} {qw}\n")
-    return "".join(lines)
 
 
 def labels_text(labels: Labels) -> str:

@@ -21,7 +21,8 @@ from specmap_cli.grids.map_server import write_grid, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.conversion import image_stem, to_record
 from specmap_cli.maps.schema import TopologyRecord
-from specmap_cli.maps.tables import labels_text, trajectory_text
+from specmap_cli.maps.tables import labels_text
+from specmap_cli.maps.tum import trajectory_text
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 

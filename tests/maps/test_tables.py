@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import quaternions_from_rpy
-from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
+from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.core.text import (
     counted,
     decimal,
@@ -23,13 +21,7 @@ from specmap_cli.core.text import (
     stamp_text,
     to_json,
 )
-from specmap_cli.evaluation.trajectories import read_tum
-from specmap_cli.maps.tables import (
-    labels_text,
-    planar_trajectory_text,
-    read_labels,
-    trajectory_text,
-)
+from specmap_cli.maps.tables import labels_text, read_labels
 
 STAMPS = st.integers(-(2**62), 2**62)
 
@@ -84,25 +76,6 @@ def test_counts() -> None:
 def test_plain_types() -> None:
     value = {"n": np.int64(3), "f": float("inf"), "t": (np.bool_(True), None), "a": np.ones(2)}
     assert plain(value) == {"n": 3, "f": None, "t": [True, None], "a": [1.0, 1.0]}
-
-
-@settings(max_examples=40, derandomize=True)
-@given(*(st.floats(-3.1, 3.1) for _ in range(3)))
-def test_quaternions_against_scipy(roll: float, pitch: float, yaw: float) -> None:
-    ours = quaternions_from_rpy(*(np.array([angle]) for angle in (roll, pitch, yaw)))[0]
-    theirs = Rotation.from_euler("ZYX", [yaw, pitch, roll])
-    assert ours[3] >= 0.0
-    assert (Rotation.from_quat(ours).inv() * theirs).magnitude() == pytest.approx(0.0, abs=1e-7)
-
-
-def test_tilt_of_a_3d_lidar_is_kept() -> None:
-    trajectory = Trajectory(
-        np.array([5, 6]), np.array([(1, 2, 0.5), (1, 2, 3.0)]), np.array([(0.3, 0.1, -0.2)] * 2)
-    )
-    rows = [[float(n) for n in line.split()] for line in trajectory_text(trajectory).splitlines()]
-    assert rows[0][3] == 0.3
-    turn = Rotation.from_quat(rows[1][4:])
-    assert turn.as_euler("ZYX") == pytest.approx([3.0, -0.2, 0.1])
 
 
 def test_a_keyframe_in_no_submap_has_an_empty_cell() -> None:
@@ -183,57 +156,10 @@ def test_tables_that_cannot_be_read(tmp_path: Path, content: bytes | None, compl
         read_labels(tmp_path / "labels.csv")
 
 
-@settings(max_examples=60)
-@given(st.lists(st.tuples(st.integers(0, 2**40), FINITE, FINITE, st.floats(-3.2, 3.2)), max_size=9))
-def test_true_poses_are_written_to_the_nanometre(
-    rows: list[tuple[int, float, float, float]],
-) -> None:
-    stamps = np.array([1000 * row[0] for row in rows], dtype=np.int64)
-    poses = np.array([row[1:] for row in rows], dtype=np.float64).reshape(-1, 3)
-    lines = planar_trajectory_text(Trajectory(stamps, poses)).splitlines()
-    assert len(lines) == len(rows)
-    for line, stamp, (x, y, theta) in zip(lines, stamps.tolist(), poses.tolist(), strict=True):
-        words = line.split(" ")
-        assert words[3:6] == ["0", "0", "0"]
-        assert [len(word.partition(".")[2]) for word in words] == [6, 9, 9, 0, 0, 0, 9, 9]
-        assert stamp_ns(words[0]) == stamp
-        assert [float(words[1]), float(words[2])] == pytest.approx([x, y], abs=1e-9)
-        turn = Rotation.from_quat([float(word) for word in words[4:]])
-        assert (turn.inv() * Rotation.from_euler("z", theta)).magnitude() < 1e-8
-        assert "-0.000000000" not in words
-
-
 def test_no_poses_are_an_empty_file() -> None:
     nowhere = np.zeros((0, 3))
     stamps = np.zeros(0, dtype=np.int64)
-    assert trajectory_text(Trajectory(stamps, nowhere)) == ""
-    assert planar_trajectory_text(Trajectory(stamps, nowhere)) == ""
     assert (
         labels_text(Labels(stamps_ns=stamps, poses=nowhere, submaps=stamps))
         == "stamp,x,y,theta,submap\n"
     )
-
-
-def test_lost_scans_are_marked_between_the_lines_of_a_trajectory() -> None:
-    lost = np.array([True, True, False, True, False])
-    way = Trajectory(np.arange(5) * 10**9, np.zeros((5, 3)), lost=lost)
-    lines = trajectory_text(way).splitlines()
-    assert [line for line in lines if line.startswith("#")] == [
-        "# lost: the poses of the next 2 scans are guesses",
-        "# found",
-        "# lost: the poses of the next 1 scan are guesses",
-        "# found",
-    ]
-    assert [k for k, line in enumerate(lines) if line.startswith("#")] == [0, 3, 5, 7]
-    plain_lines = [line for line in lines if not line.startswith("#")]
-    assert plain_lines == trajectory_text(Trajectory(way.stamps_ns, way.poses)).splitlines()
-
-
-def test_a_marked_trajectory_reads_back(tmp_path: Path) -> None:
-    way = Trajectory(
-        np.arange(4) * 10**9, np.arange(12.0).reshape(4, 3) / 10, lost=np.arange(4) == 2
-    )
-    file = tmp_path / "trajectory.tum"
-    file.write_text(trajectory_text(way), encoding="utf-8")
-    np.testing.assert_allclose(read_tum(file).poses, way.poses, atol=1e-6)
-    assert len(np.loadtxt(file)) == 4
