@@ -49,7 +49,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "topology": _STAGE,
     "simulation": _STAGE,
     "quality": _STAGE | {"layout"},
-    "maps": _STAGE | {"topology"},
+    "maps": _STAGE | {"topology", "logs", "logs/readers"},
     "drawing": _STAGE | {"topology", "segmentation"},
     "exports": _STAGE | {"topology", "maps"},
     "pipelines": _ORDER,

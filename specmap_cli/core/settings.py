@@ -634,6 +634,9 @@ class LimitsConfig(_Section):
     picture_max_mpixel: float = Field(
         100.0, gt=0, description="its millions of pixels: 500 m by 500 m at 0.05 m; 4 bytes each"
     )
+    keyframes_max_mb: float = Field(
+        2000.0, gt=0, description="scans of a map: a day's drive takes a tenth; read piece by piece"
+    )
 
 
 class Config(_Section):

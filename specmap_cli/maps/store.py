@@ -20,7 +20,9 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.shortage import reason
+from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps import filenames
 from specmap_cli.maps.conversion import from_record
@@ -94,6 +96,25 @@ class StoredMap:
                 "build the map again"
             )
         return labels
+
+    def keyframes(self) -> KeyframeStore:
+        """The scans of the keyframes and their poses as registered: close the store after use."""
+        from specmap_cli.maps.keyframe_log import read_keyframes  # loads the readers of recordings
+
+        path, stamps_ns = self.path / filenames.KEYFRAMES, self.labels.stamps_ns.tolist()
+        if not path.exists():
+            raise MapError(
+                f"{self.path}: has no {path.name}: only maps that this version of `specmap build` "
+                "made of a recording keep their scans: build the map again"
+            )
+        store = read_keyframes(path, len(stamps_ns), self.limits)
+        if list(store.stamps_ns) != stamps_ns:
+            store.close()
+            raise MapError(
+                f"{path}: its {counted(len(store), 'scan')} are not the "
+                f"{counted(len(stamps_ns), 'keyframe')} of {filenames.LABELS}: build the map again"
+            )
+        return store
 
     @cached_property
     def classifiers(self) -> str:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.core.text import to_json
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import write_grid, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.conversion import image_stem, to_record
@@ -51,9 +52,19 @@ class MapResult:
     frame: str = "map"
 
 
-def write_map(directory: str | Path, result: MapResult) -> None:
-    """Write all files of a map into an existing, empty directory."""
+def write_map(
+    directory: str | Path, result: MapResult, keyframes: KeyframeStore | None = None
+) -> None:
+    """Write all files of a map into an existing, empty directory.
+
+    `keyframes` are those of `labels`. A map without them cannot be made anew from its directory.
+    """
     directory = Path(directory)
+    if keyframes is not None:
+        from specmap_cli.maps.keyframe_log import write_keyframes  # loads what writes recordings
+
+        path = directory / filenames.KEYFRAMES
+        write_keyframes(path, keyframes, result.labels.poses, result.frame)
     record = to_record(result.topology, result.regions, result.log, result.frame, result.quality)
     _write_topology(directory, result.topology, record)
     write_grid(directory / filenames.MAP_GRID, result.regions.grid)

@@ -73,7 +73,7 @@ def build_map(
         finished = map_log(stream, config, store, progress, observer=observer)
         run = run_record(log.given, stream.selection, config, finished)
         tell(finished.quality, progress)
-        write_map(partial, finished.result(log.name, run))
+        write_map(partial, finished.result(log.name, run), store)
     return BuildReport(out=target, run=run, quality=finished.quality)
 
 

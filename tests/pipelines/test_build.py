@@ -266,6 +266,8 @@ class TestBuildMap:
         assert report.lines()[0].startswith(f"{tmp_path / 'map'}: {len(stored.ids)} submaps, ")
         assert report.lines()[1] == "quality: good"
         assert report.as_dict()["quality"] == stored.run["quality"]
+        with stored.keyframes() as kept:  # all that a layout needs, without the log
+            assert len(kept) == report.run["counts"]["keyframes"]
         told = stored.record.graph.quality
         assert told is not None
         assert told.model_dump() == stored.run["quality"]

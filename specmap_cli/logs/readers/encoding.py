@@ -6,8 +6,8 @@ Stamps are header stamps in nanoseconds, lengths metres, angles radians.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -112,14 +112,33 @@ def transform_cdr(
     quaternion_xyzw: Sequence[float],
 ) -> bytes:
     """A TFMessage with the one transform parent_from_child."""
-    translation = message_class("geometry_msgs/msg/Vector3")(*(float(v) for v in xyz))
-    rotation = message_class("geometry_msgs/msg/Quaternion")(*(float(v) for v in quaternion_xyzw))
-    stamped = message_class("geometry_msgs/msg/TransformStamped")(
-        header=_header(stamp_ns, parent),
-        child_frame_id=child,
+    return transforms_cdr(stamp_ns, [Transform(parent, child, xyz, quaternion_xyzw)])
+
+
+class Transform(NamedTuple):
+    """parent_from_child in space: metres and a quaternion."""
+
+    parent: str
+    child: str
+    xyz: Sequence[float]
+    quaternion_xyzw: Sequence[float]
+
+
+def transforms_cdr(stamp_ns: int, transforms: Iterable[Transform]) -> bytes:
+    """A TFMessage with several transforms of one time."""
+    return _cdr(TF_MESSAGE, transforms=[_stamped(stamp_ns, given) for given in transforms])
+
+
+def _stamped(stamp_ns: int, given: Transform) -> Any:
+    """A TransformStamped."""
+    translation = message_class("geometry_msgs/msg/Vector3")(*(float(v) for v in given.xyz))
+    quaternion = (float(v) for v in given.quaternion_xyzw)
+    rotation = message_class("geometry_msgs/msg/Quaternion")(*quaternion)
+    return message_class("geometry_msgs/msg/TransformStamped")(
+        header=_header(stamp_ns, given.parent),
+        child_frame_id=given.child,
         transform=message_class("geometry_msgs/msg/Transform")(translation, rotation),
     )
-    return _cdr(TF_MESSAGE, transforms=[stamped])
 
 
 def in_space(pose: Pose2) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:

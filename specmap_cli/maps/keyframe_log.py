@@ -1,0 +1,211 @@
+"""keyframes.mcap: the keyframes of a map as a recording, written and read back.
+
+It is an ordinary recording in the frames of ROS's REP 105, so that any tool opens it. `odom` ->
+`base_link` is each pose as registered, `map` -> `odom` what the layout corrects of it. The i-th
+scan is keyframe i. Log times rise from scan to scan, whatever the stamps do, to keep that order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+
+from specmap_cli.core.errors import LogError, MapError
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.shortage import reason
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.logs.messages import (
+    BadMessageError,
+    CloudRecord,
+    ScanRecord,
+    TransformRecord,
+    decode_scan,
+    decode_transforms,
+)
+from specmap_cli.logs.planar import covers_circle, increment
+from specmap_cli.logs.readers.encoding import Transform, in_space, scan_cdr, transforms_cdr
+from specmap_cli.logs.readers.mcap import McapFile
+from specmap_cli.logs.readers.recording import Message
+from specmap_cli.logs.readers.typestore import LASER_SCAN, TF_MESSAGE
+from specmap_cli.logs.writer import TF_STATIC, LogWriter
+from specmap_cli.maps.even_bearings import EvenSpacing
+
+SCAN_TOPIC, TF = "/scan", "/tf"
+ODOM_FRAME, BASE_FRAME, LASER_FRAME = "odom", "base_link", "laser"
+# Poses are kept to a micrometre and a quarter of a microradian, in powers of two, of which most
+# bytes are zero and cost nothing. Ranges are kept to a millimetre: no laser of a robot is finer.
+_PER_UNIT, _MM_PER_M = np.array([2.0**20, 2.0**20, 2.0**22]), 1000.0
+
+
+def write_keyframes(
+    path: Path, store: KeyframeStore, poses: FloatArray, map_frame: str = "map"
+) -> None:
+    """Write all keyframes of a store, which lie at `poses` (n, 3) in the finished map.
+
+    Raises UsageError when the file cannot be written.
+    """
+    odom_from_base = _cut(store.poses)
+    map_from_odom = _cut(compose(poses, invert(odom_from_base)))
+    chains = zip(store.stamps_ns, map_from_odom.tolist(), odom_from_base.tolist(), strict=True)
+    with LogWriter(path) as log:
+        scans, time_ns = _ScanWriter(log, store), -1
+        for number, (stamp_ns, correction, pose) in enumerate(chains):
+            time_ns = max(stamp_ns, time_ns + 1)
+            chain = (map_frame, ODOM_FRAME, correction), (ODOM_FRAME, BASE_FRAME, pose)
+            transforms = [_transform(*link) for link in chain]
+            log.raw(TF, TF_MESSAGE, transforms_cdr(stamp_ns, transforms), time_ns)
+            scans.write(number, time_ns)
+
+
+def _cut(poses: FloatArray) -> FloatArray:
+    """Poses (n, 3) with the digits that the file keeps."""
+    return np.asarray(np.round(poses * _PER_UNIT) / _PER_UNIT)
+
+
+def _transform(parent: str, child: str, pose: list[float]) -> Transform:
+    """A transform of the plane, its quaternion in single precision: with half as many bytes."""
+    place, turn = in_space(Pose2(*pose))
+    return Transform(parent, child, place, [float(np.float32(part)) for part in turn])
+
+
+class _ScanWriter:
+    """Writes the scans of a store, each laser in a frame of its own."""
+
+    def __init__(self, log: LogWriter, store: KeyframeStore) -> None:
+        self._log, self._store = log, store
+        self._frames: dict[Pose2, str] = {}
+        self._spacings: dict[Pose2, EvenSpacing] = {}
+        for number in range(len(store)):
+            self._place(store.base_from_laser(number))
+
+    def write(self, number: int, time_ns: int) -> None:
+        """Write the scan of one keyframe."""
+        base_from_laser, scan = self._store.base_from_laser(number), self._store.scan(number)
+        even = self._spacings[base_from_laser].beams(scan)
+        data = scan_cdr(
+            self._frames[base_from_laser],
+            scan.stamp_ns,
+            even.angle_min,
+            even.increment,
+            np.round(even.ranges * _MM_PER_M) / _MM_PER_M,
+            range_max=scan.range_max,
+        )
+        self._log.raw(SCAN_TOPIC, LASER_SCAN, data, time_ns)
+
+    def _place(self, base_from_laser: Pose2) -> None:
+        """Give a laser its frame, when it is a new one."""
+        if base_from_laser in self._frames:
+            return
+        count = len(self._frames) + 1
+        frame = LASER_FRAME if count == 1 else f"{LASER_FRAME}_{count}"
+        self._frames[base_from_laser] = frame
+        self._spacings[base_from_laser] = EvenSpacing()
+        mounting = _transform(BASE_FRAME, frame, _cut(np.array(base_from_laser)).tolist())
+        start_ns = self._store.stamps_ns[0]
+        self._log.raw(TF_STATIC, TF_MESSAGE, transforms_cdr(start_ns, [mounting]), start_ns)
+
+
+def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) -> KeyframeStore:
+    """The keyframes of a map, `most` or fewer, with poses as registered: close the store after use.
+
+    They pass through a temporary file, as in a build. Raises MapError for a file that is missing,
+    damaged or beyond its limits, UsageError when there is no room for the temporary file.
+    """
+    _check_size(path, LimitsConfig() if limits is None else limits)
+    store = KeyframeStore()
+    try:
+        for scan in _scans(path):
+            if len(store) == most:
+                raise MapError(f"{path}: has more than {most:,} scans: build the map again")
+            store.append(scan)
+    except BaseException:
+        store.close()
+        raise
+    return store
+
+
+def _check_size(path: Path, limits: LimitsConfig) -> None:
+    try:
+        size, regular = path.stat().st_size, path.is_file()
+    except OSError as error:
+        raise MapError(f"{path}: cannot read the keyframes: {reason(error)}") from None
+    if not regular:
+        raise MapError(f"{path}: not a regular file: build the map again")
+    if size > limits.keyframes_max_mb * 1e6:
+        raise MapError(
+            f"{path}: larger than {limits.keyframes_max_mb:g} MB; if it is meant, raise "
+            "limits.keyframes_max_mb"
+        )
+
+
+def _scans(path: Path) -> Iterator[PosedScan]:
+    """The keyframes in a file, one in memory at a time; MapError for what is not whole."""
+    try:
+        with closing(McapFile(path)) as recording:
+            reader = _Reader()
+            for message in recording.messages([TF_STATIC, TF, SCAN_TOPIC]):
+                yield from reader.take(message)
+            if recording.damage:
+                raise MapError(f"{recording.damage[0]}: build the map again")
+    except (LogError, BadMessageError) as error:
+        where = f"{path}: " if isinstance(error, BadMessageError) else ""
+        raise MapError(f"{where}{error}: build the map again") from None
+
+
+class _Reader:
+    """Puts scans, poses and mountings together, which come in messages of their own."""
+
+    def __init__(self) -> None:
+        self._lasers: dict[str, Pose2] = {}
+        self._pose: TransformRecord | None = None
+        self._count = 0
+
+    def take(self, message: Message) -> Iterator[PosedScan]:
+        """Take in a message; the keyframe that it completes. Raises BadMessageError."""
+        if message.topic == SCAN_TOPIC:
+            yield self._posed(decode_scan(message))
+            return
+        for record in decode_transforms(message).records:
+            if message.topic == TF_STATIC:
+                self._lasers[record.child] = _pose(record)
+            elif record.child == BASE_FRAME:
+                self._pose = record
+
+    def _posed(self, record: ScanRecord | CloudRecord) -> PosedScan:
+        if isinstance(record, CloudRecord):
+            raise BadMessageError(f"scan {self._count} is a cloud")
+        if self._pose is None or self._pose.stamp_ns != record.stamp_ns:
+            raise BadMessageError(f"scan {self._count} has no pose")
+        if record.frame not in self._lasers:
+            raise BadMessageError(f"scan {self._count} is of no known laser: {record.frame!r}")
+        self._count += 1
+        return PosedScan(
+            index=self._count - 1,
+            stamp_ns=record.stamp_ns,
+            map_from_base=_pose(self._pose),
+            planar=_planar(record),
+            base_from_laser=self._lasers[record.frame],
+        )
+
+
+def _pose(record: TransformRecord) -> Pose2:
+    """The pose in a transform, as it was before its quaternion was cut."""
+    pose = Pose2.from_matrix(record.parent_from_child)
+    return Pose2(*_cut(np.array(pose)).tolist())
+
+
+def _planar(record: ScanRecord) -> PlanarScan:
+    """The scan with the ranges as they stand: their meanings are those of a `PlanarScan`."""
+    beams, step = record.layout.beams, increment(record.layout)
+    return PlanarScan(
+        stamp_ns=record.stamp_ns,
+        bearings=record.layout.angle_min + step * np.arange(beams, dtype=np.float64),
+        ranges=record.ranges.astype(np.float64),
+        range_max=record.range_max,
+        full_circle=covers_circle(beams, step),
+    )

@@ -1,0 +1,258 @@
+"""keyframes.mcap: written, read back, opened as a recording, and damaged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.geometry import FloatArray, Pose2, compose
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.settings import LimitsConfig, LogConfig
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.logs import open_log
+from specmap_cli.logs.messages import decode_transforms
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.logs.writer import LogWriter
+from specmap_cli.maps.keyframe_log import read_keyframes, write_keyframes
+from specmap_cli.maps.store import read_map
+from specmap_cli.maps.writing import MapResult, write_map
+from tests.strategies import planar_scans, poses
+
+BEARINGS = np.linspace(-math.pi, math.pi, 180, endpoint=False)
+MOUNT = Pose2(0.2, -0.1, 0.5)
+MOST, START_NS = 1_000, 1_700_000_000_000_000_000
+
+
+def planar(number: int) -> PlanarScan:
+    """Walls, beams without a return, and invalid readings."""
+    ranges = np.round(2.0 + np.cos(BEARINGS * (1 + number % 3)), 3)
+    ranges[number % 90] = np.inf
+    ranges[90 + number % 90] = np.nan
+    return PlanarScan(START_NS + 1_000_000_000 * number, BEARINGS, ranges, 30.0, True)
+
+
+def posed(number: int, mount: Pose2 = MOUNT) -> PosedScan:
+    scan = planar(number)
+    pose = Pose2(0.05 * number, math.sin(number), 0.1 * number - 2.0)
+    return PosedScan(
+        index=number,
+        stamp_ns=scan.stamp_ns,
+        map_from_base=pose,
+        planar=scan,
+        base_from_laser=mount,
+    )
+
+
+def store_of(scans: Iterable[PosedScan]) -> KeyframeStore:
+    store = KeyframeStore()
+    for scan in scans:
+        store.append(scan)
+    return store
+
+
+def laid_out(store: KeyframeStore) -> FloatArray:
+    return compose(np.array([1.0, -2.0, 0.3]), store.poses)
+
+
+def written(path: Path, scans: Iterable[PosedScan]) -> Path:
+    with store_of(scans) as store:
+        write_keyframes(path, store, laid_out(store))
+    return path
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return written(tmp_path / "keyframes.mcap", [posed(number) for number in range(40)])
+
+
+@pytest.fixture
+def back(path: Path) -> Iterator[KeyframeStore]:
+    with read_keyframes(path, MOST) as store:
+        yield store
+
+
+def assert_same(read: KeyframeStore, scans: Sequence[PosedScan], range_m: float = 1e-6) -> None:
+    assert read.stamps_ns == tuple(scan.stamp_ns for scan in scans)
+    for number, scan in enumerate(scans):
+        away = scan.map_from_base.inverse() @ read.pose(number)
+        assert tuple(away) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+        mount = scan.base_from_laser.inverse() @ read.base_from_laser(number)
+        assert tuple(mount) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+        found = read.scan(number)
+        assert (found.stamp_ns, found.full_circle) == (scan.stamp_ns, scan.planar.full_circle)
+        assert found.range_max == pytest.approx(scan.planar.range_max, rel=1e-6)
+        assert found.bearings == pytest.approx(scan.planar.bearings, abs=1e-6)
+        assert found.ranges == pytest.approx(scan.planar.ranges, abs=range_m, nan_ok=True)
+
+
+def test_there_and_back(back: KeyframeStore) -> None:
+    assert_same(back, [posed(number) for number in range(40)])
+
+
+@given(st.lists(st.tuples(planar_scans(), poses), min_size=1, max_size=4))
+def test_any_scans_there_and_back(
+    tmp_path_factory: pytest.TempPathFactory, taken: list[tuple[PlanarScan, Pose2]]
+) -> None:
+    """Whatever their stamps and poses: in their order, to a micrometre and a millimetre."""
+    scans = [replace(posed(0), stamp_ns=s.stamp_ns, planar=s, map_from_base=p) for s, p in taken]
+    path = written(tmp_path_factory.mktemp("any") / "keyframes.mcap", scans)
+    with read_keyframes(path, MOST) as read:
+        assert_same(read, scans, range_m=0.000501)
+
+
+def test_what_was_read_is_written_again_with_the_same_bytes(
+    path: Path, back: KeyframeStore, tmp_path: Path
+) -> None:
+    again = tmp_path / "again.mcap"
+    with store_of(posed(number) for number in range(40)) as store:
+        write_keyframes(again, back, laid_out(store))
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_stamps_that_repeat_or_go_back_keep_the_order_of_the_keyframes(tmp_path: Path) -> None:
+    stamps = [5_000, 5_000, 1_000, 1_000, 9_000, -7]
+    scans = [
+        replace(posed(n), stamp_ns=stamp, planar=replace(planar(n), stamp_ns=stamp))
+        for n, stamp in enumerate(stamps)
+    ]
+    with read_keyframes(written(tmp_path / "a.mcap", scans), MOST) as read:
+        assert_same(read, scans)
+
+
+def test_several_lasers_have_a_frame_each(tmp_path: Path) -> None:
+    behind = Pose2(-0.3, 0.0, math.pi / 2)
+    scans = [posed(number, behind if number % 2 else MOUNT) for number in range(6)]
+    path = written(tmp_path / "a.mcap", scans)
+    with read_keyframes(path, MOST) as read:
+        assert_same(read, scans)
+    with open_log([path]) as log:
+        stream = SweepStream(log, LogConfig(scan_frame="laser_2"))
+        assert [sweep.stamp_ns for sweep in stream] == [scan.stamp_ns for scan in scans[1::2]]
+
+
+def test_a_laser_that_does_not_look_all_around(tmp_path: Path) -> None:
+    """As a 3D lidar in a corner of the robot gives it: all bearings, a part of them blind."""
+    blind = np.where(np.abs(BEARINGS) > 2.0, np.nan, 3.0)
+    scan = replace(posed(0), planar=replace(planar(0), ranges=blind, full_circle=False))
+    with read_keyframes(written(tmp_path / "a.mcap", [scan]), MOST) as read:
+        found = read.scan(0)
+    assert not found.full_circle
+    assert found.bearings == pytest.approx(BEARINGS[np.abs(BEARINGS) <= 2.0], abs=1e-6)
+    assert np.isfinite(found.ranges).all()
+
+
+def test_an_empty_store(tmp_path: Path) -> None:
+    with read_keyframes(written(tmp_path / "a.mcap", []), MOST) as read:
+        assert len(read) == 0
+
+
+def test_it_is_an_ordinary_recording(path: Path) -> None:
+    """Scans, their odometry and the laser's place, as any reader of recordings finds them."""
+    scans = [posed(number) for number in range(40)]
+    with open_log([path]) as log:
+        assert (log.contents.start_ns, log.contents.end_ns) == (START_NS, scans[-1].stamp_ns)
+        stream = SweepStream(log, LogConfig())
+        assert (stream.selection.odometry, stream.selection.base_frame) == ("tf", "base_link")
+        sweeps = list(stream)
+    assert [sweep.stamp_ns for sweep in sweeps] == [scan.stamp_ns for scan in scans]
+    for sweep, scan in zip(sweeps, scans, strict=True):
+        assert sweep.odom_from_base is not None
+        away = scan.map_from_base.inverse() @ sweep.odom_from_base
+        assert tuple(away) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+        assert tuple(sweep.base_from_laser) == pytest.approx(tuple(MOUNT), abs=1e-6)
+        assert sweep.planar.ranges == pytest.approx(scan.planar.ranges, abs=1e-6, nan_ok=True)
+
+
+def test_map_odom_and_base_lie_as_in_the_layout(path: Path) -> None:
+    with closing(open_log([path])) as log:
+        messages = list(log.messages(["/tf"]))
+    last = decode_transforms(messages[-1]).records
+    assert [(t.parent, t.child) for t in last] == [("map", "odom"), ("odom", "base_link")]
+    map_from_base = Pose2.from_matrix(last[0].parent_from_child @ last[1].parent_from_child)
+    expected = Pose2(1.0, -2.0, 0.3) @ posed(39).map_from_base
+    assert tuple(map_from_base) == pytest.approx(tuple(expected), abs=1e-5)
+
+
+@pytest.mark.parametrize("kept", [0, 7, 8, 200, 2_000, -200, -30, -1])
+def test_a_file_that_was_cut_off(path: Path, kept: int) -> None:
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(MapError, match=r"keyframes\.mcap: .*build the map again") as caught:
+        read_keyframes(path, MOST)
+    assert "\n" not in str(caught.value)
+
+
+def test_any_byte_of_the_data_may_be_damaged(path: Path) -> None:
+    """It is refused, or nothing is lost."""
+    whole, scans = path.read_bytes(), [posed(number) for number in range(40)]
+    for place in range(0, len(whole) // 2, 97):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x5A]) + whole[place + 1 :])
+        with suppress(MapError), read_keyframes(path, MOST) as read:
+            assert_same(read, scans)
+
+
+def test_a_file_that_is_none(tmp_path: Path) -> None:
+    for name, text in (("text", b"keyframes " * 100), ("empty", b"")):
+        (tmp_path / name).write_bytes(text)
+        with pytest.raises(MapError, match=f"{name}: .*build the map again"):
+            read_keyframes(tmp_path / name, MOST)
+    with pytest.raises(MapError, match="cannot read the keyframes: No such file"):
+        read_keyframes(tmp_path / "nowhere", MOST)
+    with pytest.raises(MapError, match="not a regular file"):
+        read_keyframes(tmp_path, MOST)
+
+
+def test_files_beyond_the_limits(path: Path) -> None:
+    with pytest.raises(MapError, match=r"larger than 0\.001 MB; if it is meant, raise limits"):
+        read_keyframes(path, MOST, LimitsConfig(keyframes_max_mb=0.001))
+    with pytest.raises(MapError, match="has more than 39 scans"):
+        read_keyframes(path, 39)
+
+
+@pytest.mark.parametrize("lack", ["pose", "laser", "stamp"])
+def test_scans_that_lack_something(tmp_path: Path, lack: str) -> None:
+    with LogWriter(tmp_path / "a.mcap") as log:
+        if lack != "laser":
+            log.static_transform("base_link", "laser")
+        if lack != "pose":
+            log.transform("odom", "base_link", 6 if lack == "stamp" else 5, Pose2(0.0, 0.0, 0.0))
+        log.scan("/scan", "laser", 7 if lack == "stamp" else 5, 0.0, 0.1, [1.0], range_max=9.0)
+    with pytest.raises(MapError, match=r"a\.mcap: scan 0 .*: build the map again"):
+        read_keyframes(tmp_path / "a.mcap", MOST)
+
+
+def keyframes_of(result: MapResult) -> KeyframeStore:
+    """A store for the labels of a map."""
+    return store_of(
+        replace(posed(0), stamp_ns=stamp, planar=replace(planar(0), stamp_ns=stamp))
+        for stamp in result.labels.stamps_ns.tolist()
+    )
+
+
+def test_a_map_with_its_keyframes(tmp_path: Path, result: MapResult) -> None:
+    with keyframes_of(result) as store:
+        write_map(tmp_path, result, store)
+    with read_map(tmp_path).keyframes() as read:
+        assert read.stamps_ns == tuple(result.labels.stamps_ns.tolist())
+
+
+def test_keyframes_that_are_not_those_of_the_labels(tmp_path: Path, result: MapResult) -> None:
+    shifted = replace(result.labels, stamps_ns=result.labels.stamps_ns + 1)
+    with keyframes_of(result) as store:
+        write_map(tmp_path, replace(result, labels=shifted), store)
+    with pytest.raises(MapError, match=r"its 30 scans are not the 30 keyframes of labels\.csv"):
+        read_map(tmp_path).keyframes()
+
+
+def test_a_map_without_keyframes_says_so(tmp_path: Path, result: MapResult) -> None:
+    write_map(tmp_path, result)
+    with pytest.raises(MapError, match=r"has no keyframes\.mcap: .*build the map again"):
+        read_map(tmp_path).keyframes()
