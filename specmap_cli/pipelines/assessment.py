@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.progress import Progress
-from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.carrying import keyframe_rows
-from specmap_cli.layout.healing import Audited
 from specmap_cli.pipelines.exploration import Explored
+from specmap_cli.pipelines.laying_out import LaidOut
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.holes import holes_of
 from specmap_cli.quality.verdict import judged
@@ -18,28 +17,26 @@ from specmap_cli.quality.verdict import judged
 def assess(
     store: KeyframeStore,
     explored: Explored,
-    audited: Audited,
-    trajectory: Trajectory,
+    laid: LaidOut,
     beyond: int,
     warnings: tuple[str, ...],
     config: Config,
 ) -> Quality:
     """What is thought of a map.
 
-    `audited` is the layout, `trajectory` that of all scans in it; `beyond` keyframes did not fit
-    into the grid; `warnings` are those of reading and registration.
+    `beyond` keyframes did not fit into the grid; `warnings` are those of reading and registration.
     """
     rows = keyframe_rows(explored.trajectory, store)
-    layout, breaks = audited.layout, tuple(explored.breaks)
+    layout, breaks = laid.layout, tuple(explored.breaks)
     evidence = Evidence(
-        trajectory=trajectory,
+        trajectory=laid.trajectory,
         keyframes_ns=store.stamps_ns,
         breaks=breaks,
         layout=layout,
-        audit=audited.audit,
+        audit=laid.audited.audit,
         beyond=beyond,
         warnings=warnings,
-        holes=holes_of(store, rows, trajectory, layout, breaks, config.quality),
+        holes=holes_of(store, rows, laid.trajectory, layout, breaks, config.quality),
     )
     return judged(evidence, config.quality)
 

@@ -19,8 +19,6 @@ from specmap_cli.core.records import Labels, PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
-from specmap_cli.layout.healing import healed
-from specmap_cli.layout.relaxation import corrected, relax
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
@@ -28,8 +26,8 @@ from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import assess, tell
 from specmap_cli.pipelines.exploration import Exploration, Explored
 from specmap_cli.pipelines.finished_map import FinishedMap
+from specmap_cli.pipelines.laying_out import lay_out
 from specmap_cli.pipelines.learning import divide, learn, linked, whole_grid
-from specmap_cli.pipelines.refutation import constraints_of, refute
 from specmap_cli.pipelines.run_record import BuildReport, run_record
 from specmap_cli.pipelines.split_test_pictures import split_test_pictures
 from specmap_cli.pipelines.stopwatch import Stopwatch
@@ -154,28 +152,23 @@ def finish(
     clock: Stopwatch,
 ) -> FinishedMap:
     """What follows Algorithm 1: relax the layout, heal it, refute, divide, assess, learn."""
-    progress.start("layout", None)
-    with clock.stage("layout"):
-        constraints = constraints_of(explored.closures, explored.regions, store, config.relaxation)
-        layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
-    with clock.stage("audit"):
-        audited = healed(store, layout, explored.breaks, config.relaxation, config.audit)
-        layout = audited.layout
-        trajectory = corrected(explored.trajectory, store, layout)
-    closures = refute(explored.closures, constraints, layout)
+    laid = lay_out(explored, config, store, progress, clock)
+    layout, closures = laid.layout, laid.closures
     with clock.stage("grids"):
         whole, beyond = whole_grid(store, layout, config)
     with clock.stage("segmentation"):
         submaps = divide(whole, layout, explored, closures, config)
     with clock.stage("audit"):
-        quality = assess(store, explored, audited, trajectory, beyond, tracking.warnings, config)
-    grids, classifiers = learn(store, explored, submaps, layout.poses, config, progress, clock)
+        quality = assess(store, explored, laid, beyond, tracking.warnings, config)
+    grids, classifiers = learn(
+        store, explored.features, submaps, layout.poses, config, progress, clock
+    )
     stamps = np.array(store.stamps_ns, dtype=np.int64)
     labels = Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps)
     return FinishedMap(
-        topology=linked(labels, explored, closures, grids),
+        topology=linked(labels, explored.regions, explored.breaks, closures, grids),
         labels=labels,
-        trajectory=trajectory,
+        trajectory=laid.trajectory,
         regions=divide_cells(whole, labels),
         classifiers=classifiers,
         layout=layout,

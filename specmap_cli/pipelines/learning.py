@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,10 @@ from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.relaxation import Layout
-from specmap_cli.pipelines.exploration import Explored, online_labels
+from specmap_cli.pipelines.exploration import Explored, Regions, online_labels
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.worker import ahead
+from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
 from specmap_cli.recognition.learning.training import (
@@ -79,7 +80,11 @@ def submaps_of(labels: IntArray) -> dict[int, list[int]]:
 
 
 def linked(
-    labels: Labels, explored: Explored, closures: Sequence[Closure], grids: Mapping[int, GridMap]
+    labels: Labels,
+    regions: Regions,
+    breaks: Collection[int],
+    closures: Sequence[Closure],
+    grids: Mapping[int, GridMap],
 ) -> TopologicalMap:
     """The submaps linked where the robot drove across and where closures show that they meet.
 
@@ -87,13 +92,13 @@ def linked(
     """
     submap_of_region = {
         region: int(np.bincount(labels.submaps[list(keyframes)]).argmax())
-        for region, keyframes in explored.regions.items()
+        for region, keyframes in regions.items()
     }
     return build_topology(
         labels=labels.submaps,
         poses=labels.poses,
         stamps_ns=labels.stamps_ns.tolist(),
-        breaks=explored.breaks,
+        breaks=breaks,
         closures=closures,
         submap_of_region=submap_of_region,
         grids=grids,
@@ -102,7 +107,7 @@ def linked(
 
 def learn(
     store: KeyframeStore,
-    explored: Explored,
+    features: KeyframeFeatures,
     labels: IntArray,
     poses: FloatArray,
     config: Config,
@@ -115,7 +120,7 @@ def learn(
     """
     submaps = submaps_of(labels)
     raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
-    with ahead(lambda: _without_grids(store, explored, submaps, poses, config, raw_rng)) as beside:
+    with ahead(lambda: _without_grids(store, features, submaps, poses, config, raw_rng)) as beside:
         progress.start("grids", len(store))
         with clock.stage("grids"):
             grids = _submap_grids(store, submaps, poses, config, progress)
@@ -134,7 +139,7 @@ def learn(
 
 def _without_grids(
     store: KeyframeStore,
-    explored: Explored,
+    features: KeyframeFeatures,
     submaps: Submaps,
     poses: FloatArray,
     config: Config,
@@ -143,9 +148,9 @@ def _without_grids(
     """The virtual scans along the track, if wanted; then what raw scans teach, and the misfit."""
     if config.localization.virtual:
         along = track_samples(store, submaps, poses, config.localization)
-        # features are of single precision: so they fit into the pipe, and nothing waits for it
-        yield {i: features.astype(np.float32) for i, features in along.items()}
-    raw = train_raw(store, submaps, config, rng, explored.features)
+        # they are of single precision: so they fit into the pipe, and nothing waits for it
+        yield {i: own.astype(np.float32) for i, own in along.items()}
+    raw = train_raw(store, submaps, config, rng, features)
     return raw, held_out_misfit(store, submaps, poses, config.localization)
 
 
