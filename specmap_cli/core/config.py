@@ -32,6 +32,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "sight_m": 6.0,
             "neighbours": 60,  # the paper leaves l open; fewer cut every room into pieces
             "eigenvalue_min": 0.9,
+            "part_nodes": 1_000_000,
             "halve": False,
             "labels": "nearest",
             "merge": False,

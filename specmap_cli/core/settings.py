@@ -256,6 +256,9 @@ class SegmentationConfig(_Section):
     sight_m: float = Field(5.0, gt=0, description="longest sight line")
     neighbours: int = Field(0, ge=0, description="l of eq. 1; 0: all visible nodes")
     eigenvalue_min: float = Field(0.75, gt=0, lt=1, description="k counts the eigenvalues above")
+    part_nodes: int = Field(
+        3000, ge=16, description="a graph with more nodes is first cut at its narrowest places"
+    )
     halve: bool = Field(True, description="look for two clusters inside each cluster again")
     halve_eigenvalue: float = Field(0.7, gt=0, lt=1, description="its second one that halves it")
     labels: Literal["flood", "nearest"] = Field("flood", description="how cells get their label")

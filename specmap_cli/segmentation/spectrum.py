@@ -12,16 +12,19 @@ from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 from specmap_cli.core.geometry import FloatArray
 
 _DENSE = 160  # rows up to which solving for all eigenpairs is quicker than iterating
-_TOLERANCE = 1e-6  # relative, of the iteration: far below what moves a count of eigenvalues
+_TOLERANCE = 1e-6  # far below what moves a count of eigenvalues
 _FIRST, _NODES_A_CLUSTER = 12, 80  # eigenpairs asked for at first: a guess that is seldom short
 _START_SEED, _START_RANGE = 0, (0.5, 1.5)  # positive, so never at right angles to the first vector
 
 
-def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]:
+def largest_eigenpairs(
+    matrix: Any, count: int, tolerance: float = _TOLERANCE
+) -> tuple[FloatArray, FloatArray]:
     """The `count` largest eigenvalues (k,), falling, and eigenvectors (n, k) of a symmetric matrix.
 
-    `matrix` (n, n) is an array, or sparse. The iteration starts from a fixed vector, and each
-    eigenvector's sign makes its sum of cubes positive, so equal input gives equal output.
+    `matrix` (n, n) is an array, or sparse; `tolerance`, relative, is that of the iteration, which
+    starts from a fixed vector. Each eigenvector's sign makes its sum of cubes positive, so equal
+    input gives equal output.
     """
     size = matrix.shape[0]
     count = min(count, size)
@@ -31,7 +34,7 @@ def largest_eigenpairs(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]
         start = np.random.default_rng(_START_SEED).uniform(*_START_RANGE, size)
         try:
             few = sparse.csr_array(matrix)
-            values, vectors = eigsh(few, k=count, which="LA", v0=start, tol=_TOLERANCE)
+            values, vectors = eigsh(few, k=count, which="LA", v0=start, tol=tolerance)
         except ArpackNoConvergence:  # of a long corridor many eigenvalues are nearly the same
             values, vectors = _all_at_once(matrix, count)
         order = np.argsort(-values, kind="stable")

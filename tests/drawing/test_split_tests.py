@@ -142,7 +142,6 @@ def segmentation(labels: list[int], pairs: list[tuple[int, int]]) -> Segmentatio
         spectrum=Spectrum(
             labels=np.array(labels, dtype=np.int32),
             eigenvalues=np.array([1.0, 0.9, 0.1]),
-            eigenvectors=np.zeros((n, 3)),
             used=2,
         ),
     )

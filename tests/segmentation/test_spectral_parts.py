@@ -247,15 +247,7 @@ def test_the_spectrum_of_a_graph_in_pieces_is_that_of_the_whole(seed: int) -> No
     found = spectral_clusters(graph, SegmentationConfig())
     every = np.linalg.eigvalsh(L)[::-1]
     np.testing.assert_allclose(found.eigenvalues, every[: len(found.eigenvalues)], atol=1e-6)
-    np.testing.assert_allclose(
-        L @ found.eigenvectors, found.eigenvectors * found.eigenvalues, atol=1e-6
-    )
-    np.testing.assert_allclose(
-        found.eigenvectors.T @ found.eigenvectors, np.eye(len(found.eigenvalues)), atol=1e-6
-    )
     _, piece = connected_components(L, directed=False)
-    for vector in found.eigenvectors.T:
-        assert len(np.unique(piece[np.abs(vector) > 0])) == 1
     for label in np.unique(found.labels):
         assert len(np.unique(piece[found.labels == label])) == 1
 
@@ -280,7 +272,7 @@ def test_nodes_that_see_nothing_are_clusters_of_their_own() -> None:
         SegmentationConfig(),
     )
     assert alone.labels.shape == alone.eigenvalues.shape == (0,)
-    assert (alone.eigenvectors.shape, alone.used) == ((0, 0), 0)
+    assert alone.used == 0
 
 
 @pytest.mark.parametrize("used", [1, 2, 5, 24])
