@@ -163,13 +163,13 @@ def settings_for(
 
 def localizer_of(stored: StoredMap, config: Config) -> Localizer:
     """The localizer of a stored map: its classifiers, the neighbours of its submaps, its grids."""
-    classifiers = _classifiers_of(stored)
+    classifiers = classifiers_of(stored)
     adjacency = neighbours(stored.ids, ((e.source, e.target) for e in stored.record.edges))
     frames = {i: submap.map_from_submap for i, submap in stored.topology.submaps.items()}
     return Localizer(classifiers, adjacency, stored.grids, config.localization, frames)
 
 
-def _classifiers_of(stored: StoredMap) -> ClassifierSet:
+def classifiers_of(stored: StoredMap) -> ClassifierSet:
     """The classifiers of a stored map, one a submap; MapError naming the file otherwise."""
     path = stored.path / CLASSIFIERS
     try:

@@ -25,7 +25,7 @@ from specmap_cli.recognition.closure.transforms import (
     differ,
 )
 
-_CONTRADICTION_WEIGHT = 2.0  # separates right from wrong transforms of fr079 without an error
+CONTRADICTION_WEIGHT = 2.0  # separates right from wrong transforms of fr079 without an error
 # A wall may be drawn one cell beside where it is, or two where a turned grid is laid on another.
 _INLIER_CELLS, _CONTRADICTION_CELLS = 1.0, 2.5
 _REFINED = 3
@@ -72,15 +72,30 @@ def judge(
     old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2, config: RecognitionConfig
 ) -> Check:
     """How well two grids agree under a given transform."""
-    there = _agreement(old.area, old_from_new.apply(new.walls), config)
-    back = _agreement(new.area, old_from_new.inverse().apply(old.walls), config)
+    there = agreement(old.area, old_from_new.apply(new.walls), config)
+    back = agreement(new.area, old_from_new.inverse().apply(old.walls), config)
     contradicted = max(there.contradicted, back.contradicted)
     return Check(
         old_from_new=old_from_new,
-        score=min(there.confirmed, back.confirmed) - _CONTRADICTION_WEIGHT * contradicted,
+        score=min(there.confirmed, back.confirmed) - CONTRADICTION_WEIGHT * contradicted,
         confirmed_m=min(there.inliers * new.metres_a_point, back.inliers * old.metres_a_point),
         overlap=max(there.known, back.known),
         least_overlap=min(there.known, back.known),
+    )
+
+
+def net_walls_m(
+    old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2, config: RecognitionConfig
+) -> float:
+    """Metres of wall that speak for a transform, less twice those against it: of what both know.
+
+    A share would favour grids that hardly touch.
+    """
+    there = agreement(old.area, old_from_new.apply(new.walls), config)
+    back = agreement(new.area, old_from_new.inverse().apply(old.walls), config)
+    return min(
+        said.known * len(grid.walls) * grid.metres_a_point * said.score
+        for said, grid in ((there, new), (back, old))
     )
 
 
@@ -168,7 +183,7 @@ def _rank(check: Check) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class _Agreement:
+class Agreement:
     """Of points on walls: the share in a known area, and of these the shares that it confirms and
     contradicts, and the count of those confirmed.
     """
@@ -178,8 +193,13 @@ class _Agreement:
     contradicted: float
     inliers: int
 
+    @property
+    def score(self) -> float:
+        """The share confirmed less twice the share contradicted."""
+        return self.confirmed - CONTRADICTION_WEIGHT * self.contradicted
 
-def _agreement(area: KnownArea, points: FloatArray, config: RecognitionConfig) -> _Agreement:
+
+def agreement(area: KnownArea, points: FloatArray, config: RecognitionConfig) -> Agreement:
     """What an area says to points (N, 2) on walls, in its grid's frame."""
     cells = np.floor((points - area.origin) / area.resolution).astype(np.intp)
     height, width = area.known.shape
@@ -188,14 +208,14 @@ def _agreement(area: KnownArea, points: FloatArray, config: RecognitionConfig) -
     known = area.known[rows, columns]
     columns, rows = columns[known], rows[known]
     if not len(rows):
-        return _Agreement(0.0, 0.0, 0.0, 0)
+        return Agreement(0.0, 0.0, 0.0, 0)
     distance, depth = area.wall_distance[rows, columns], area.depth[rows, columns]
     # distances are of whole cells: no limit is finer than they can tell
     cell = area.resolution
     inliers = int(np.count_nonzero(distance <= max(config.inlier_m, _INLIER_CELLS * cell)))
     off = distance > max(config.contradiction_m, _CONTRADICTION_CELLS * cell)
     contradicted = off & (depth > max(config.contradiction_depth_m, _INLIER_CELLS * cell))
-    return _Agreement(
+    return Agreement(
         len(rows) / len(points),
         inliers / len(rows),
         float(np.count_nonzero(contradicted)) / len(rows),

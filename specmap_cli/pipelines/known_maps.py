@@ -1,0 +1,28 @@
+"""Map directories as what the alignment of two maps needs."""
+
+from __future__ import annotations
+
+from specmap_cli.core.settings import Config
+from specmap_cli.maps.filenames import CLASSIFIERS
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.pipelines.localize import classifiers_of
+from specmap_cli.recognition.closure.alignment import Alignment, align
+from specmap_cli.recognition.closure.known_map import KnownMap
+
+
+def align_maps(old: StoredMap, new: StoredMap, config: Config) -> Alignment:
+    """Where a stored map lies in another one. Raises MapError for a damaged map."""
+    return align(known_map(old), known_map(new), config)
+
+
+def known_map(stored: StoredMap) -> KnownMap:
+    """A stored map as the alignment needs it. Raises MapError for a damaged one."""
+    submaps, labels = stored.topology.submaps, stored.labels
+    learned = (stored.path / CLASSIFIERS).exists()
+    return KnownMap(
+        whole=stored.map_grid,
+        grids=stored.grids,
+        frames={i: submap.map_from_submap for i, submap in submaps.items()},
+        tracks={i: labels.poses[labels.submaps == i] for i in submaps},
+        classifiers=classifiers_of(stored) if learned else None,
+    )

@@ -1,0 +1,227 @@
+"""Where one map lies in another: the rigid transform between two maps, or why there is none.
+
+Claims rank pairs of submaps, grids decide, and every verified pair votes for a transform between
+the maps (Section III-C). A transform is believed when several submaps of either map found it by
+themselves, when what both maps saw agrees under it, and when no other explains nearly as much.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.sampling import evenly
+from specmap_cli.core.settings import Config, RecognitionConfig
+from specmap_cli.core.text import counted
+from specmap_cli.grids.gridmap import FREE, GridMap
+from specmap_cli.grids.matching import refine
+from specmap_cli.recognition.closure.common_ground import CommonGround, common_ground
+from specmap_cli.recognition.closure.joints import Joint, joints
+from specmap_cli.recognition.closure.kinship import likely_pairs
+from specmap_cli.recognition.closure.known_map import KnownMap, Pieces
+from specmap_cli.recognition.closure.prepared import PreparedGrid, prepared
+from specmap_cli.recognition.closure.transforms import RIVAL_M, RIVAL_RAD, TransformSearch, differ
+from specmap_cli.recognition.closure.verification import net_walls_m
+from specmap_cli.recognition.closure.votes import Party, parties_of, votes_of
+
+# Of the refinement of a candidate: from a coarse cell of the search away, then to the centimetre.
+_ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 400, 8, 0.6
+_FINE_STEPS, _FINE_SHIFT_M = 15, 0.2
+_WALLS_PER_M2 = 3.0  # of rooms, with all that stands in them; offices have two
+_FLOOR_POINTS = 5000  # of the free space: its share that both saw to a hundredth
+_LEAST_SCORE = 0.5  # of all that both saw; halls of other buildings that touch reach more
+_MOST_ODD = 0.2  # of the walls: one room of five was rebuilt; more may be another floor
+_LEAST_AREA_M2, _LEAST_WALLS_M = 10.0, 10.0  # a small room: less says nothing about a building
+_MOST_RIVAL = 0.6  # of the walls that the best transform explains: look-alike rows come near it
+_LEAST_PARTY = 2  # submaps that speak for a transform by themselves
+# One submap alone: as much as a large room and its surroundings, and nothing else like it.
+_ALONE_AREA_M2, _ALONE_WALLS_M, _ALONE_RIVAL, _ALONE_SHARED = 40.0, 30.0, 0.4, 0.8
+_MOST_RESIDUAL_M = 0.25  # half of what a submap may lie off: by chance it lies anywhere in there
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alignment:
+    """Where a new map lies in an old one.
+
+    `old_from_new` is between the map frames, None when it is not sure; `reason` says why, in words.
+    `joints` are the pairs of submaps that match under it. `votes` of these had found it by
+    themselves, for `party` submaps of either map. `ground` is what both maps saw under the best
+    transform there was, `area_m2` the free space that both saw, `rival` how much of its walls
+    another transform explains, in [0, 1].
+    """
+
+    old_from_new: Pose2 | None
+    reason: str
+    joints: tuple[Joint, ...] = ()
+    votes: int = 0
+    party: int = 0
+    ground: CommonGround | None = None
+    area_m2: float = 0.0
+    rival: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A refined transform, the metres of wall that speak for it, and the party that found it.
+
+    Walls count only as far as there are rooms between them: maps that touch back to back have
+    straight walls in common, and nothing else.
+    """
+
+    old_from_new: Pose2
+    merit_m: float
+    party: Party | None
+
+
+def align(old: KnownMap, new: KnownMap, config: Config) -> Alignment:
+    """The transform between two maps, or the reason why there is none."""
+    recognition = config.recognition
+    wholes = [prepared(known.whole, recognition) for known in (old, new)]
+    if wholes[0] is None or wholes[1] is None:
+        return Alignment(old_from_new=None, reason="a map shows too few walls to match")
+    pieces = Pieces(old, recognition), Pieces(new, recognition)
+    floors = Floors.of(old.whole, new.whole)
+    pairs = likely_pairs(old, new, config.localization, recognition.candidates)
+    parties = parties_of(votes_of(pairs, *pieces, recognition))
+    ranked = _candidates(wholes[0], wholes[1], floors, parties, recognition)
+    if not ranked:
+        return Alignment(old_from_new=None, reason="no place of one map was found in the other")
+    best = ranked[0]
+    found = Alignment(
+        old_from_new=best.old_from_new,
+        reason="",
+        votes=0 if best.party is None else len(best.party.votes),
+        party=0 if best.party is None else best.party.strength,
+        ground=common_ground(
+            (pieces[0], wholes[0]), (pieces[1], wholes[1]), best.old_from_new, recognition
+        ),
+        area_m2=floors.common_m2(best.old_from_new),
+        rival=ranked[1].merit_m / best.merit_m if len(ranked) > 1 else 0.0,
+    )
+    doubt = _doubt(found, ranked)
+    if doubt:
+        return replace(found, old_from_new=None, reason=doubt)
+    agreed = joints(*pieces, best.old_from_new, recognition)
+    return replace(found, reason=_praise(found), joints=agreed)
+
+
+@dataclass(frozen=True, slots=True)
+class Floors:
+    """What was seen free: in the old map's `grid`, and points (n, 2) of the new map's free space.
+
+    Each point stands for `area_m2`.
+    """
+
+    grid: GridMap
+    points: FloatArray
+    area_m2: float
+
+    @classmethod
+    def of(cls, old: GridMap, new: GridMap) -> Floors:
+        """The free space of two maps."""
+        free = np.argwhere(new.free)
+        points = evenly(free, _FLOOR_POINTS)
+        area_m2 = new.free_area_m2 / max(1, len(points))
+        return cls(old, new.centres_of(points), area_m2)
+
+    def common_m2(self, old_from_new: Pose2) -> float:
+        """Square metres that are free in both maps."""
+        values = self.grid.values_at(old_from_new.apply(self.points))
+        return float(np.count_nonzero(values == FREE)) * self.area_m2
+
+
+def _candidates(
+    old: PreparedGrid,
+    new: PreparedGrid,
+    floors: Floors,
+    parties: Sequence[Party],
+    config: RecognitionConfig,
+) -> list[_Candidate]:
+    """Different transforms, those first that most walls speak for: of votes, of the whole maps."""
+    search = TransformSearch(old, new)
+    guesses: list[tuple[Pose2, Party | None]] = [(party.old_from_new, party) for party in parties]
+    guesses += [(pose, None) for pose in search.best(search.many)]
+    found = [_refined(old, new, floors, *guess, config) for guess in guesses]
+    kept: list[_Candidate] = []
+    for one in sorted(found, key=lambda candidate: -candidate.merit_m):
+        near = [k for k, other in enumerate(kept) if _is_same(one, other, search)]
+        if not near and one.merit_m > 0.0:
+            kept.append(one)
+        elif near and kept[near[0]].party is None:  # the same, and some submaps found it
+            kept[near[0]] = replace(kept[near[0]], party=one.party)
+    return kept
+
+
+def _is_same(one: _Candidate, other: _Candidate, search: TransformSearch) -> bool:
+    return not differ(one.old_from_new, other.old_from_new, search.centre, RIVAL_M, RIVAL_RAD)
+
+
+def _refined(
+    old: PreparedGrid,
+    new: PreparedGrid,
+    floors: Floors,
+    guess: Pose2,
+    party: Party | None,
+    config: RecognitionConfig,
+) -> _Candidate:
+    few = evenly(new.walls, _ROUGH_POINTS)
+    near = refine(old.field, few, guess, _ROUGH_STEPS, _ROUGH_SHIFT_M).pose
+    fine = refine(old.field.sharper(), new.walls, near, _FINE_STEPS, _FINE_SHIFT_M).pose
+    around_m = _WALLS_PER_M2 * floors.common_m2(fine)
+    return _Candidate(fine, min(net_walls_m(old, new, fine, config), around_m), party)
+
+
+def _doubt(found: Alignment, ranked: Sequence[_Candidate]) -> str:
+    """Why a transform is not to be believed; empty when it is."""
+    ground = found.ground
+    assert ground is not None
+    if found.area_m2 < _LEAST_AREA_M2 or ground.confirmed_m < _LEAST_WALLS_M:
+        return (
+            f"the maps have too little in common: at best {found.area_m2:.0f} m2 "
+            f"and {ground.confirmed_m:.0f} m of wall"
+        )
+    if ground.score < _LEAST_SCORE or ground.residual_m > _MOST_RESIDUAL_M:
+        return (
+            f"what both maps saw does not agree: where they fit best, {ground.confirmed:.0%} of "
+            f"the walls are in both and {ground.contradicted:.0%} stand in free space of the other"
+        ).replace("%", " %")
+    if ground.at_odds > _MOST_ODD:
+        return (
+            f"what both maps saw does not agree everywhere: {ground.at_odds:.0%} of the walls are "
+            "in submaps that do not fit: another floor of one plan, or a part that was rebuilt"
+        ).replace("%", " %")
+    if found.rival > _MOST_RIVAL:
+        return f"ambiguous: the maps fit in more than one way, {_gap(ranked)}"
+    if found.party < _LEAST_PARTY and not _is_sure_alone(found, ground):
+        return (
+            "too few submaps were recognised: a few rooms that look alike may be of two buildings"
+        )
+    return ""
+
+
+def _is_sure_alone(found: Alignment, ground: CommonGround) -> bool:
+    """Whether a transform that submaps did not find is large, all of a map, and like no other."""
+    return (
+        found.area_m2 >= _ALONE_AREA_M2
+        and ground.confirmed_m >= _ALONE_WALLS_M
+        and ground.shared >= _ALONE_SHARED
+        and found.rival <= _ALONE_RIVAL
+    )
+
+
+def _gap(ranked: Sequence[_Candidate]) -> str:
+    """How far apart the first two transforms are, in words."""
+    away = ranked[0].old_from_new.inverse() @ ranked[1].old_from_new
+    turn = math.degrees(abs(wrap_angle(away.theta)))
+    return f"{away.distance:.1f} m and {turn:.0f} degrees apart"
+
+
+def _praise(found: Alignment) -> str:
+    """What a transform stands on."""
+    return (
+        f"{counted(found.votes, 'pair')} of submaps agree, {found.area_m2:.0f} m2 are in both maps"
+    )

@@ -1,0 +1,190 @@
+"""How well two maps agree where both of them saw: their walls, submap by submap.
+
+A map that is bent a little by drift fits another one nowhere exactly. So each submap may lie off by
+what a layout leaves open, and how far off it was is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.sampling import evenly
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.grids.matching import refine
+from specmap_cli.recognition.closure.known_map import Pieces
+from specmap_cli.recognition.closure.prepared import PreparedGrid
+from specmap_cli.recognition.closure.verification import CONTRADICTION_WEIGHT, agreement
+
+# How far a submap may lie from where one rigid transform puts it: what a layout leaves open, as
+# `relaxation.closure_slack_m` does; and by how much it may be turned.
+_SLACK_M, _SLACK_RAD = 0.5, math.radians(3.0)
+_ODD = 0.5  # score of a submap of which a quarter, at the least, is not what the other map saw
+_POINTS, _STEPS = 300, 8  # of the match of a submap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PieceFit:
+    """One submap of either map under a transform, and where it fits best nearby.
+
+    `known_m` of its `walls_m` lie where the other map saw; `confirmed_m` of these are there, too,
+    and `contradicted_m` stand in its free space. `old_from_new` is the transform that fits it best,
+    `off_m` away where it lies, at `centre` (2,) in the new map.
+    """
+
+    submap: int
+    of_new: bool
+    walls_m: float
+    known_m: float
+    confirmed_m: float
+    contradicted_m: float
+    old_from_new: Pose2
+    off_m: float
+    centre: FloatArray
+
+    @property
+    def score(self) -> float:
+        """The share confirmed less twice the share contradicted."""
+        lost = CONTRADICTION_WEIGHT * self.contradicted_m
+        return (self.confirmed_m - lost) / self.known_m if self.known_m > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommonGround:
+    """Two maps under a transform, where both saw.
+
+    `confirmed` and `contradicted` are shares of the walls that both maps know about, the worse of
+    both maps'; `confirmed_m` metres of wall that agree; `shared` the part of the smaller map's
+    walls that the other one knows about; `residual_m` (root mean square) and `farthest_m`: how far
+    submaps lie off.
+    """
+
+    old_from_new: Pose2
+    pieces: tuple[PieceFit, ...]
+    confirmed: float
+    contradicted: float
+    confirmed_m: float
+    shared: float
+    residual_m: float
+    farthest_m: float
+
+    @property
+    def at_odds(self) -> float:
+        """The share of the walls that are in submaps which do not fit, the worse of both maps'."""
+        return max(
+            _at_odds([fit for fit in self.pieces if fit.of_new is side]) for side in (True, False)
+        )
+
+    @property
+    def score(self) -> float:
+        """The share confirmed less twice the share contradicted."""
+        return self.confirmed - CONTRADICTION_WEIGHT * self.contradicted
+
+
+def common_ground(
+    old: tuple[Pieces, PreparedGrid],
+    new: tuple[Pieces, PreparedGrid],
+    old_from_new: Pose2,
+    config: RecognitionConfig,
+) -> CommonGround:
+    """Two maps, each its submaps and its whole grid, under a transform."""
+    there = _fits(new[0], old[1], old_from_new, config)
+    back = [_turned(fit) for fit in _fits(old[0], new[1], old_from_new.inverse(), config)]
+    sides = [_Side.of(there), _Side.of(back)]
+    fits = (*there, *back)
+    weights = np.array([fit.confirmed_m for fit in fits])
+    off = np.array([fit.off_m for fit in fits])
+    heavy = weights.sum() > 0.0
+    return CommonGround(
+        old_from_new=old_from_new,
+        pieces=fits,
+        confirmed=min(side.confirmed for side in sides),
+        contradicted=max(side.contradicted for side in sides),
+        confirmed_m=min(side.confirmed_m for side in sides),
+        shared=max(side.shared for side in sides),
+        residual_m=math.sqrt(float(np.average(off**2, weights=weights))) if heavy else 0.0,
+        farthest_m=float(off[weights > 0.0].max(initial=0.0)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    """The submaps of one map, judged by the other map."""
+
+    confirmed: float
+    contradicted: float
+    confirmed_m: float
+    shared: float
+
+    @classmethod
+    def of(cls, fits: Sequence[PieceFit]) -> _Side:
+        known = sum(fit.known_m for fit in fits)
+        confirmed = sum(fit.confirmed_m for fit in fits)
+        contradicted = sum(fit.contradicted_m for fit in fits)
+        if known <= 0.0:
+            return cls(0.0, 0.0, 0.0, 0.0)
+        walls = sum(fit.walls_m for fit in fits)
+        return cls(confirmed / known, contradicted / known, confirmed, known / walls)
+
+
+def _fits(
+    of: Pieces, whole: PreparedGrid, whole_from_map: Pose2, config: RecognitionConfig
+) -> list[PieceFit]:
+    """Each submap of one map against the whole grid of the other."""
+    fits = []
+    for i in of.known.ids:
+        piece = of.of(i)
+        if piece is not None:
+            fits.append(_fit(i, piece, of.known.frames[i], whole, whole_from_map, config))
+    return fits
+
+
+def _fit(
+    submap: int,
+    piece: PreparedGrid,
+    frame: Pose2,
+    whole: PreparedGrid,
+    whole_from_map: Pose2,
+    config: RecognitionConfig,
+) -> PieceFit:
+    guess = whole_from_map @ frame
+    points = evenly(piece.walls, _POINTS)
+    best = refine(whole.field, points, guess, _STEPS, _SLACK_M).pose
+    if abs(wrap_angle(best.theta - guess.theta)) > _SLACK_RAD:
+        best = guess
+    said = agreement(whole.area, best.apply(piece.walls), config)
+    walls_m = len(piece.walls) * piece.metres_a_point
+    known_m = said.known * walls_m
+    middle = piece.walls.mean(axis=0)[None]
+    return PieceFit(
+        submap=submap,
+        of_new=True,
+        walls_m=walls_m,
+        known_m=known_m,
+        confirmed_m=said.confirmed * known_m,
+        contradicted_m=said.contradicted * known_m,
+        old_from_new=best @ frame.inverse(),
+        off_m=math.dist(best.apply(middle)[0], guess.apply(middle)[0]),
+        centre=frame.apply(middle)[0],
+    )
+
+
+def _at_odds(fits: Sequence[PieceFit]) -> float:
+    """The share of the walls that the other map knows about in submaps that do not fit."""
+    known = sum(fit.known_m for fit in fits)
+    odd = sum(fit.known_m for fit in fits if fit.score < _ODD)
+    return odd / known if known > 0.0 else 0.0
+
+
+def _turned(fit: PieceFit) -> PieceFit:
+    """The fit of a submap of the old map, which was sought in the new one."""
+    return replace(
+        fit,
+        of_new=False,
+        old_from_new=fit.old_from_new.inverse(),
+        centre=fit.old_from_new.apply(fit.centre[None])[0],
+    )

@@ -1,0 +1,90 @@
+"""Which submaps of two maps may be one place: how each map's classifiers claim the other's (xi).
+
+A finished map keeps no scans. What its robot saw is cast anew in its grids, all round, from places
+on its track; the classifiers of virtual scans are asked for these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.sampling import evenly
+from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.recognition.closure.known_map import KnownMap
+from specmap_cli.recognition.features.sets import scans_features
+from specmap_cli.recognition.features.virtual import cast_circles
+from specmap_cli.recognition.learning.classifiers import Recogniser
+
+_PLACES = 16  # of a submap from which scans are cast: a mean of chances to a tenth
+_DECIMALS = 6  # of a chance: the last digits of an exponential depend on the processor
+_AREA_PRIOR = 0.5  # times the logarithm of a ratio of areas, where no classifier can be asked
+
+Pair = tuple[int, int]
+
+
+def likely_pairs(
+    old: KnownMap, new: KnownMap, config: LocalizationConfig, candidates: int
+) -> list[Pair]:
+    """Pairs (old submap, new submap) worth a match of their grids, the likeliest first.
+
+    Of each submap the `candidates` best ranked ones of the other map.
+    """
+    ranks = _ranks(old, new, config)
+    best_new = np.argsort(-ranks, axis=1, kind="stable")[:, :candidates]
+    best_old = np.argsort(-ranks, axis=0, kind="stable")[:candidates]
+    chosen = {(i, j) for i, row in enumerate(best_new.tolist()) for j in row}
+    chosen |= {(i, j) for row in best_old.tolist() for j, i in enumerate(row)}
+    ordered = sorted(chosen, key=lambda pair: (-ranks[pair], pair))
+    return [(old.ids[i], new.ids[j]) for i, j in ordered]
+
+
+def _ranks(old: KnownMap, new: KnownMap, config: LocalizationConfig) -> FloatArray:
+    """(n_old, n_new) the product of the chances by which two submaps claim each other (eq. 5)."""
+    asked_old, asked_new = _asked(old), _asked(new)
+    if asked_old is None or asked_new is None or asked_old.feature_set != asked_new.feature_set:
+        return _by_area(old, new)
+    old_scans = _cast(old, asked_new.feature_set, config)
+    new_scans = _cast(new, asked_old.feature_set, config)
+    new_by_old = _chances(asked_old, old.ids, new_scans).T
+    return np.asarray(new_by_old * _chances(asked_new, new.ids, old_scans))
+
+
+def _asked(known: KnownMap) -> Recogniser | None:
+    """The classifiers that are asked for virtual scans: they know every submap, or are none."""
+    virtual = None if known.classifiers is None else known.classifiers.virtual
+    if virtual is None or set(virtual.ids) != set(known.ids):
+        return None
+    return virtual if all(len(known.tracks.get(i, ())) for i in known.ids) else None
+
+
+def _cast(known: KnownMap, feature_set: str, config: LocalizationConfig) -> list[FloatArray]:
+    """Features (n, F) of virtual scans of every submap, by id."""
+    features = []
+    for i in known.ids:
+        places = evenly(np.asarray(known.tracks[i])[:, :2], _PLACES)
+        origins = known.frames[i].inverse().apply(places)
+        scans = cast_circles(known.grids[i], origins, config.virtual_beams, config.virtual_range_m)
+        features.append(np.asarray(scans_features(scans, feature_set), dtype=np.float64))
+    return features
+
+
+def _chances(asked: Recogniser, ids: Sequence[int], scans: Sequence[FloatArray]) -> FloatArray:
+    """(len(scans), len(ids)) mean chances by which each submap claims each group of scans."""
+    columns = [asked.ids.index(i) for i in ids]
+    starts = np.cumsum([0, *(len(own) for own in scans)])[:-1]
+    margins = asked.margins(np.concatenate(scans))[:, columns]
+    counts = np.array([len(own) for own in scans], dtype=np.float64)[:, None]
+    chances = np.add.reduceat(1.0 / (1.0 + np.exp(-margins)), starts) / counts
+    return np.asarray(np.round(chances, _DECIMALS))
+
+
+def _by_area(old: KnownMap, new: KnownMap) -> FloatArray:
+    """(n_old, n_new) how alike the free areas of submaps are, in (0, 1]."""
+    areas = [
+        np.log([max(known.grids[i].free_area_m2, 1.0) for i in known.ids]) for known in (old, new)
+    ]
+    gaps = np.abs(areas[0][:, None] - areas[1][None, :])
+    return np.asarray(np.round(np.exp(-_AREA_PRIOR * gaps), _DECIMALS))

@@ -1,0 +1,124 @@
+"""Where one map lies in another: found, or refused with the reason."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angle
+from specmap_cli.core.settings import Config
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
+from specmap_cli.recognition.closure.alignment import Alignment, align
+from specmap_cli.recognition.closure.known_map import KnownMap
+from tests.recognition.closure.floors import CELL_M, Floor, floor, random_floor, seen
+
+CONFIG = Config()
+ALL = range(7)
+ALIKE = floor([(3.5, 4.5)] * 6, [0.5] * 6)
+
+
+def aligned(old: KnownMap, new: KnownMap) -> Alignment:
+    return align(old, new, CONFIG)
+
+
+def assert_right(found: Alignment, truth: Pose2, metres: float = 0.02) -> None:
+    assert found.old_from_new is not None, found.reason
+    error = truth.inverse() @ found.old_from_new
+    assert error.distance < metres
+    assert abs(wrap_angle(error.theta)) < math.radians(0.1)
+
+
+@pytest.mark.parametrize(("seed", "turn"), [(0, 0.0), (1, 2.0), (2, -0.7), (3, math.pi)])
+def test_two_maps_of_one_floor(seed: int, turn: float) -> None:
+    plan, frame = random_floor(seed), Pose2(3.0, 2.0, turn)
+    found = aligned(seen(plan, ALL, IDENTITY), seen(plan, ALL, frame))
+    assert_right(found, frame)
+    assert found.party >= 3
+    assert {(joint.old, joint.new) for joint in found.joints} >= {(k, k) for k in range(6)}
+    for joint in found.joints:
+        assert joint.off_m < 2 * CELL_M
+        assert math.dist(joint.map_from_map[:2], frame[:2]) < 0.3
+    assert found.area_m2 == pytest.approx(plan.grid.free_area_m2, rel=0.05)
+
+
+def test_the_other_way_round_is_the_inverse() -> None:
+    plan, frame = random_floor(5), Pose2(-1.0, 4.0, 1.0)
+    old, new = seen(plan, ALL, IDENTITY), seen(plan, ALL, frame)
+    there, back = aligned(old, new), aligned(new, old)
+    assert there.old_from_new is not None
+    assert back.old_from_new is not None
+    both = there.old_from_new @ back.old_from_new
+    assert both.distance < 0.03
+    assert abs(both.theta) < 0.002
+
+
+def test_maps_that_share_some_rooms() -> None:
+    plan, frame = random_floor(1, rooms=8), Pose2(5.0, 1.0, 0.4)
+    old, new = seen(plan, [0, 1, 2, 3, 4], IDENTITY), seen(plan, [3, 4, 5, 6, 7], frame)
+    assert_right(aligned(old, new), frame)
+
+
+def test_furniture_that_was_moved_does_not_matter() -> None:
+    plan = random_floor(4)
+    boxes = [(a + 0.5, b + 1.2, a + 1.3, b + 1.6) for a, b, _, _ in plan.rooms[:3]]
+    frame = Pose2(1.0, 1.0, -2.0)
+    found = aligned(seen(plan, ALL, IDENTITY), seen(plan.with_boxes(*boxes), ALL, frame))
+    assert_right(found, frame)
+
+
+@pytest.mark.parametrize(("one", "other"), [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (6, 7)])
+def test_other_buildings_are_refused(one: int, other: int) -> None:
+    old = seen(random_floor(one), ALL, IDENTITY)
+    for rooms in (range(7), (0, 1), (2,)):
+        found = aligned(old, seen(random_floor(other), rooms, Pose2(1.0, 2.0, 0.5)))
+        assert found.old_from_new is None
+        assert found.reason
+
+
+def test_a_mirrored_floor_is_refused() -> None:
+    plan = random_floor(3)
+    found = aligned(seen(plan, ALL, IDENTITY), seen(plan.mirrored(), ALL, Pose2(0.0, 0.0, 1.0)))
+    assert found.old_from_new is None
+
+
+def test_some_of_a_row_of_equal_offices_are_ambiguous() -> None:
+    old, new = seen(ALIKE, [0, 1, 2, 3, 4, 5], IDENTITY), seen(ALIKE, [1, 2], Pose2(1.0, 0.0, 0.2))
+    found = aligned(old, new)
+    assert found.old_from_new is None
+    assert "ambiguous" in found.reason
+    assert found.rival > 0.9
+
+
+def test_one_empty_room_is_not_enough() -> None:
+    plan = floor([(3.0, 4.0), (5.0, 4.5)], [0.5, 0.2])
+    found = aligned(seen(plan, [0, 1, 2], IDENTITY), seen(plan, [0], Pose2(0.0, 0.0, 0.3)))
+    assert found.old_from_new is None
+
+
+def test_a_floor_with_another_wing_is_refused() -> None:
+    first, second = random_floor(1), random_floor(2)
+    left = first.cells.shape[1] // 2
+    height = max(first.cells.shape[0], second.cells.shape[0])
+    cells = np.ones((height, first.cells.shape[1]), dtype=np.uint8)
+    cells[: first.cells.shape[0], :left] = first.cells[:, :left]
+    wing = second.cells[:, left : first.cells.shape[1]]
+    cells[: wing.shape[0], left : left + wing.shape[1]] = wing
+    other = Floor(cells, first.rooms)
+    found = aligned(seen(first, ALL, IDENTITY), seen(other, ALL, Pose2(2.0, 0.0, 0.1)))
+    assert found.old_from_new is None
+    assert "does not agree" in found.reason
+
+
+def test_maps_without_walls_say_so() -> None:
+    empty = GridMap(np.full((40, 40), FREE, dtype=np.uint8), CELL_M)
+    bare = KnownMap(whole=empty, grids={0: empty}, frames={0: IDENTITY}, tracks={})
+    assert "too few walls" in aligned(bare, bare).reason
+    nothing = KnownMap(
+        whole=GridMap(np.full((1, 1), UNKNOWN, dtype=np.uint8), CELL_M),
+        grids={},
+        frames={},
+        tracks={},
+    )
+    assert aligned(nothing, seen(ALIKE, [0], IDENTITY)).old_from_new is None

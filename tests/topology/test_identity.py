@@ -1,0 +1,138 @@
+"""Which submap of one map is which of another: counted over what both maps saw."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.topology.identity import Identity, identify
+from specmap_cli.topology.regions import NOBODY, Regions
+
+CELL_M = 0.1
+
+
+def regions(picture: str) -> Regions:
+    """A metre a letter: a digit owns its floor, `#` is wall, `.` floor of nobody, else unknown."""
+    rows = picture.split()[::-1]
+    owner = np.array([[int(c) if c.isdigit() else NOBODY for c in row] for row in rows])
+    states = {"#": OCCUPIED, " ": UNKNOWN, "?": UNKNOWN}
+    cells = np.array([[states.get(c, FREE) for c in row] for row in rows], dtype=np.uint8)
+    return Regions.of(GridMap(_finer(cells), CELL_M), _finer(owner))
+
+
+def _finer(cells: NDArray[Any]) -> NDArray[Any]:
+    side = round(1.0 / CELL_M)
+    return np.kron(cells, np.ones((side, side), dtype=cells.dtype))
+
+
+HOUSE = """
+#########
+#000#111#
+#000#111#
+#2222222#
+#########
+"""
+
+
+def same_of(identity: Identity) -> dict[int, int]:
+    return {pair.old: pair.new for pair in identity.same}
+
+
+def test_a_map_is_the_same_as_itself() -> None:
+    found = identify(regions(HOUSE), regions(HOUSE), IDENTITY)
+    assert same_of(found) == {0: 0, 1: 1, 2: 2}
+    assert all(pair.iou == pytest.approx(1.0) for pair in found.same)
+    assert not any((found.splits, found.merges, found.added, found.unseen, found.gone))
+    assert found.redrawn == ((), ())
+
+
+def test_other_numbers_and_borders_a_little_elsewhere() -> None:
+    new = regions("#########\n#777#333#\n#777#335#\n#5555555#\n#########")
+    found = identify(regions(HOUSE), new, IDENTITY)
+    assert same_of(found) == {0: 7, 1: 3, 2: 5}
+    assert found.old_of_new[3] == 1
+    assert {pair.old: round(pair.iou, 2) for pair in found.same} == {0: 1.0, 1: 0.83, 2: 0.87}
+
+
+def test_a_split_submap_keeps_its_id_in_the_larger_part() -> None:
+    new = regions("#########\n#000#111#\n#000#111#\n#2222233#\n#########")
+    found = identify(regions(HOUSE), new, IDENTITY)
+    assert same_of(found) == {0: 0, 1: 1, 2: 2}
+    assert found.splits == {2: (2, 3)}
+    assert not found.added
+    assert found.redrawn == ((), ())
+
+
+def test_merged_submaps() -> None:
+    new = regions("#########\n#000#111#\n#000#111#\n#1111111#\n#########")
+    found = identify(regions(HOUSE), new, IDENTITY)
+    assert same_of(found) == {0: 0, 2: 1}
+    assert found.merges == {1: (1, 2)}
+    assert not found.gone
+    assert not found.unseen
+
+
+def test_what_only_one_map_saw_is_new_or_unseen_and_a_filled_room_is_gone() -> None:
+    new = regions(
+        """
+        ??#####????
+        ??#777#????
+        ??#777#????
+        666########
+        666########
+        """
+    )
+    # the corridor is walled up, room 1 was not visited, 6 is space that the old map never saw
+    found = identify(regions(HOUSE), new, Pose2(-2.0, 0.0, 0.0))
+    assert same_of(found) == {0: 7}
+    assert found.added == (6,)
+    assert found.unseen == (1,)
+    assert found.gone == (2,)
+
+
+def test_borders_drawn_all_anew() -> None:
+    old, new = (
+        regions("########\n#000111#\n#000111#\n########"),
+        regions("########\n#222222#\n#333333#\n########"),
+    )
+    found = identify(old, new, IDENTITY)
+    assert not found.same
+    assert found.redrawn == ((0, 1), (2, 3))
+
+
+def test_maps_without_a_cell_in_common() -> None:
+    found = identify(regions(HOUSE), regions(HOUSE), Pose2(100.0, 0.0, 0.0))
+    assert not found.same
+    assert found.added == (0, 1, 2)
+    assert found.unseen == (0, 1, 2)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-math.pi, math.pi, exclude_max=True))
+def test_the_frame_of_the_new_map_does_not_matter(x: float, y: float, turn: float) -> None:
+    old_from_new = Pose2(x, y, turn)
+    old = regions(HOUSE)
+    side = 200
+    cells = np.argwhere(np.ones((side, side), dtype=bool))
+    canvas = GridMap(np.full((side, side), UNKNOWN, dtype=np.uint8), CELL_M, (-10.0, -10.0))
+    places = old_from_new.apply(canvas.centres_of(cells))
+    inside = old.grid.inside(old.grid.cells_of(places))
+    owner = np.full((side, side), NOBODY)
+    rows, columns = old.grid.cells_of(places[inside]).T
+    owner.reshape(-1)[inside] = old.owner[rows, columns]
+    canvas.cells.reshape(-1)[:] = old.grid.values_at(places)
+    found = identify(old, Regions.of(canvas, owner), old_from_new)
+    whole = {
+        i
+        for i in (0, 1, 2)
+        if np.count_nonzero(owner == i) > 0.98 * np.count_nonzero(old.owner == i)
+    }
+    assert {i: i for i in whole}.items() <= same_of(found).items()
+    assert all(pair.iou > 0.8 for pair in found.same if pair.old in whole)
