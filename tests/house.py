@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +15,11 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.maps.writing import MapResult
 from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import (
+    Break,
     Edge,
     LogInfo,
+    Property,
+    Stay,
     Submap,
     TopologicalMap,
     Traversal,
@@ -46,6 +50,13 @@ def _submap(id_: int, frame: Pose2, size: tuple[float, float]) -> Submap:
     )
 
 
+def stay(number: int, submap: int, keyframes: Iterable[int]) -> Stay:
+    """A stay, a keyframe a second."""
+    of = tuple(keyframes)
+    start, end = (START_NS + k * 1_000_000_000 for k in (of[0], of[-1]))
+    return Stay(number=number, submap=submap, keyframes=of, start_ns=start, end_ns=end)
+
+
 def whole_of(submaps: Iterable[Submap]) -> GridMap:
     """The grids of submaps laid out in the map: occupied wins over free, free over unknown."""
     canvas = GridMap(np.full((180, 180), UNKNOWN, dtype=np.uint8), RESOLUTION, (-9.0, -9.0))
@@ -61,9 +72,10 @@ def whole_of(submaps: Iterable[Submap]) -> GridMap:
 @pytest.fixture
 def result() -> MapResult:
     """Corridor 0, room 1 driven into, room 2 joined by a closure; 10 keyframes each."""
+    noted: dict[str, Property] = {"floor": 2, "heated": True, "owner": "Ann", "rent": 9.5}
     submaps = {
         0: _submap(0, Pose2(0.0, 0.0, 0.0), (12.0, 2.0)),
-        1: _submap(1, Pose2(-3.0, 3.5, 0.3), (3.0, 4.0)),
+        1: replace(_submap(1, Pose2(-3.0, 3.5, 0.3), (3.0, 4.0)), properties=noted),
         2: _submap(2, Pose2(3.0, 3.5, -2.0), (4.0, 3.0)),
     }
     crossing = Traversal(1_700_000_010_000_001_000, 0, 1, Pose2(-3.0, 1.25, 1.5))
@@ -102,7 +114,19 @@ def result() -> MapResult:
             reason="claims too low",
         ),
     )
-    topology = TopologicalMap(submaps=submaps, edges=edges, closures=closures)
+    topology = TopologicalMap(
+        submaps=submaps,
+        edges=edges,
+        closures=closures,
+        stays=(
+            stay(0, 0, (0, 1, 2, 3, 4, 8, 9)),
+            stay(1, 1, range(10, 20)),
+            stay(2, 2, range(20, 30)),
+            stay(3, 0, (5, 6, 7)),
+        ),
+        breaks=(Break(20, (0.5, 0.05)), Break(25)),
+        next_id=5,
+    )
     stamps = START_NS + np.arange(30) * 1_000_000_000
     poses = np.array(
         [
@@ -111,7 +135,7 @@ def result() -> MapResult:
         ]
     )
     labels = Labels(stamps_ns=stamps, poses=poses, submaps=np.repeat(np.arange(3), 10))
-    log = LogInfo("house.mcap", int(stamps[0]), int(stamps[-1]), 30)
+    log = LogInfo("house.mcap", int(stamps[0]), int(stamps[-1]), 30, (0, 29))
     run = {"config": Config().model_dump(), "seconds": {"write": 0.25}, "warnings": []}
     return MapResult(
         topology=topology,
@@ -119,7 +143,7 @@ def result() -> MapResult:
         trajectory=Trajectory(stamps, poses),
         labels=labels,
         classifiers="{}\n",
-        log=log,
+        logs=(log,),
         run=run,
         pose_graph="",
         overview=np.full((30, 40, 3), 200, dtype=np.uint8),

@@ -42,6 +42,9 @@ def export(
 
     check_files([out], [map_], common, overwrite=overwrite)
     stored = read_map(map_, settings.load().limits)
+    with common.progress() as progress:
+        if stored.note:
+            progress.note(stored.note)
     export_map(stored, format_, out, overwrite=overwrite)
     result = {
         "map": str(map_),

@@ -42,6 +42,8 @@ def _submap(node: NodeRecord) -> dict[str, Any]:
             "kind": "submap",
             "id": node.id,
             "name": node.name,
+            "submap_kind": node.kind,
+            "properties": node.properties,
             "area_m2": node.area_m2,
             "scans": node.scans,
             "visits": len(node.visits),

@@ -26,9 +26,11 @@ class GraphMl:
 
 
 def _of_node(node: NodeRecord) -> dict[str, Any]:
-    """The properties of a submap; GraphML holds single values only."""
+    """The properties of a submap, a person's own under `property.`: GraphML holds single values."""
     x, y = node.centroid or (node.x, node.y)
     return {
+        **{f"property.{key}": value for key, value in node.properties.items()},
+        **({} if node.kind is None else {"kind": node.kind}),
         "name": node.name,
         "x": x,
         "y": y,

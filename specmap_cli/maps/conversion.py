@@ -1,30 +1,32 @@
-"""Topological maps as the records of topology.json, and back."""
+"""Topological maps as the records of topology.json, and back: submaps and edges."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from specmap_cli.core.findings import Quality
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.records import Closure
-from specmap_cli.core.text import nanoseconds, plain, rounded, seconds
+from specmap_cli.core.text import nanoseconds, rounded, seconds
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.maps.graph_conversion import (
+    break_of,
+    closure_of,
+    graph_record,
+    stay_of,
+)
 from specmap_cli.maps.schema import (
-    SCHEMA_VERSION,
-    ClosureRecord,
     EdgeRecord,
-    GraphRecord,
-    LogRecord,
     NodeRecord,
-    QualityRecord,
     TopologyRecord,
     TraversalRecord,
     VisitRecord,
 )
+from specmap_cli.maps.schema_values import point, transform
+from specmap_cli.topology.kinds import kind_of
 from specmap_cli.topology.outlines import Outline
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import (
@@ -45,7 +47,7 @@ def image_stem(submap: int) -> str:
 def to_record(
     topology: TopologicalMap,
     regions: Regions,
-    log: LogInfo,
+    logs: Sequence[LogInfo],
     frame: str = "map",
     quality: Quality | None = None,
 ) -> TopologyRecord:
@@ -53,18 +55,7 @@ def to_record(
     return TopologyRecord(
         directed=False,
         multigraph=False,
-        graph=GraphRecord(
-            schema_version=SCHEMA_VERSION,
-            frame=frame,
-            log=LogRecord(
-                name=log.name,
-                start=None if log.start_ns is None else seconds(log.start_ns),
-                end=None if log.end_ns is None else seconds(log.end_ns),
-                scans=log.scans,
-            ),
-            closures=[_closure_record(closure) for closure in topology.closures],
-            quality=None if quality is None else _quality_record(quality),
-        ),
+        graph=graph_record(topology, logs, frame, quality),
         nodes=[
             _node_record(topology.submaps[id_], regions.outline(id_))
             for id_ in sorted(topology.submaps)
@@ -87,39 +78,26 @@ def from_record(
             for node in record.nodes
         },
         edges={(edge.source, edge.target): _edge(edge) for edge in record.edges},
-        closures=tuple(_closure(closure) for closure in record.graph.closures),
+        closures=tuple(closure_of(closure) for closure in record.graph.closures),
+        stays=tuple(stay_of(stay) for stay in record.graph.stays),
+        breaks=tuple(break_of(each) for each in record.graph.breaks),
+        next_id=record.graph.next_id,
     )
 
 
-def _quality_record(quality: Quality) -> QualityRecord:
-    return QualityRecord.model_validate(plain(quality.as_dict()))
-
-
-def _numbers(values: Iterable[float]) -> tuple[float, ...]:
-    return tuple(float(rounded(float(value)) or 0.0) for value in values)
-
-
-def _transform(pose: Pose2) -> tuple[float, float, float]:
-    x, y, theta = _numbers(pose)
-    return x, y, theta
-
-
-def _point(point: Iterable[float]) -> tuple[float, float]:
-    x, y = _numbers(point)
-    return x, y
-
-
 def _node_record(submap: Submap, shape: Outline) -> NodeRecord:
-    x, y, theta = _transform(submap.map_from_submap)
+    x, y, theta = transform(submap.map_from_submap)
     return NodeRecord(
         id=submap.id,
         name=submap.name or f"submap {submap.id}",
+        kind=submap.kind or kind_of(shape.polygon),
+        properties=dict(submap.properties),
         x=x,
         y=y,
         theta=theta,
-        centroid=None if shape.centroid is None else _point(shape.centroid),
-        polygon=[_point(point) for point in shape.polygon],
-        area_m2=_numbers([shape.area_m2])[0],
+        centroid=None if shape.centroid is None else point(shape.centroid),
+        polygon=[point(corner) for corner in shape.polygon],
+        area_m2=rounded(shape.area_m2) or 0.0,
         scans=len(submap.keyframes),
         visits=[
             VisitRecord(start=seconds(visit.start_ns), end=seconds(visit.end_ns))
@@ -144,14 +122,14 @@ def _edge_record(edge: Edge, topology: TopologicalMap, regions: Regions) -> Edge
         traversals=[_traversal_record(traversal) for traversal in edge.traversals],
         x=None if crossing is None else rounded(crossing[0]),
         y=None if crossing is None else rounded(crossing[1]),
-        distance_m=_numbers([way])[0],
+        distance_m=rounded(way) or 0.0,
         width_m=None if edge.width_m is None else rounded(edge.width_m),
-        transform=_transform(edge.source_from_target),
+        transform=transform(edge.source_from_target),
     )
 
 
 def _traversal_record(traversal: Traversal) -> TraversalRecord:
-    x, y, theta = _transform(traversal.pose)
+    x, y, theta = transform(traversal.pose)
     return TraversalRecord(
         stamp=seconds(traversal.stamp_ns),
         from_=traversal.source,
@@ -159,22 +137,6 @@ def _traversal_record(traversal: Traversal) -> TraversalRecord:
         x=x,
         y=y,
         theta=theta,
-    )
-
-
-def _closure_record(closure: Closure) -> ClosureRecord:
-    transform = closure.old_from_new
-    return ClosureRecord(
-        new=closure.new,
-        old=closure.old,
-        xi=rounded(closure.xi),
-        claims_new_by_old=rounded(closure.claims_new_by_old),
-        claims_old_by_new=rounded(closure.claims_old_by_new),
-        verified=closure.verified,
-        score=rounded(closure.score),
-        accepted=closure.merged,
-        reason=closure.reason,
-        transform=None if transform is None else _transform(transform),
     )
 
 
@@ -189,6 +151,8 @@ def _submap(node: NodeRecord, grid: GridMap, keyframes: Iterable[int]) -> Submap
         grid=grid,
         polygon=frame.inverse().apply(polygon),
         name=node.name,
+        kind=node.kind,
+        properties=node.properties,
     )
 
 
@@ -206,22 +170,3 @@ def _edge(edge: EdgeRecord) -> Edge:
         doorway=None if edge.traversals else place,
         width_m=edge.width_m,
     )
-
-
-def _closure(closure: ClosureRecord) -> Closure:
-    return Closure(
-        new=closure.new,
-        old=closure.old,
-        xi=_or_nan(closure.xi),
-        claims_new_by_old=_or_nan(closure.claims_new_by_old),
-        claims_old_by_new=_or_nan(closure.claims_old_by_new),
-        verified=closure.verified,
-        merged=closure.accepted,
-        score=_or_nan(closure.score),
-        reason=closure.reason,
-        old_from_new=None if closure.transform is None else Pose2(*closure.transform),
-    )
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value

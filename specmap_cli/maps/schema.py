@@ -10,178 +10,98 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal
+from pathlib import Path
+from typing import Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
-from specmap_cli.core.findings import Severity, Verdict
-from specmap_cli.topology.topological_map import EdgeKind
+from specmap_cli.maps.schema_graph import SCHEMA_VERSION, GraphRecord
+from specmap_cli.maps.schema_values import (
+    Amount,
+    Count,
+    InnerPath,
+    Number,
+    Point,
+    PropertyValue,
+    Record,
+    Stamp,
+    Transform,
+)
+from specmap_cli.topology.topological_map import EdgeKind, SubmapKind
 
-SCHEMA_VERSION = 1
 SCHEMA_FILE = Path(__file__).with_name("topology.schema.json")
+SCHEMA_ID = f"urn:specmap:topology:{SCHEMA_VERSION}"
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+class VisitRecord(Record):
+    """One visit of the robot to a submap."""
+
+    start: Stamp = Field(description="stamp of its first keyframe, seconds")
+    end: Stamp = Field(description="stamp of its last keyframe, seconds")
 
 
-def _inside(name: str) -> str:
-    """Refuse a file name that leads out of the map directory."""
-    parts = PurePosixPath(name).parts
-    plain = name.isprintable() and "\\" not in name and ":" not in name
-    if not parts or not plain or name.startswith("/") or ".." in parts:
-        raise ValueError("must be a plain relative path inside the map directory")
-    return name
+class NodeRecord(Record):
+    """One submap."""
+
+    id: Count = Field(description="never given again, and never changed once given")
+    name: str = Field(description="for people; they may change it")
+    kind: SubmapKind | None = Field(
+        description="what it is by its shape, or by a person's word; null where it has no area, or "
+        "nobody looked"
+    )
+    properties: dict[str, PropertyValue] = Field(description="whatever a person wants to note")
+    x: Number = Field(description="of its frame, in which the grid of `image` is drawn, metres")
+    y: Number = Field(description="of its frame, metres")
+    theta: Number = Field(description="of its frame, radians, counter-clockwise")
+    centroid: Point | None = Field(
+        description="free cell of the submap nearest to the mean of its cells; null without a cell"
+    )
+    polygon: list[Point] = Field(
+        description="border of its largest connected part, counter-clockwise, not closed"
+    )
+    area_m2: Amount = Field(description="area of its free cells, square metres")
+    scans: Count = Field(description="number of its keyframes")
+    visits: list[VisitRecord] = Field(description="when the robot was in it, in order")
+    image: InnerPath = Field(description="picture of its grid in this directory; a YAML beside it")
 
 
-def _within(limit: float) -> AfterValidator:
-    """Refuse numbers beyond a limit: sums and products of them would overflow."""
-
-    def check(value: Any) -> Any:
-        if not abs(value) <= limit:
-            raise ValueError(f"must be no larger than {limit:g}")
-        return value
-
-    return AfterValidator(check)
-
-
-Number = Annotated[float, _within(1e9)]  # metres, square metres, radians: what fits on the earth
-Amount = Annotated[float, Field(ge=0), _within(1e9)]  # as Number, never negative
-Stamp = Annotated[float, _within(9.2e9)]  # seconds: as nanoseconds they fit into 64 bits
-Point = tuple[Number, Number]
-Transform = tuple[Number, Number, Number]
-SubmapId = Annotated[int, Field(ge=0), _within(2**31 - 1)]
-InnerPath = Annotated[str, AfterValidator(_inside)]
-
-
-class LogRecord(_Record):
-    """The recording the map was made of; stamps are null for a map cut from a finished grid."""
-
-    name: str
-    start: Stamp | None
-    end: Stamp | None
-    scans: int = Field(ge=0)
-
-
-class ClosureRecord(_Record):
-    """One considered pair of submaps; `old` and `new` may since have been merged away.
-
-    `verified`: the grids match; `accepted`: `new` became part of `old`; `score` is null when the
-    grids were not compared; `transform` is `new` in the frame of `old`.
-    """
-
-    new: SubmapId
-    old: SubmapId
-    xi: float | None
-    claims_new_by_old: float | None
-    claims_old_by_new: float | None
-    verified: bool
-    score: float | None
-    accepted: bool
-    reason: str
-    transform: Transform | None
-
-
-class WhereRecord(_Record):
-    """When and where something was found; null where it has no stamp or no place."""
-
-    stamp: Stamp | None
-    x: Number | None
-    y: Number | None
-
-
-class FindingRecord(_Record):
-    """Something that was found out about the map; docs/quality.md lists the codes."""
-
-    code: str
-    severity: Severity
-    message: str
-    advice: str
-    value: float | None
-    limit: float | None
-    where: WhereRecord | None
-
-
-class QualityRecord(_Record):
-    """What is thought of the map: the gravest of the findings decides the verdict."""
-
-    verdict: Verdict
-    findings: list[FindingRecord]
-
-
-class GraphRecord(_Record):
-    """What holds for the whole map; `quality` is null where the map was not judged."""
-
-    schema_version: Literal[1]
-    frame: str
-    log: LogRecord
-    closures: list[ClosureRecord]
-    quality: QualityRecord | None = None
-
-
-class VisitRecord(_Record):
-    """One stay of the robot in a submap."""
-
-    start: Stamp
-    end: Stamp
-
-
-class NodeRecord(_Record):
-    """One submap; x, y, theta are its frame, in which the grid of `image` is drawn."""
-
-    id: SubmapId
-    name: str
-    x: Number
-    y: Number
-    theta: Number
-    centroid: Point | None
-    polygon: list[Point]
-    area_m2: Amount
-    scans: int = Field(ge=0)
-    visits: list[VisitRecord]
-    image: InnerPath
-
-
-class TraversalRecord(_Record):
+class TraversalRecord(Record):
     """One crossing of an edge, and the pose of the robot at that moment."""
 
     model_config = ConfigDict(populate_by_name=True)
 
-    stamp: Stamp
-    from_: SubmapId = Field(alias="from")
-    to: SubmapId
-    x: Number
-    y: Number
-    theta: Number
+    stamp: Stamp = Field(description="seconds")
+    from_: Count = Field(alias="from", description="id of the node that the robot left")
+    to: Count = Field(description="id of the node that it came to")
+    x: Number = Field(description="of the robot, metres")
+    y: Number = Field(description="of the robot, metres")
+    theta: Number = Field(description="of the robot, radians")
 
 
-class EdgeRecord(_Record):
-    """A link between two submaps; x, y is where it is crossed, null when it never was.
+class EdgeRecord(Record):
+    """An undirected link between two submaps."""
 
-    `distance_m` is the way from centroid to centroid through the crossing, `transform` the frame of
-    `target` in the frame of `source`, `width_m` the width of a doorway where it is known.
-    """
-
-    source: SubmapId
-    target: SubmapId
-    kind: EdgeKind
-    traversals: list[TraversalRecord]
-    x: Number | None
-    y: Number | None
-    distance_m: Amount
-    width_m: Amount | None
-    transform: Transform
+    source: Count = Field(description="id of a node, smaller than `target`")
+    target: Count = Field(description="id of a node")
+    kind: EdgeKind = Field(description="how the two are known to be joined")
+    traversals: list[TraversalRecord] = Field(description="each crossing, in order")
+    x: Number | None = Field(description="where it is crossed; null when that is not known")
+    y: Number | None = Field(description="where it is crossed; null when that is not known")
+    distance_m: Amount = Field(description="from centroid to centroid, through the crossing")
+    width_m: Amount | None = Field(description="of a doorway; null where it is not known")
+    transform: Transform = Field(
+        description="[x, y, theta] of the frame of `target` in the frame of `source`"
+    )
 
 
-class TopologyRecord(_Record):
+class TopologyRecord(Record):
     """The whole file."""
 
-    directed: Literal[False]
-    multigraph: Literal[False]
-    graph: GraphRecord
-    nodes: list[NodeRecord]
-    edges: list[EdgeRecord]
+    directed: Literal[False] = Field(description="for networkx")
+    multigraph: Literal[False] = Field(description="for networkx")
+    graph: GraphRecord = Field(description="what holds for the whole map")
+    nodes: list[NodeRecord] = Field(description="the submaps, by id")
+    edges: list[EdgeRecord] = Field(description="the links, by source and target")
 
 
 def json_schema() -> dict[str, Any]:
@@ -189,6 +109,7 @@ def json_schema() -> dict[str, Any]:
     schema = TopologyRecord.model_json_schema(by_alias=True)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": SCHEMA_ID,
         "title": "specmap topology.json",
         **{key: value for key, value in schema.items() if key != "title"},
     }

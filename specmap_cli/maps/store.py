@@ -5,7 +5,6 @@ Whatever is missing or damaged is a MapError of one line that names the file.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -19,15 +18,16 @@ from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.core.settings import Config, LimitsConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps import filenames
 from specmap_cli.maps.conversion import from_record
-from specmap_cli.maps.schema import SCHEMA_VERSION, TopologyRecord
-from specmap_cli.maps.tables import read_labels, read_text
+from specmap_cli.maps.json_files import first_finding, map_json, map_text
+from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.maps.tables import read_labels
+from specmap_cli.maps.topology_file import read_topology
 from specmap_cli.topology.regions import Regions, divide
 from specmap_cli.topology.topological_map import TopologicalMap
 
@@ -37,16 +37,21 @@ _FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell of a map; matching scans in finer
 class StoredMap:
     """A map directory: `record` is its topology.json, the other files are read when asked for.
 
-    `limits` bound the size of these files. Every property raises MapError when its file is missing
-    or damaged.
+    `limits` bound the size of these files; `note` is what a user should know of the map, if any.
+    Every property raises MapError when its file is missing or damaged.
     """
 
     def __init__(
-        self, path: Path, record: TopologyRecord, limits: LimitsConfig | None = None
+        self,
+        path: Path,
+        record: TopologyRecord,
+        limits: LimitsConfig | None = None,
+        note: str = "",
     ) -> None:
         self.path = path
         self.record = record
         self.limits = LimitsConfig() if limits is None else limits
+        self.note = note
 
     @property
     def ids(self) -> list[int]:
@@ -73,11 +78,26 @@ class StoredMap:
     @cached_property
     def topology(self) -> TopologicalMap:
         """The map with all its grids; keyframes are rows of `labels`."""
+        self._check_keyframes()
         return from_record(
             self.record,
             lambda node: self.grid(node.id),
             lambda id_: np.flatnonzero(self.labels.submaps == id_).tolist(),
         )
+
+    def _check_keyframes(self) -> None:
+        """Refuse stays and breaks of keyframes that are none, and a keyframe in two stays."""
+        graph = self.record.graph
+        runs = [run for stay in graph.stays for run in stay.keyframes]
+        if not runs and not graph.breaks:
+            return
+        known = len(self.labels.stamps_ns)
+        last = max([end for _, end in runs] + [each.keyframe for each in graph.breaks])
+        if last >= known or sum(end - start + 1 for start, end in runs) > known:
+            raise MapError(
+                f"{self.path / filenames.TOPOLOGY}: graph.stays and graph.breaks do not fit to the "
+                f"{counted(known, 'keyframe')} of {filenames.LABELS}: build the map again"
+            )
 
     @cached_property
     def regions(self) -> Regions:
@@ -125,12 +145,12 @@ class StoredMap:
                 f"{self.path}: has no {path.name}: `specmap segment` makes maps without; "
                 "localising needs one that `specmap build` made of a recording"
             )
-        return _read_text(path, self.limits)
+        return map_text(path, self.limits)
 
     @cached_property
     def run(self) -> dict[str, Any]:
         """The contents of run.json."""
-        run = _read_json(self.path / filenames.RUN, self.limits)
+        run = map_json(self.path / filenames.RUN, self.limits)
         if not isinstance(run, dict):
             raise MapError(f"{self.path / filenames.RUN}: not a JSON object: build the map again")
         return run
@@ -147,7 +167,7 @@ class StoredMap:
             return Config.model_validate(known)
         except ValidationError as error:
             raise MapError(
-                f"{self.path / filenames.RUN}: config: {_first(error)}: build the map again"
+                f"{self.path / filenames.RUN}: config: {first_finding(error)}: build the map again"
             ) from None
 
     @property
@@ -204,63 +224,5 @@ def read_map(path: str | Path, limits: LimitsConfig | None = None) -> StoredMap:
             "expected a directory written by `specmap build`"
         )
     limits = LimitsConfig() if limits is None else limits
-    return StoredMap(path, _read_record(topology, limits), limits)
-
-
-def _read_record(path: Path, limits: LimitsConfig) -> TopologyRecord:
-    document = _read_json(path, limits)
-    graph = document.get("graph") if isinstance(document, dict) else None
-    version = graph.get("schema_version") if isinstance(graph, dict) else None
-    if version != SCHEMA_VERSION:
-        raise MapError(
-            f"{path}: graph.schema_version is {version!r}: this version reads {SCHEMA_VERSION}: "
-            "build the map again"
-        )
-    try:
-        record = TopologyRecord.model_validate(document)
-    except ValidationError as error:
-        raise MapError(f"{path}: {_first(error)}: build the map again") from None
-    _check_references(path, record)
-    return record
-
-
-def _check_references(path: Path, record: TopologyRecord) -> None:
-    ids = {node.id for node in record.nodes}
-    if len(ids) != len(record.nodes):
-        raise MapError(f"{path}: nodes: an id occurs twice: build the map again")
-    for number, edge in enumerate(record.edges):
-        for end in (edge.source, edge.target):
-            if end not in ids:
-                raise MapError(
-                    f"{path}: edges.{number}: submap {end} is not among the nodes: "
-                    "build the map again"
-                )
-
-
-def _read_text(path: Path, limits: LimitsConfig) -> str:
-    try:
-        return read_text(path, limits)
-    except OSError as error:
-        raise MapError(f"{path}: cannot be read: {reason(error, 'build the map again')}") from None
-    except UnicodeDecodeError:
-        raise MapError(f"{path}: not UTF-8 text: build the map again") from None
-
-
-def _read_json(path: Path, limits: LimitsConfig) -> Any:
-    try:
-        return json.loads(_read_text(path, limits))
-    except json.JSONDecodeError as error:
-        raise MapError(
-            f"{path}: damaged JSON at line {error.lineno}: {error.msg}: build the map again"
-        ) from None
-    except RecursionError:
-        raise MapError(f"{path}: JSON nested too deeply: build the map again") from None
-    except ValueError:  # Python reads no integer of thousands of digits
-        raise MapError(f"{path}: a number of too many digits: build the map again") from None
-
-
-def _first(error: ValidationError) -> str:
-    """The first finding of a validation, as `key: message`."""
-    finding = error.errors()[0]
-    key = ".".join(str(part) for part in finding["loc"])
-    return f"{key}: {finding['msg']}" if key else str(finding["msg"])
+    record, note = read_topology(topology, limits)
+    return StoredMap(path, record, limits, note)

@@ -34,8 +34,9 @@ PictureArray = NDArray[np.uint8]
 class MapResult:
     """Everything a map directory is written from.
 
-    `labels` are all keyframes, row i being keyframe number i; `classifiers` is JSON text; `run` the
-    contents of run.json; `quality` what is thought of the map; `pose_graph` text in g2o's format;
+    `labels` are all keyframes, row i being keyframe number i, and `logs` the recordings that they
+    came from, in order; `classifiers` is JSON text; `run` the contents of run.json; `quality` what
+    is thought of the map; `pose_graph` text in g2o's format;
     `overview` a BGR picture (H, W, 3).
     """
 
@@ -44,7 +45,7 @@ class MapResult:
     trajectory: Trajectory
     labels: Labels
     classifiers: str
-    log: LogInfo
+    logs: tuple[LogInfo, ...]
     run: Mapping[str, Any]
     pose_graph: str
     overview: PictureArray
@@ -65,7 +66,7 @@ def write_map(
 
         path = directory / filenames.KEYFRAMES
         write_keyframes(path, keyframes, result.labels.poses, result.frame)
-    record = to_record(result.topology, result.regions, result.log, result.frame, result.quality)
+    record = to_record(result.topology, result.regions, result.logs, result.frame, result.quality)
     _write_topology(directory, result.topology, record)
     write_grid(directory / filenames.MAP_GRID, result.regions.grid)
     write_png(directory / filenames.OVERVIEW, result.overview)
@@ -92,7 +93,7 @@ def write_segmentation(
     submap id + 1.
     """
     directory = Path(directory)
-    _write_topology(directory, topology, to_record(topology, regions, log))
+    _write_topology(directory, topology, to_record(topology, regions, (log,)))
     labels = (regions.owner + 1).astype(np.uint16)
     write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
     write_png(directory / filenames.OVERVIEW, overview)

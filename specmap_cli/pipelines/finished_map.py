@@ -62,6 +62,7 @@ class FinishedMap:
             start_ns=int(stamps.min()),
             end_ns=int(stamps.max()),
             scans=len(stamps),
+            keyframes=(0, len(self.labels.stamps_ns) - 1),
         )
         return MapResult(
             topology=self.topology,
@@ -69,7 +70,7 @@ class FinishedMap:
             trajectory=self.trajectory,
             labels=self.labels,
             classifiers=self.classifiers.to_json(),
-            log=log,
+            logs=(log,),
             run=run,
             quality=self.quality,
             pose_graph=write_g2o(self.layout),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.pipelines.exploration import Explored, Regions, online_labels
 from specmap_cli.pipelines.stopwatch import Stopwatch
@@ -30,8 +31,8 @@ from specmap_cli.recognition.learning.training import (
     train_virtual,
 )
 from specmap_cli.segmentation.refinement import regions_of
-from specmap_cli.topology.graph import build_topology, settle_labels
-from specmap_cli.topology.topological_map import TopologicalMap
+from specmap_cli.topology.graph import build_topology, settle_labels, stays_of
+from specmap_cli.topology.topological_map import Break, TopologicalMap
 
 Submaps = Mapping[int, Sequence[int]]
 Samples = Mapping[int, NDArray[np.float32]]
@@ -82,25 +83,23 @@ def submaps_of(labels: IntArray) -> dict[int, list[int]]:
 def linked(
     labels: Labels,
     regions: Regions,
-    breaks: Collection[int],
+    breaks: Mapping[int, Bridge | None],
     closures: Sequence[Closure],
     grids: Mapping[int, GridMap],
 ) -> TopologicalMap:
-    """The submaps linked where the robot drove across and where closures show that they meet.
-
-    A region that was left on the way belongs to the submap that most of its keyframes are in.
-    """
-    submap_of_region = {
-        region: int(np.bincount(labels.submaps[list(keyframes)]).argmax())
-        for region, keyframes in regions.items()
-    }
+    """The submaps linked where the robot drove across and where closures show that they meet."""
+    stamps_ns = labels.stamps_ns.tolist()
     return build_topology(
         labels=labels.submaps,
         poses=labels.poses,
-        stamps_ns=labels.stamps_ns.tolist(),
-        breaks=breaks,
+        stamps_ns=stamps_ns,
+        breaks=[
+            Break(keyframe, None if bridge is None else (bridge.position_m, bridge.heading_rad))
+            for keyframe, bridge in sorted(breaks.items())
+            if keyframe < len(stamps_ns)  # none came after the last of them
+        ],
         closures=closures,
-        submap_of_region=submap_of_region,
+        stays=stays_of(regions, labels.submaps, stamps_ns),
         grids=grids,
     )
 

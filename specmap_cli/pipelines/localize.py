@@ -76,9 +76,11 @@ def localize_log(
 
 
 def _opened(map_: StoredMap | Path | str, config: Config | None, progress: Progress) -> StoredMap:
-    """The map; settings that only the version that built it knows are noted."""
+    """The map; what it lacks is noted, and settings that only the version that built it knows."""
     limits = None if config is None else config.limits
     stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"), limits)
+    if stored.note:
+        progress.note(stored.note)
     if stored.foreign_settings:
         foreign = ", ".join(stored.foreign_settings)
         progress.note(f"{stored.path}: built by another version; its settings left out: {foreign}")

@@ -1,4 +1,4 @@
-"""The topology from the submap of each keyframe: visits, edges and their transforms.
+"""The topology from the submap of each keyframe: visits, edges and their transforms, stays.
 
 Pure functions. While the robot drives, regions are recognised as one: `submap_of_regions` says
 which. At the end `build_topology` derives all else from the submap of each keyframe.
@@ -19,8 +19,10 @@ from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.core.tracks import travelled
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.topology.topological_map import (
+    Break,
     Edge,
     EdgeKind,
+    Stay,
     Submap,
     TopologicalMap,
     Traversal,
@@ -70,26 +72,52 @@ def build_topology(
     labels: IntArray,
     poses: FloatArray,
     stamps_ns: Sequence[int],
-    breaks: Collection[int],
+    breaks: Sequence[Break],
     closures: Sequence[Closure],
-    submap_of_region: Mapping[int, int],
+    stays: Sequence[Stay],
     grids: Mapping[int, GridMap],
 ) -> TopologicalMap:
     """The topological map of keyframes with submap `labels` (n,) and `poses` (n, 3) in the map.
 
     Submaps are linked where the robot drove across, and where a verified closure shows that its
-    tracks meet. `breaks` are keyframes at which tracking restarted: what lies before is linked by a
-    loose edge only. `closures` name regions, which `submap_of_region` maps to labels; `grids` are
-    in the frames of the submaps, whose origin is the pose of their first keyframe.
+    tracks meet. `breaks` are where tracking restarted: what lies before is linked by a loose edge
+    only. `closures` name `stays` by their numbers; `grids` are in the frames of the submaps, whose
+    origin is the pose of their first keyframe.
     """
-    stays = runs(labels)
-    submaps = _submaps(labels, poses, stamps_ns, stays, grids)
+    spans = runs(labels)
+    submaps = _submaps(labels, poses, stamps_ns, spans, grids)
     contacts = [
-        *_driven(labels, poses, stamps_ns, stays, set(breaks)),
-        *_recognised(labels, poses, closures, submap_of_region),
+        *_driven(labels, poses, stamps_ns, spans, {each.keyframe for each in breaks}),
+        *_recognised(labels, poses, closures, {stay.number: stay.submap for stay in stays}),
     ]
     return TopologicalMap(
-        submaps=submaps, edges=_edges(contacts, submaps), closures=tuple(closures)
+        submaps=submaps,
+        edges=_edges(contacts, submaps),
+        closures=tuple(closures),
+        stays=tuple(stays),
+        breaks=tuple(breaks),
+        next_id=1 + max(submaps, default=-1),
+    )
+
+
+def stays_of(
+    regions: Mapping[int, Sequence[int]], labels: IntArray, stamps_ns: Sequence[int]
+) -> tuple[Stay, ...]:
+    """The regions that the robot left on its way, with the submap that each became part of.
+
+    `regions` are the keyframes of each region, ascending, by its number; `labels` (n,) is the
+    submap of each keyframe. Of submaps that share a region, that with the most keyframes of it has
+    it, the smallest of equals.
+    """
+    return tuple(
+        Stay(
+            number=number,
+            submap=int(np.bincount(labels[list(keyframes)]).argmax()),
+            keyframes=tuple(keyframes),
+            start_ns=stamps_ns[keyframes[0]],
+            end_ns=stamps_ns[keyframes[-1]],
+        )
+        for number, keyframes in sorted(regions.items())
     )
 
 
@@ -97,13 +125,13 @@ def _submaps(
     labels: IntArray,
     poses: FloatArray,
     stamps_ns: Sequence[int],
-    stays: Sequence[Span],
+    spans: Sequence[Span],
     grids: Mapping[int, GridMap],
 ) -> dict[int, Submap]:
-    """The submaps in order of first visit; a stay is a half-open range of keyframes."""
-    spans: dict[int, list[Span]] = {}
-    for span in stays:
-        spans.setdefault(int(labels[span[0]]), []).append(span)
+    """The submaps in order of first visit; a span is a half-open range of keyframes."""
+    visits: dict[int, list[Span]] = {}
+    for span in spans:
+        visits.setdefault(int(labels[span[0]]), []).append(span)
     return {
         id_: Submap(
             id=id_,
@@ -112,7 +140,7 @@ def _submaps(
             visits=tuple(Visit(stamps_ns[start], stamps_ns[end - 1]) for start, end in own),
             grid=grids[id_],
         )
-        for id_, own in spans.items()
+        for id_, own in visits.items()
     }
 
 
@@ -129,11 +157,11 @@ def _driven(
     labels: IntArray,
     poses: FloatArray,
     stamps_ns: Sequence[int],
-    stays: Sequence[Span],
+    spans: Sequence[Span],
     breaks: Collection[int],
 ) -> Iterator[_Contact]:
-    """From each stay to the next: traversed, or loose where tracking restarted."""
-    for (start, end), (after, _) in pairwise(stays):
+    """From each visit to the next: traversed, or loose where tracking restarted."""
+    for (start, end), (after, _) in pairwise(spans):
         source, target = int(labels[start]), int(labels[after])
         pair = (min(source, target), max(source, target))
         if after in breaks:
@@ -148,12 +176,12 @@ def _recognised(
     labels: IntArray,
     poses: FloatArray,
     closures: Iterable[Closure],
-    submap_of_region: Mapping[int, int],
+    submap_of: Mapping[int, int],
 ) -> Iterator[_Contact]:
     """Closures that were verified though nothing was merged, where the robot's tracks meet."""
     for closure in closures:
         if closure.verified and not closure.merged:
-            low, high = sorted((submap_of_region[closure.old], submap_of_region[closure.new]))
+            low, high = sorted((submap_of[closure.old], submap_of[closure.new]))
             if low != high and _tracks_meet(poses[labels == low], poses[labels == high]):
                 yield _Contact((low, high), "closure")
 

@@ -13,6 +13,9 @@ from specmap_cli.grids.gridmap import GridMap
 # traversed: the robot drove across; closure: joined by matching grids only; loose: joined by a
 # guess across scans that could not be registered; doorway: regions of a finished map that touch.
 EdgeKind = Literal["traversed", "closure", "loose", "doorway"]
+# What a submap is by its shape (`topology.kinds`), or by a person's word.
+SubmapKind = Literal["room", "corridor", "hall"]
+Property = str | float | bool  # of a submap, by a person's word
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +32,7 @@ class Submap:
 
     `keyframes` are numbers in the keyframe store, ascending; `visits` are in order of time; `grid`
     and `polygon` (N, 2), metres, are in the submap's frame. One cut from a finished map has neither
-    keyframes nor visits.
+    keyframes nor visits. `kind` is None where nobody has said it: then its shape says it.
     """
 
     id: int
@@ -39,6 +42,8 @@ class Submap:
     visits: tuple[Visit, ...] = ()
     polygon: FloatArray | None = None
     name: str = ""
+    kind: SubmapKind | None = None
+    properties: Mapping[str, Property] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +85,46 @@ class Edge:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Stay:
+    """A piece of the way, in which the robot saw a part of the map: what closures compare.
+
+    `keyframes` are ascending, `start_ns` and `end_ns` the stamps of the first and the last of them;
+    `submap` is where most of them ended.
+    """
+
+    number: int
+    submap: int
+    keyframes: tuple[int, ...]
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Break:
+    """Tracking restarted with a keyframe.
+
+    `bridge` is how far the motion to it may be off, metres and radians, None where it is a guess.
+    """
+
+    keyframe: int
+    bridge: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TopologicalMap:
     """Submaps by id, edges by (smaller id, larger id), and every closure considered.
 
-    The mappings are not to be changed; `dataclasses.replace` makes another map.
+    `stays` are in the order of their numbers, which `closures` use; `breaks` are ascending.
+    `next_id` is beyond all ids that were ever given. The mappings are not to be changed;
+    `dataclasses.replace` makes another map.
     """
 
     submaps: Mapping[int, Submap] = field(default_factory=dict)
     edges: Mapping[tuple[int, int], Edge] = field(default_factory=dict)
     closures: tuple[Closure, ...] = ()
+    stays: tuple[Stay, ...] = ()
+    breaks: tuple[Break, ...] = ()
+    next_id: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +132,11 @@ class LogInfo:
     """What a map was made of: a recording, or a finished grid, which has no stamps.
 
     `name` is that of the file, without directories, which differ from machine to machine.
+    `keyframes` are the first and the last that it gave, None for a grid.
     """
 
     name: str
     start_ns: int | None = None
     end_ns: int | None = None
     scans: int = 0
+    keyframes: tuple[int, int] | None = None

@@ -40,6 +40,18 @@ def test_the_result_for_a_machine(house: Path, capsys: pytest.CaptureFixture[str
     }
 
 
+def test_a_map_of_schema_1_is_exported_with_a_word(
+    house: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old = Path(__file__).parents[1] / "maps" / "topology_1.json"
+    (house / "topology.json").write_bytes(old.read_bytes())
+    target = house.parent / "house.graphml"
+    assert main(["export", str(house), "--format", "graphml", "-o", str(target)]) == 0
+    assert len(nx.read_graphml(target)) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"specmap: {house}: a map of an earlier version (schema 1)")
+
+
 def test_what_a_killed_run_left_is_removed_and_told(
     house: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

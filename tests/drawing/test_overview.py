@@ -31,7 +31,7 @@ UNLABELLED = Labels(stamps_ns=NOWHERE.stamps_ns, poses=NOWHERE.poses, submaps=NO
 
 def drawn(result: MapResult) -> Image:
     return render_overview(
-        result.topology, result.regions, result.trajectory, result.labels, result.log
+        result.topology, result.regions, result.trajectory, result.labels, result.logs[0]
     )
 
 
@@ -108,7 +108,7 @@ def test_a_jump_is_not_drawn_as_a_way(result: MapResult) -> None:
     driven = Trajectory(stamps, np.linspace((-5.0, 0, 0), (5, 0, 0), 40))
     only = dataclasses.replace(result.topology, submaps={0: result.topology.submaps[0]}, edges={})
     none, broken, whole = (
-        render_overview(only, result.regions, path, result.labels, result.log)[TITLE:]
+        render_overview(only, result.regions, path, result.labels, result.logs[0])[TITLE:]
         for path in (NOWHERE, lost, driven)
     )
     assert 100 < (broken != none).sum() < (whole != none).sum() / 2
@@ -179,9 +179,10 @@ def test_the_headline_counts_and_the_figures_measure(result: MapResult) -> None:
     """Another name, another count or another length is another headline, and nothing else."""
     usual = drawn(result)
     closures = tuple(dataclasses.replace(c, merged=False) for c in result.topology.closures)
+    (log,) = result.logs
     for changed in (
-        dataclasses.replace(result, log=dataclasses.replace(result.log, name="other.mcap")),
-        dataclasses.replace(result, log=dataclasses.replace(result.log, scans=31)),
+        dataclasses.replace(result, logs=(dataclasses.replace(log, name="other.mcap"),)),
+        dataclasses.replace(result, logs=(dataclasses.replace(log, scans=31),)),
         dataclasses.replace(
             result, topology=dataclasses.replace(result.topology, closures=closures)
         ),

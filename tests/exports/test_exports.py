@@ -35,6 +35,9 @@ def test_graphml_is_the_graph_that_networkx_reads(stored: StoredMap, tmp_path: P
         assert (found["x"], found["y"]) == pytest.approx(node.centroid)
         assert (found["name"], found["scans"]) == (node.name, 10)
         assert found["area_m2"] == pytest.approx(node.area_m2)
+    assert [graph.nodes[id_]["kind"] for id_ in (0, 1, 2)] == ["corridor", "room", "room"]
+    assert (graph.nodes[1]["property.floor"], graph.nodes[1]["property.heated"]) == (2, True)
+    assert "property.floor" not in graph.nodes[0]
     assert graph.edges[0, 1]["kind"] == "traversed"
     assert graph.edges[0, 1]["traversals"] == 1
     assert graph.edges[0, 1]["distance_m"] == pytest.approx(record.edges[0].distance_m)
@@ -54,6 +57,8 @@ def test_geojson_has_closed_outlines_and_links_through_their_crossings(
         assert ring[0] == ring[-1]
         assert [tuple(point) for point in ring[:-1]] == node.polygon
         assert feature["properties"]["id"] == node.id
+        assert feature["properties"]["submap_kind"] == node.kind
+        assert feature["properties"]["properties"] == node.properties
     driven, closure = document["features"][3:]
     assert len(driven["geometry"]["coordinates"]) == 3
     assert len(closure["geometry"]["coordinates"]) == 2

@@ -21,6 +21,7 @@ from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import (
     Edge,
     LogInfo,
+    Stay,
     Submap,
     TopologicalMap,
     Traversal,
@@ -59,7 +60,7 @@ def submap(id_: int, frame: Pose2 = IDENTITY, keyframes: tuple[int, ...] = ()) -
 
 
 def record_of(topology: TopologicalMap, regions: Regions | None = None) -> TopologyRecord:
-    return to_record(topology, regions or regions_of(), LogInfo("a.mcap"))
+    return to_record(topology, regions or regions_of(), [LogInfo("a.mcap")])
 
 
 def back(record: TopologyRecord) -> TopologicalMap:
@@ -93,8 +94,14 @@ def test_there_and_back(
         assert traversal.pose == pytest.approx(pose, abs=1e-6)
 
 
+def replace_stamps(stay: Stay) -> Stay:
+    """Its stamps in whole microseconds, as they are written."""
+    start, end = (stamp // 1000 * 1000 for stamp in (stay.start_ns, stay.end_ns))
+    return replace(stay, start_ns=start, end_ns=end)
+
+
 def test_all_that_was_read_cannot_be_changed_and_is_written_the_same(result: MapResult) -> None:
-    record = to_record(result.topology, result.regions, result.log)
+    record = to_record(result.topology, result.regions, result.logs)
     read = from_record(record, lambda _: GRID, lambda _: ())
     assert isinstance(read.closures, tuple)
     for edge in read.edges.values():
@@ -102,7 +109,9 @@ def test_all_that_was_read_cannot_be_changed_and_is_written_the_same(result: Map
     for part in read.submaps.values():
         assert isinstance(part.keyframes, tuple)
         assert isinstance(part.visits, tuple)
-    again = to_record(read, result.regions, result.log)
+    assert read.stays == tuple(replace_stamps(stay) for stay in result.topology.stays)
+    assert read.breaks == result.topology.breaks
+    again = to_record(read, result.regions, result.logs)
     assert again.graph == record.graph
     assert again.edges == record.edges
 
@@ -169,10 +178,12 @@ def test_a_submap_has_a_name_and_a_picture_and_keyframes_only_if_there_are_scans
 
 @given(STAMPS, STAMPS)
 def test_the_log_is_told_in_seconds(start: int, end: int) -> None:
-    log = LogInfo(name="a.mcap", start_ns=start, end_ns=end, scans=7)
-    told = to_record(TopologicalMap(), regions_of(), log, frame="odom").graph
-    assert (told.frame, told.log.name, told.log.scans) == ("odom", "a.mcap", 7)
-    assert told.log.start == pytest.approx(start * 1e-9, abs=1e-6)
-    assert told.log.end == pytest.approx(end * 1e-9, abs=1e-6)
-    nothing = to_record(TopologicalMap(), regions_of(), LogInfo("plan.yaml")).graph.log
+    log = LogInfo(name="a.mcap", start_ns=start, end_ns=end, scans=7, keyframes=(0, 4))
+    plan = LogInfo("plan.yaml")
+    graph = to_record(TopologicalMap(), regions_of(), [log, plan], frame="odom").graph
+    told, nothing = graph.logs
+    assert (graph.frame, told.name, told.scans, told.keyframes) == ("odom", "a.mcap", 7, (0, 4))
+    assert told.start == pytest.approx(start * 1e-9, abs=1e-6)
+    assert told.end == pytest.approx(end * 1e-9, abs=1e-6)
     assert (nothing.start, nothing.end, nothing.scans) == (None, None, 0)
+    assert nothing.keyframes is None

@@ -17,8 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from specmap_cli.maps import schema
-from specmap_cli.maps.store import read_map
+from specmap_cli.maps import schema, schema_values
 
 
 def test_topology_follows_its_schema(stored: Path) -> None:
@@ -40,7 +39,7 @@ def test_networkx_reads_topology_as_it_is(stored: Path) -> None:
     assert list(graph.nodes) == [0, 1, 2]
     assert sorted(graph.edges) == [(0, 1), (0, 2)]
     assert graph.edges[0, 1]["kind"] == "traversed"
-    assert graph.graph["log"]["scans"] == 30
+    assert graph.graph["logs"][0]["scans"] == 30
     assert nx.is_connected(graph)
 
 
@@ -59,9 +58,18 @@ def test_the_module_prints_the_file_to_ship() -> None:
     [
         ("directed", True),
         ("multigraph", None),
-        ("graph__schema_version", 2),
+        ("graph__schema_version", 1),
         ("graph__frame", 7),
-        ("graph__log__scans", -1),
+        ("graph__logs__0__scans", -1),
+        ("graph__logs", []),
+        ("graph__logs__0__keyframes", [1]),
+        ("graph__next_id", -1),
+        ("graph__stays__0__keyframes", []),
+        ("graph__stays__0__keyframes", [[0, 1, 2]]),
+        ("graph__breaks__0__keyframe", None),
+        ("graph__closures__0__new_submap", "first"),
+        ("nodes__0__kind", "kitchen"),
+        ("nodes__0__properties", {"floor": [1]}),
         ("graph__closures__0__xi", "high"),
         ("graph__closures__0__transform", [1.0, 2.0]),
         ("nodes__0__id", -1),
@@ -92,30 +100,42 @@ def test_models_and_json_schema_refuse_the_same_documents(
         jsonschema.validate(document, schema.json_schema())
 
 
-@pytest.mark.parametrize("record", ["graph", "nodes__0", "edges__0", "edges__0__traversals__0"])
+@pytest.mark.parametrize(
+    "record",
+    [
+        "graph",
+        "graph__logs__0",
+        "graph__stays__0",
+        "graph__closures__0",
+        "nodes__0",
+        "edges__0",
+        "edges__0__traversals__0",
+    ],
+)
 def test_no_key_may_be_missing(stored: Path, record: str) -> None:
     document = json.loads((stored / "topology.json").read_text())
     place = document
     for part in record.split("__"):
         place = place[int(part) if part.isdigit() else part]
-    for key in place.keys() - {"quality"}:  # maps of the first version were not judged
+    for key in list(place):
         value = place.pop(key)
         with pytest.raises(ValidationError, match=key):
             schema.TopologyRecord.model_validate(document)
         place[key] = value
 
 
-def test_a_map_that_was_never_judged_is_read(stored: Path) -> None:
-    """Maps of the first version hold no verdict."""
-    document = json.loads((stored / "topology.json").read_text())
-    del document["graph"]["quality"]
-    (stored / "topology.json").write_text(json.dumps(document))
-    assert read_map(stored).record.graph.quality is None
+def test_every_field_is_described_and_the_schema_has_a_name() -> None:
+    document = schema.json_schema()
+    assert document["$id"] == "urn:specmap:topology:2"
+    for name, record in [("topology", document), *document["$defs"].items()]:
+        assert record["description"], name
+        for key, field in record["properties"].items():
+            assert field.get("description"), f"{name}.{key}"
 
 
 def accepted(name: str) -> bool:
     try:
-        TypeAdapter(schema.InnerPath).validate_python(name)
+        TypeAdapter(schema_values.InnerPath).validate_python(name)
     except ValidationError:
         return False
     return True

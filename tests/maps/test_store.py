@@ -43,6 +43,7 @@ def test_there_and_back(stored: Path, result: MapResult) -> None:
         assert (back.grid.cells == submap.grid.cells).all()
         assert back.grid.origin == pytest.approx(submap.grid.origin)
         assert back.keyframes == submap.keyframes
+        assert back.properties == submap.properties
         assert tuple(back.map_from_submap) == pytest.approx(tuple(submap.map_from_submap))
         assert back.visits[0].start_ns == submap.visits[0].start_ns // 1000 * 1000
         assert back.polygon is not None
@@ -134,7 +135,17 @@ class TestDamage:
     @pytest.mark.parametrize(
         ("changes", "complaint"),
         [
-            ({"graph__schema_version": 2}, r"graph\.schema_version is 2"),
+            ({"graph__schema_version": 3}, r"graph\.schema_version is 3: .* reads 1 and 2"),
+            ({"graph__next_id": 2}, r"graph\.next_id: 2 is the id of a node or smaller"),
+            ({"graph__stays__1__submap": 7}, r"stays\.1: submap 7 is not among the nodes"),
+            ({"graph__stays__1__number": 2}, r"graph\.stays: a number occurs twice"),
+            ({"graph__stays__0__keyframes": [[0, 4], [4, 9]]}, r"stays\.0: .* out of order"),
+            ({"graph__stays__0__keyframes": [[8, 9], [0, 4]]}, r"stays\.0: .* out of order"),
+            ({"graph__stays__0__keyframes": [[4, 0]]}, r"stays\.0: .* out of order"),
+            ({"graph__stays__0__keyframes": []}, r"graph\.stays\.0\.keyframes"),
+            ({"graph__closures__1__new": 9}, r"closures\.1: its stays are not among"),
+            ({"graph__closures__1__old_submap": 9}, r"closures\.1: submap 9 is not among"),
+            ({"nodes__1__properties": {"floor": [1]}}, r"nodes\.1\.properties\.floor"),
             ({"graph": 5}, r"graph\.schema_version is None"),
             ({"nodes__0__area_m2": "large"}, r"nodes\.0\.area_m2"),
             ({"nodes__1__id": 0}, "occurs twice"),
@@ -158,6 +169,20 @@ class TestDamage:
             read_map(stored)
         assert "\n" not in str(caught.value)
         assert "topology.json" in str(caught.value)
+
+    @pytest.mark.parametrize(
+        "changes",
+        [
+            {"graph__stays__2__keyframes": [[20, 2**31 - 1]]},
+            {"graph__stays__2__keyframes": [[20, 30]]},
+            {"graph__stays__2__keyframes": [[15, 29]]},  # of which another has some
+            {"graph__breaks__1__keyframe": 30},
+        ],
+    )
+    def test_keyframes_that_are_none(self, stored: Path, changes: dict[str, Any]) -> None:
+        edit(stored / "topology.json", **changes)
+        with pytest.raises(MapError, match=r"do not fit to the 30 keyframes of labels\.csv"):
+            _ = read_map(stored).topology
 
     @pytest.mark.parametrize("text", ["", "{", "[]", "null", "[" * 100_000, '{"graph": NaN}'])
     def test_topology_that_is_no_map(self, stored: Path, text: str) -> None:

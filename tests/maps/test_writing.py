@@ -72,7 +72,7 @@ def test_numbers_in_topology(stored: Path) -> None:
     assert text.endswith("}\n")
     assert "NaN" not in text
     assert document["graph"]["closures"][1]["score"] is None
-    assert document["graph"]["log"]["start"] == 1_700_000_000.123456
+    assert document["graph"]["logs"][0]["start"] == 1_700_000_000.123456
     assert json.dumps(document) == json.dumps(document, sort_keys=True)
     corridor, room, _ = document["nodes"]
     assert corridor["area_m2"] == pytest.approx(24.0, rel=1e-3)

@@ -154,7 +154,9 @@ def test_a_map_without_the_misfit_of_its_own_scans_is_used_and_noted(
     del data["misfit"]
     (older / CLASSIFIERS).write_text(json.dumps(data))
     progress = Notes()
-    report = localize_log(flat_log.log, older, progress=progress)
+    old = StoredMap(older, stored.record, note="it lacks keyframes")
+    report = localize_log(flat_log.log, old, progress=progress)
+    assert progress.notes[0] == "it lacks keyframes"
     assert [note for note in progress.notes if "fit its walls" in note] == [
         f"{older}: an older map, which does not say how well its own scans fit its walls; known "
         "places are told from unknown by what is usual elsewhere: build it again"

@@ -90,4 +90,4 @@ def test_an_existing_result_is_replaced_only_when_asked_to(plan: Path, tmp_path:
         segment_map(plan, tmp_path / "rooms")
     segment_map(plan, tmp_path / "rooms", overwrite=True)
     assert (tmp_path / "rooms" / "topology.json").read_bytes() == before
-    assert json.loads(before)["graph"]["log"]["name"] == "flat.yaml"
+    assert json.loads(before)["graph"]["logs"][0]["name"] == "flat.yaml"

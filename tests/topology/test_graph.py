@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import Closure
 from specmap_cli.grids.gridmap import FREE, GridMap
-from specmap_cli.topology.graph import build_topology, settle_labels, submap_of_regions
-from specmap_cli.topology.topological_map import TopologicalMap
+from specmap_cli.topology.graph import build_topology, settle_labels, stays_of, submap_of_regions
+from specmap_cli.topology.topological_map import Break, Stay, TopologicalMap
 
 LABELS = st.lists(st.integers(0, 4), min_size=1, max_size=30)
 PAIRS = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=20)
@@ -41,9 +41,12 @@ def topology_of(
         labels=np.array(labels, dtype=np.int64),
         poses=line_of_poses(len(labels)) if poses is None else poses,
         stamps_ns=[1000 * k for k in range(len(labels))],
-        breaks=breaks,
+        breaks=[Break(int(keyframe)) for keyframe in breaks],
         closures=closures,
-        submap_of_region=submap_of_region or {label: label for label in labels},
+        stays=[
+            Stay(number=region, submap=submap, keyframes=(0,), start_ns=0, end_ns=0)
+            for region, submap in (submap_of_region or {label: label for label in labels}).items()
+        ],
         grids=grids,
     )
 
@@ -246,3 +249,21 @@ def test_regions_without_merges_are_submaps_and_an_unknown_one_is_none() -> None
     assert submap_of_regions([], []) == {}
     with pytest.raises(KeyError):
         submap_of_regions([4, 9], [(4, 3)])
+
+
+def test_a_stay_has_its_keyframes_and_the_submap_of_most_of_them() -> None:
+    labels = np.array([2, 0, 0, 1, 1, 0])
+    regions = {7: (1, 2, 3), 3: (0,), 5: (4, 5)}
+    found = stays_of(regions, labels, [10 * k for k in range(6)])
+    assert found == (
+        Stay(number=3, submap=2, keyframes=(0,), start_ns=0, end_ns=0),
+        Stay(number=5, submap=0, keyframes=(4, 5), start_ns=40, end_ns=50),  # the smaller of equals
+        Stay(number=7, submap=0, keyframes=(1, 2, 3), start_ns=10, end_ns=30),
+    )
+
+
+def test_the_map_keeps_its_stays_and_breaks_and_knows_the_next_id() -> None:
+    topology = topology_of([0, 3, 3], breaks=(1,))
+    assert [stay.submap for stay in topology.stays] == [0, 3]
+    assert topology.breaks == (Break(1),)
+    assert topology.next_id == 4

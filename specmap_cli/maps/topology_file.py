@@ -1,0 +1,79 @@
+"""topology.json read and checked: its values by the schema, and what refers to what in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.maps.json_files import first_finding, map_json
+from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.maps.schema_graph import SCHEMA_VERSION
+from specmap_cli.maps.upgrading import MISSING, upgraded, version_of
+
+
+def read_topology(path: Path, limits: LimitsConfig) -> tuple[TopologyRecord, str]:
+    """The record in a topology.json, and what is to be said of it: what an old one lacks.
+
+    Raises MapError when it cannot be read, is of an unknown version, or contradicts itself.
+    """
+    document = map_json(path, limits)
+    version, note = version_of(document), ""
+    if version == 1:
+        document, note = upgraded(document), f"{path.parent}: {MISSING}"
+    elif version != SCHEMA_VERSION:
+        raise MapError(
+            f"{path}: graph.schema_version is {version!r}: this version reads 1 and "
+            f"{SCHEMA_VERSION}: build the map again"
+        )
+    try:
+        record = TopologyRecord.model_validate(document)
+    except ValidationError as error:
+        raise MapError(f"{path}: {first_finding(error)}: build the map again") from None
+    for fault in _faults(record):
+        raise MapError(f"{path}: {fault}: build the map again")
+    return record, note
+
+
+def _faults(record: TopologyRecord) -> Iterator[str]:
+    """What does not fit together in a record."""
+    ids = {node.id for node in record.nodes}
+    if len(ids) != len(record.nodes):
+        yield "nodes: an id occurs twice"
+    if record.graph.next_id <= max(ids, default=-1):
+        yield f"graph.next_id: {record.graph.next_id} is the id of a node or smaller"
+    for where, id_ in _named_submaps(record):
+        if id_ is not None and id_ not in ids:
+            yield f"{where}: submap {id_} is not among the nodes"
+    yield from _stay_faults(record)
+
+
+def _named_submaps(record: TopologyRecord) -> Iterator[tuple[str, int | None]]:
+    """Each place that names a submap, and the submap."""
+    for number, edge in enumerate(record.edges):
+        yield f"edges.{number}", edge.source
+        yield f"edges.{number}", edge.target
+    for number, stay in enumerate(record.graph.stays):
+        yield f"graph.stays.{number}", stay.submap
+    for number, closure in enumerate(record.graph.closures):
+        yield f"graph.closures.{number}", closure.new_submap
+        yield f"graph.closures.{number}", closure.old_submap
+
+
+def _stay_faults(record: TopologyRecord) -> Iterator[str]:
+    """Stays of one number, keyframes out of order, and closures of stays that are none."""
+    stays = record.graph.stays
+    numbers = {stay.number for stay in stays}
+    if len(numbers) != len(stays):
+        yield "graph.stays: a number occurs twice"
+    for place, stay in enumerate(stays):
+        ends = [-1, *(last for _, last in stay.keyframes)]
+        runs = zip(ends, stay.keyframes, strict=False)
+        if not all(before < first <= last for before, (first, last) in runs):
+            yield f"graph.stays.{place}: its keyframes are out of order"
+    for place, closure in enumerate(record.graph.closures if stays else ()):
+        if not {closure.new, closure.old} <= numbers:
+            yield f"graph.closures.{place}: its stays are not among graph.stays"

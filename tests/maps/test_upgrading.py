@@ -1,0 +1,120 @@
+"""Maps of schema 1 are read; `topology_1.json` is `tests.house` as that version wrote it."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.exports.table import export_map, exporters
+from specmap_cli.maps.conversion import to_record
+from specmap_cli.maps.schema_values import Record
+from specmap_cli.maps.store import read_map
+from specmap_cli.maps.upgrading import upgraded, version_of
+from specmap_cli.maps.writing import MapResult
+
+OLD = Path(__file__).with_name("topology_1.json")
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.sampled_from(["id", "log", "a"]), inner),
+    max_leaves=8,
+)
+
+
+@pytest.fixture
+def old(stored: Path) -> Path:
+    (stored / "topology.json").write_bytes(OLD.read_bytes())
+    return stored
+
+
+def plain(record: Record, *without: str) -> dict[str, Any]:
+    return record.model_dump(exclude=set(without))
+
+
+def test_all_that_it_says_is_read(old: Path, result: MapResult) -> None:
+    stored = read_map(old)
+    record = to_record(result.topology, result.regions, result.logs, quality=result.quality)
+    read, new = stored.record, record
+    for ours, theirs in zip(read.nodes, new.nodes, strict=True):
+        assert plain(ours, "kind", "properties") == plain(theirs, "kind", "properties")
+        assert (ours.kind, ours.properties) == (None, {})
+    assert read.edges == new.edges
+    assert (read.graph.quality, read.graph.frame) == (new.graph.quality, new.graph.frame)
+    (ours_log,), (theirs_log,) = read.graph.logs, new.graph.logs
+    assert plain(ours_log, "keyframes") == plain(theirs_log, "keyframes")
+    unknown = ("new_submap", "old_submap")
+    for was, is_ in zip(read.graph.closures, new.graph.closures, strict=True):
+        assert plain(was, *unknown) == plain(is_, *unknown)
+        assert (was.new_submap, was.old_submap) == (None, None)
+    assert (read.graph.next_id, read.graph.stays, read.graph.breaks) == (3, [], [])
+
+
+def test_it_is_a_map_like_any_other(old: Path, tmp_path: Path) -> None:
+    stored = read_map(old)
+    assert math.isnan(stored.topology.closures[1].score)
+    assert len(stored.topology.submaps) == 3
+    for name in exporters():
+        export_map(stored, name, tmp_path / name)
+    with pytest.raises(MapError, match=r"has no keyframes\.mcap"):
+        stored.keyframes()
+
+
+def test_a_line_says_what_it_lacks(old: Path) -> None:
+    note = read_map(old).note
+    assert note.startswith(f"{old}: a map of an earlier version (schema 1): it keeps no keyframes")
+    assert "\n" not in note
+
+
+def test_a_map_of_this_version_needs_no_word(stored: Path) -> None:
+    assert read_map(stored).note == ""
+
+
+def test_a_map_that_was_never_judged(old: Path) -> None:
+    """The first maps held no verdict."""
+    document = json.loads(OLD.read_text())
+    del document["graph"]["quality"]
+    (old / "topology.json").write_text(json.dumps(document))
+    assert read_map(old).record.graph.quality is None
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("graph", "log"), None),
+        (("graph", "log"), [1]),
+        (("graph", "log", "scans"), "many"),
+        (("graph", "closures"), {}),
+        (("graph", "closures"), [1]),
+        (("nodes",), None),
+        (("nodes",), {"id": 1}),
+        (("nodes", 0), 7),
+        (("nodes", 0, "id"), "x"),
+    ],
+)
+def test_damage_is_told_as_in_a_map_of_this_version(
+    old: Path, path: tuple[str | int, ...], value: Any
+) -> None:
+    document = json.loads(OLD.read_text())
+    place = document
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    (old / "topology.json").write_text(json.dumps(document))
+    with pytest.raises(MapError, match=r"topology\.json: .*build the map again") as caught:
+        read_map(old)
+    assert "\n" not in str(caught.value)
+
+
+@given(JSON, JSON, JSON)
+def test_no_document_is_too_strange(nodes: Any, log: Any, closures: Any) -> None:
+    graph = {"schema_version": 1, "log": log, "closures": closures}
+    document = {"graph": graph, "nodes": nodes}
+    assert version_of(document) == 1
+    assert version_of(upgraded(document)) == 2
+    assert document["graph"] is graph
