@@ -262,6 +262,7 @@ def _judge_map(case: MapCase, folder: Path, localized: Path) -> Iterator[Failure
             if path.exists() != (run.code == 0):
                 yield Failure("half-written", f"{command[0]} ended with {run.code}: {path.name}")
     yield from _check_export(folder)
+    yield from _check_contents(folder)
 
 
 def _check_export(folder: Path) -> Iterator[Failure]:
@@ -275,6 +276,25 @@ def _check_export(folder: Path) -> Iterator[Failure]:
                 yield Failure("half-written", f"export: {error}")
         except Exception as error:
             yield _bug(error, f"export of {name}")
+
+
+def _check_contents(folder: Path) -> Iterator[Failure]:
+    """What an update needs of a map, by the library: all of it, or refused in one line."""
+    for name in ("topology", "keyframes"):
+        try:
+            stored = read_map(folder / "damaged")
+            if name == "topology":
+                _ = stored.topology
+                continue
+            with stored.keyframes() as keyframes:
+                scans = [keyframes.scan(number) for number in range(len(keyframes))]
+                if len(scans) != len(stored.labels.stamps_ns):
+                    yield Failure("silent loss", f"{len(scans)} keyframes")
+        except SpecmapError as error:
+            if "\n" in str(error):
+                yield Failure("error line", f"{name}: {error}")
+        except Exception as error:
+            yield _bug(error, name)
 
 
 def _left_behind(folder: Path) -> Iterator[Failure]:

@@ -1,4 +1,4 @@
-"""Mutations of map directories: values of JSON, CSV and YAML, pictures, and the files."""
+"""Mutations of map directories: values of JSON, CSV and YAML, pictures, scans, and the files."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any
 
 from fuzz.byte_changes import change_bytes
 from fuzz.changes import replaced
+from fuzz.record_changes import change_records
 
 Files = dict[str, bytes]  # by the path inside the directory
 
@@ -98,7 +99,7 @@ def change_map(
     if kind < 0.22:
         change = change_bytes(rng, files[name])
         return {**files, name: change.data}, [], f"{name}: {change.note}"
-    family = rng.choice(["json", "json", "json", "csv", "yaml", "png"])
+    family = rng.choice(["json", "json", "json", "csv", "yaml", "png", "mcap"])
     name = rng.choice([name for name in whole if _family(name) == family] or [name])
     family = _family(name)
     if family == "other":
@@ -122,7 +123,8 @@ def write_map(folder: Path, files: Mapping[str, bytes], deeds: list[str]) -> Non
 def _family(name: str) -> str:
     if name in ("run.json", "topology.json", "classifiers.json"):
         return "json"
-    return {".csv": "csv", ".yaml": "yaml", ".png": "png"}.get(Path(name).suffix, "other")
+    known = {".csv": "csv", ".yaml": "yaml", ".png": "png", ".mcap": "mcap"}
+    return known.get(Path(name).suffix, "other")
 
 
 def _change_json(rng: random.Random, data: bytes) -> tuple[bytes, str]:
@@ -196,7 +198,19 @@ def _change_png(rng: random.Random, data: bytes) -> tuple[bytes, str]:
     return data[:12] + header + crc + data[33:], note
 
 
-_CHANGES = {"json": _change_json, "csv": _change_csv, "yaml": _change_yaml, "png": _change_png}
+def _change_mcap(rng: random.Random, data: bytes) -> tuple[bytes, str]:
+    """Records of a recording, or other bytes."""
+    change = change_bytes(rng, data) if rng.random() < 0.3 else change_records(rng, data, "mcap")
+    return change.data, change.note
+
+
+_CHANGES = {
+    "json": _change_json,
+    "csv": _change_csv,
+    "yaml": _change_yaml,
+    "png": _change_png,
+    "mcap": _change_mcap,
+}
 
 
 def _remove(path: Path) -> None:
