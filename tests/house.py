@@ -54,7 +54,9 @@ def stay(number: int, submap: int, keyframes: Iterable[int]) -> Stay:
     """A stay, a keyframe a second."""
     of = tuple(keyframes)
     start, end = (START_NS + k * 1_000_000_000 for k in (of[0], of[-1]))
-    return Stay(number=number, submap=submap, keyframes=of, start_ns=start, end_ns=end)
+    return Stay(
+        number=number, submap=submap, keyframes=of, origin=of[0], start_ns=start, end_ns=end
+    )
 
 
 def whole_of(submaps: Iterable[Submap]) -> GridMap:

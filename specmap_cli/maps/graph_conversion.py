@@ -48,6 +48,7 @@ def stay_of(record: StayRecord) -> Stay:
         number=record.number,
         submap=record.submap,
         keyframes=tuple(keyframe for run in runs for keyframe in run),
+        origin=record.origin,
         start_ns=nanoseconds(record.start),
         end_ns=nanoseconds(record.end),
     )
@@ -98,6 +99,7 @@ def _stay_record(stay: Stay) -> StayRecord:
         submap=stay.submap,
         start=seconds(stay.start_ns),
         end=seconds(stay.end_ns),
+        origin=stay.origin,
         keyframes=[(int(run[0]), int(run[-1])) for run in runs],
     )
 

@@ -105,9 +105,14 @@ class _ScanWriter:
         frame = LASER_FRAME if count == 1 else f"{LASER_FRAME}_{count}"
         self._frames[base_from_laser] = frame
         self._spacings[base_from_laser] = EvenSpacing()
-        mounting = _transform(BASE_FRAME, frame, _cut(np.array(base_from_laser)).tolist())
+        mounting = Transform(BASE_FRAME, frame, *in_space(_mounting(base_from_laser)))
         start_ns = self._store.stamps_ns[0]
         self._log.raw(TF_STATIC, TF_MESSAGE, transforms_cdr(start_ns, [mounting]), start_ns)
+
+
+def _mounting(pose: Pose2) -> Pose2:
+    """A mounting without the last bits of its angle, which its quaternion does not keep."""
+    return Pose2(pose.x, pose.y, round(pose.theta, 12))
 
 
 def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) -> KeyframeStore:
@@ -172,7 +177,7 @@ class _Reader:
             return
         for record in decode_transforms(message).records:
             if message.topic == TF_STATIC:
-                self._lasers[record.child] = _pose(record)
+                self._lasers[record.child] = _mounting(Pose2.from_matrix(record.parent_from_child))
             elif record.child == BASE_FRAME:
                 self._pose = record
 

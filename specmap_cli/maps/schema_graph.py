@@ -32,6 +32,7 @@ class StayRecord(Record):
     submap: Count = Field(description="id of the node that most of its keyframes are in")
     start: Stamp = Field(description="stamp of its first keyframe, seconds")
     end: Stamp = Field(description="stamp of its last keyframe, seconds")
+    origin: Count = Field(description="the keyframe whose pose is the frame of the stay")
     keyframes: list[Span] = Field(
         min_length=1, description="runs [first, last] of its keyframes, rows of labels.csv"
     )
@@ -73,8 +74,8 @@ class ClosureRecord(Record):
     accepted: bool = Field(description="whether the two became one submap")
     reason: str = Field(description="why they did, or why not")
     transform: Transform | None = Field(
-        description="[x, y, theta] of the frame of `new`, its first keyframe, in the frame of "
-        "`old`; null when not verified"
+        description="[x, y, theta] of the frame of `new`, its `origin`, in that of `old`; null "
+        "when not verified"
     )
 
 

@@ -74,6 +74,8 @@ def _stay_faults(record: TopologyRecord) -> Iterator[str]:
         runs = zip(ends, stay.keyframes, strict=False)
         if not all(before < first <= last for before, (first, last) in runs):
             yield f"graph.stays.{place}: its keyframes are out of order"
+        if not any(first <= stay.origin <= last for first, last in stay.keyframes):
+            yield f"graph.stays.{place}: its origin is none of its keyframes"
     for place, closure in enumerate(record.graph.closures if stays else ()):
         if not {closure.new, closure.old} <= numbers:
             yield f"graph.closures.{place}: its stays are not among graph.stays"

@@ -32,10 +32,10 @@ Regions = Mapping[int, Sequence[int]]
 class Explored:
     """What Algorithm 1 found.
 
-    `regions` holds the keyframes of each region that was left, ascending. `closures` are all pairs
-    of regions that were considered, in order. `breaks` are the keyframes at which tracking started
-    afresh, and how well odometry bridges each. `features` are those of the keyframes, each
-    computed once.
+    `regions` holds the keyframes of each region that was left, that of its frame first. `closures`
+    are all pairs of regions that were considered, in order. `breaks` are the keyframes at which
+    tracking started afresh, and how well odometry bridges each. `features` are those of the
+    keyframes, each computed once.
     """
 
     trajectory: Trajectory

@@ -105,17 +105,18 @@ def stays_of(
 ) -> tuple[Stay, ...]:
     """The regions that the robot left on its way, with the submap that each became part of.
 
-    `regions` are the keyframes of each region, ascending, by its number; `labels` (n,) is the
-    submap of each keyframe. Of submaps that share a region, that with the most keyframes of it has
-    it, the smallest of equals.
+    `regions` are the keyframes of each region, that of its frame first, by its number; `labels`
+    (n,) is the submap of each keyframe. Of submaps that share a region, that with the most
+    keyframes of it has it, the smallest of equals.
     """
     return tuple(
         Stay(
             number=number,
             submap=int(np.bincount(labels[list(keyframes)]).argmax()),
-            keyframes=tuple(keyframes),
-            start_ns=stamps_ns[keyframes[0]],
-            end_ns=stamps_ns[keyframes[-1]],
+            keyframes=tuple(sorted(keyframes)),
+            origin=keyframes[0],
+            start_ns=stamps_ns[min(keyframes)],
+            end_ns=stamps_ns[max(keyframes)],
         )
         for number, keyframes in sorted(regions.items())
     )

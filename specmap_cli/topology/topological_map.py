@@ -89,14 +89,21 @@ class Stay:
     """A piece of the way, in which the robot saw a part of the map: what closures compare.
 
     `keyframes` are ascending, `start_ns` and `end_ns` the stamps of the first and the last of them;
-    `submap` is where most of them ended.
+    `submap` is where most of them ended. The pose of the keyframe `origin` is its frame: the first
+    of them, unless the robot came back to the stay and earlier keyframes were added to it.
     """
 
     number: int
     submap: int
     keyframes: tuple[int, ...]
+    origin: int
     start_ns: int
     end_ns: int
+
+    @property
+    def from_origin(self) -> tuple[int, ...]:
+        """The keyframes, that of its frame before the others."""
+        return (self.origin, *(keyframe for keyframe in self.keyframes if keyframe != self.origin))
 
 
 @dataclass(frozen=True, slots=True)

@@ -142,6 +142,7 @@ class TestDamage:
             ({"graph__stays__0__keyframes": [[0, 4], [4, 9]]}, r"stays\.0: .* out of order"),
             ({"graph__stays__0__keyframes": [[8, 9], [0, 4]]}, r"stays\.0: .* out of order"),
             ({"graph__stays__0__keyframes": [[4, 0]]}, r"stays\.0: .* out of order"),
+            ({"graph__stays__0__origin": 5}, r"stays\.0: its origin is none of its keyframes"),
             ({"graph__stays__0__keyframes": []}, r"graph\.stays\.0\.keyframes"),
             ({"graph__closures__1__new": 9}, r"closures\.1: its stays are not among"),
             ({"graph__closures__1__old_submap": 9}, r"closures\.1: submap 9 is not among"),

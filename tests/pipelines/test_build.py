@@ -23,9 +23,11 @@ from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config
 from specmap_cli.evaluation.rooms import map_scores
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.layout.relaxation import relax
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
+from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines import learning
 from specmap_cli.pipelines.build import explore, finish, map_log
 from specmap_cli.pipelines.exploration import Exploration, Explored, online_labels
@@ -122,6 +124,23 @@ def test_ids_follow_the_first_visits_and_grids_hold_the_places_driven(flat_map: 
 def test_there_is_a_classifier_for_every_submap(flat_map: Flat) -> None:
     document = json.loads(flat_map.finished.classifiers.to_json())
     assert set(map(int, document["raw"]["classifiers"])) == set(flat_map.finished.topology.submaps)
+
+
+def test_a_map_can_be_laid_out_again_from_its_directory_alone(
+    flat_map: Flat, tmp_path: Path
+) -> None:
+    """Keyframes, stays, closures and breaks say all that the layout was made of."""
+    write_map(tmp_path, flat_map.finished.result("flat.mcap", {}), flat_map.store)
+    stored, config = read_map(tmp_path), Config().relaxation
+    topology = stored.topology
+    assert any(closure.merged for closure in topology.closures)
+    with stored.keyframes() as store:
+        regions = {stay.number: stay.from_origin for stay in topology.stays}
+        assert sorted(k for ks in regions.values() for k in ks) == list(range(len(store)))
+        constraints = constraints_of(topology.closures, regions, store, config)
+        layout = relax(store, tuple(constraints.values()), {}, config)
+    known = flat_map.finished.labels.poses
+    assert np.abs(layout.poses[:, :2] - known[:, :2]).max() < 0.001
 
 
 def test_what_was_explored_and_finished_cannot_be_changed(flat_map: Flat) -> None:

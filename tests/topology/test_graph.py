@@ -44,7 +44,7 @@ def topology_of(
         breaks=[Break(int(keyframe)) for keyframe in breaks],
         closures=closures,
         stays=[
-            Stay(number=region, submap=submap, keyframes=(0,), start_ns=0, end_ns=0)
+            Stay(number=region, submap=submap, keyframes=(0,), origin=0, start_ns=0, end_ns=0)
             for region, submap in (submap_of_region or {label: label for label in labels}).items()
         ],
         grids=grids,
@@ -253,13 +253,15 @@ def test_regions_without_merges_are_submaps_and_an_unknown_one_is_none() -> None
 
 def test_a_stay_has_its_keyframes_and_the_submap_of_most_of_them() -> None:
     labels = np.array([2, 0, 0, 1, 1, 0])
-    regions = {7: (1, 2, 3), 3: (0,), 5: (4, 5)}
+    regions = {7: (2, 3, 1), 3: (0,), 5: (4, 5)}  # the robot came back, and the second one grew
     found = stays_of(regions, labels, [10 * k for k in range(6)])
     assert found == (
-        Stay(number=3, submap=2, keyframes=(0,), start_ns=0, end_ns=0),
-        Stay(number=5, submap=0, keyframes=(4, 5), start_ns=40, end_ns=50),  # the smaller of equals
-        Stay(number=7, submap=0, keyframes=(1, 2, 3), start_ns=10, end_ns=30),
+        Stay(number=3, submap=2, keyframes=(0,), origin=0, start_ns=0, end_ns=0),
+        # the smaller of equals
+        Stay(number=5, submap=0, keyframes=(4, 5), origin=4, start_ns=40, end_ns=50),
+        Stay(number=7, submap=0, keyframes=(1, 2, 3), origin=2, start_ns=10, end_ns=30),
     )
+    assert [stay.from_origin for stay in found] == [(0,), (4, 5), (2, 1, 3)]
 
 
 def test_the_map_keeps_its_stays_and_breaks_and_knows_the_next_id() -> None:
