@@ -25,9 +25,12 @@ _BYTES_PER_MB = 1_000_000
 def read_bytes(path: Path | str, most_mb: float, setting: str | None = None) -> bytes:
     """The bytes of a regular file of `most_mb` megabytes or fewer; `setting` says how many.
 
-    Raises OSError for a file that is larger, and for a pipe or a device, which may never end.
+    Raises OSError for a file that is larger, for a pipe or a device, which may never end, and for a
+    path with a zero byte, as damaged text may hold one.
     """
     most = round(most_mb * _BYTES_PER_MB)
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "no name that a file can have", str(path))
     with os.fdopen(os.open(path, _AT_ONCE), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))

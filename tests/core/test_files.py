@@ -55,6 +55,11 @@ def test_a_file_is_read_up_to_its_bound_and_not_beyond(tmp_path: Path) -> None:
         read_bytes(path, 4e-6, "limits.x")
 
 
+def test_no_file_has_a_zero_byte_in_its_name(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="no name that a file can have"):
+        read_bytes(tmp_path / "map\0.png", 1.0)
+
+
 def test_what_may_never_end_is_not_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
