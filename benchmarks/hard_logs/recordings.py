@@ -10,12 +10,11 @@ import numpy as np
 
 from benchmarks.data import log_file, truth_file
 from benchmarks.hard_logs.spoiling import Spoiling
-from specmap_cli.core.geometry import Pose2, quaternions_from_rpy
+from specmap_cli.core.geometry import Pose2, nearest_motion, quaternions_from_rpy
 from specmap_cli.core.records import Sweep, Trajectory
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.evaluation.trajectories import (
     associate,
-    best_motion,
     read_relations,
     read_tum,
     relation_errors,
@@ -71,7 +70,7 @@ def absolute(truth: Trajectory) -> Score:
     def score(found: Trajectory) -> float:
         rows, at = associate(found.stamps_ns, truth.stamps_ns)
         here, there = found.poses[at, :2], truth.poses[rows, :2]
-        return rms(best_motion(here, there).apply(here) - there)
+        return rms(nearest_motion(here, there).apply(here) - there)
 
     return score
 
@@ -83,7 +82,7 @@ def by_order(truth: Trajectory) -> Score:
         if len(found.poses) != len(truth.poses):
             return float("nan")
         here, there = found.poses[:, :2], truth.poses[:, :2]
-        return rms(best_motion(here, there).apply(here) - there)
+        return rms(nearest_motion(here, there).apply(here) - there)
 
     return score
 

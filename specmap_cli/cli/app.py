@@ -17,6 +17,7 @@ from specmap_cli.cli import (
     localize,
     segment,
     simulate,
+    update,
 )
 from specmap_cli.cli.groups import unfolded
 from specmap_cli.core.errors import UsageError
@@ -83,6 +84,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "info": info.info,
     "build": build.build,
     "localize": localize.localize,
+    "update": update.update,
     "segment": segment.segment,
     "evaluate": evaluate.evaluate,
     "simulate": simulate.simulate,

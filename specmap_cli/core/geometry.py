@@ -130,6 +130,15 @@ def invert(a_from_b: NDArray[Any]) -> FloatArray:
     )
 
 
+def nearest_motion(source: NDArray[Any], target: NDArray[Any]) -> Pose2:
+    """The rigid motion that takes points (n, 2) nearest to others (n, 2), by least squares."""
+    middle, aim = np.mean(source, axis=0), np.mean(target, axis=0)
+    a, b = source - middle, target - aim
+    turn = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
+    rotated = Pose2(0.0, 0.0, turn).apply(middle[None])[0]
+    return Pose2(float(aim[0] - rotated[0]), float(aim[1] - rotated[1]), turn)
+
+
 def yaw_of(matrix: NDArray[Any]) -> float:
     """Yaw of a rotation held in the upper left (3, 3) of a matrix, radians."""
     return math.atan2(float(matrix[1, 0]), float(matrix[0, 0]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.core.text import counted
+from specmap_cli.core.tracks import path_length
 from specmap_cli.drawing import symbols
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.palette import Colour, colours_of
@@ -29,7 +30,7 @@ def render_overview(
     regions: Regions,
     trajectory: Trajectory,
     labels: Labels,
-    log: LogInfo,
+    logs: Sequence[LogInfo],
     quality: Quality = UNDOUBTED,
 ) -> Image:
     """The map of a build: regions, walls, trajectory, and the graph over them; BGR (H, W, 3).
@@ -58,9 +59,10 @@ def render_overview(
         symbols.end(sheet.canvas, last)
     for doubt in sheet.pixels(np.array(doubts).reshape(-1, 2)):
         symbols.doubt(sheet.canvas, doubt)
-    figures = [counted(log.scans, "scan"), f"{labels.path_m:,.0f} m driven", _size(low, high)]
+    scans = sum(log.scans for log in logs)
+    figures = [counted(scans, "scan"), f"{_driven_m(labels, logs):,.0f} m driven", _size(low, high)]
     doubtful = [f"{quality.verdict}: {quality.worst[0].message}"] if quality.worst else []
-    sheet.title(_headline(log, topology), ",  ".join([*figures, *doubtful]))
+    sheet.title(_headline(logs, topology), ",  ".join([*figures, *doubtful]))
     return sheet.canvas.image
 
 
@@ -73,7 +75,7 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
     sheet.ground(regions, fills)
     _draw_graph(sheet, topology, _nodes(topology, regions), fills)
     area = np.count_nonzero(regions.grid.free) * regions.grid.resolution**2
-    sheet.title(_headline(log, topology), f"{area:,.0f} m2 free,  {_size(low, high)}")
+    sheet.title(_headline([log], topology), f"{area:,.0f} m2 free,  {_size(low, high)}")
     return sheet.canvas.image
 
 
@@ -162,12 +164,19 @@ def spread(centres: FloatArray, gap: float) -> FloatArray:
     return moved
 
 
-def _headline(log: LogInfo, topology: TopologicalMap) -> str:
+def _driven_m(labels: Labels, logs: Sequence[LogInfo]) -> float:
+    """Metres from keyframe to keyframe; nobody drove from the end of one log to the next one."""
+    starts = [log.keyframes[0] for log in logs[1:] if log.keyframes is not None]
+    return sum(path_length(way) for way in np.split(labels.poses, starts))
+
+
+def _headline(logs: Sequence[LogInfo], topology: TopologicalMap) -> str:
     counts = [counted(len(topology.submaps), "submap"), counted(len(topology.edges), "link")]
     merged = sum(closure.merged for closure in topology.closures)
     if merged:
         counts.append(counted(merged, "revisit") + " recognised")
-    return f"{log.name}:  {', '.join(counts)}"
+    more = f" and {counted(len(logs) - 1, 'more log')}" if len(logs) > 1 else ""
+    return f"{logs[0].name}{more}:  {', '.join(counts)}"
 
 
 def _size(low: FloatArray, high: FloatArray) -> str:

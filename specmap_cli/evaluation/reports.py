@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from specmap_cli.core.errors import LogError
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import Pose2, nearest_motion
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.settings import Config
 from specmap_cli.evaluation.classification import score_lines
@@ -24,7 +24,6 @@ from specmap_cli.evaluation.trajectories import (
     RelativeErrors,
     Spread,
     associate,
-    best_motion,
     read_tum,
 )
 from specmap_cli.maps.filenames import TOPOLOGY
@@ -83,7 +82,7 @@ def _alignment(stored: StoredMap, reference: str | Path, progress: Progress) -> 
     if len(joined) < 2:
         raise LogError(f"{reference}: no pose at the stamps of the map's keyframes: another log?")
     places, known = given.poses[rows, :2], stored.labels.poses[joined, :2]
-    map_from_reference = best_motion(places, known)
+    map_from_reference = nearest_motion(places, known)
     away = np.hypot(*(map_from_reference.apply(places) - known).T).mean()
     if away > _FITTING_M:
         progress.warn(

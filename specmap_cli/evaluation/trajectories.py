@@ -20,9 +20,9 @@ import numpy as np
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import (
     FloatArray,
-    Pose2,
     compose,
     invert,
+    nearest_motion,
     rotation_from_quaternion,
     yaw_of,
 )
@@ -201,7 +201,7 @@ def reference_errors(trajectory: Trajectory, reference: Trajectory) -> Reference
             have = compose(invert(poses[starts]), poses[ends[starts]])
             relative[length] = _relative_errors(want, have, len(starts))
     whole = _difference(compose(invert(truth[0]), truth[-1]), compose(invert(poses[0]), poses[-1]))
-    moved = best_motion(poses[:, :2], truth[:, :2]).apply(poses[:, :2])
+    moved = nearest_motion(poses[:, :2], truth[:, :2]).apply(poses[:, :2])
     return ReferenceErrors(
         relative=relative,
         ate_m=math.sqrt(float(((moved - truth[:, :2]) ** 2).sum(axis=1).mean())),
@@ -210,15 +210,6 @@ def reference_errors(trajectory: Trajectory, reference: Trajectory) -> Reference
         matched=len(rows),
         total=len(reference.stamps_ns),
     )
-
-
-def best_motion(points: FloatArray, targets: FloatArray) -> Pose2:
-    """The rigid motion that brings points (n, 2) nearest to targets (n, 2), in least squares."""
-    p, t = points - points.mean(axis=0), targets - targets.mean(axis=0)
-    sine = float((p[:, 0] * t[:, 1] - p[:, 1] * t[:, 0]).sum())
-    turn = Pose2(0.0, 0.0, math.atan2(sine, float((p * t).sum())))
-    shift = targets.mean(axis=0) - turn.apply(points.mean(axis=0)[None, :])[0]
-    return Pose2(float(shift[0]), float(shift[1]), turn.theta)
 
 
 def _too_few(common: int, total: int) -> InputError:

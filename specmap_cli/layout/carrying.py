@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angle, wrap_angles
@@ -9,6 +11,8 @@ from specmap_cli.core.labels import runs
 from specmap_cli.core.records import BoolArray, IntArray, Trajectory
 from specmap_cli.core.tracks import travelled
 from specmap_cli.grids.keyframes import KeyframeStore
+
+_SAME = 2e-6  # metres and radians: text files have six decimals
 
 
 def carried(tracked: FloatArray, anchors: IntArray, relaxed: FloatArray) -> FloatArray:
@@ -47,16 +51,29 @@ def bridged(poses: FloatArray, tracked: FloatArray, lost: BoolArray) -> FloatArr
 
 
 def keyframe_rows(trajectory: Trajectory, store: KeyframeStore) -> IntArray:
-    """Rows of the trajectory that are the store's keyframes, in order.
+    """Rows of the trajectory, as tracked, that are the store's keyframes, in order."""
+    return rows_of(trajectory, store.stamps_ns, store.poses)
 
-    Stamps may repeat or step back, so that the two are walked together.
+
+def rows_of(trajectory: Trajectory, stamps_ns: Sequence[int], poses: FloatArray) -> IntArray:
+    """Rows of the trajectory that are some keyframes, by their stamps and poses (n, 3), in order.
+
+    Stamps may repeat or step back, so that the two are walked together. Poses may differ by what
+    text files round.
     """
-    stamps, tracked = store.stamps_ns, store.poses
     rows: list[int] = []
-    for row, stamp in enumerate(trajectory.stamps_ns.tolist()):
-        k = len(rows)
-        if k == len(stamps):
+    ways = zip(trajectory.stamps_ns.tolist(), trajectory.poses.tolist(), strict=True)
+    wanted = list(zip(stamps_ns, poses.tolist(), strict=True))
+    for row, (stamp, pose) in enumerate(ways):
+        if len(rows) == len(wanted):
             break
-        if stamp == stamps[k] and np.array_equal(trajectory.poses[row], tracked[k]):
+        keyframe_stamp, keyframe = wanted[len(rows)]
+        if stamp == keyframe_stamp and _is_same(pose, keyframe):
             rows.append(row)
     return np.array(rows, dtype=np.int64)
+
+
+def _is_same(pose: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether two poses are equal but for rounding."""
+    turn = abs(wrap_angle(pose[2] - other[2]))
+    return max(abs(pose[0] - other[0]), abs(pose[1] - other[1]), turn) <= _SAME

@@ -36,6 +36,7 @@ from specmap_cli.topology.topological_map import (
     TopologicalMap,
     Traversal,
     Visit,
+    default_name,
 )
 
 
@@ -89,7 +90,7 @@ def _node_record(submap: Submap, shape: Outline) -> NodeRecord:
     x, y, theta = transform(submap.map_from_submap)
     return NodeRecord(
         id=submap.id,
-        name=submap.name or f"submap {submap.id}",
+        name=submap.name or default_name(submap.id),
         kind=submap.kind or kind_of(shape.polygon),
         properties=dict(submap.properties),
         x=x,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from specmap_cli.core.findings import Quality
+from specmap_cli.core.findings import Finding, Quality
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Closure
 from specmap_cli.core.text import nanoseconds, plain, rounded, seconds
@@ -15,6 +15,7 @@ from specmap_cli.maps.schema_graph import (
     SCHEMA_VERSION,
     BreakRecord,
     ClosureRecord,
+    FindingRecord,
     GraphRecord,
     LogRecord,
     QualityRecord,
@@ -38,6 +39,33 @@ def graph_record(
         breaks=[_break_record(each) for each in topology.breaks],
         closures=[_closure_record(closure, submap_of) for closure in topology.closures],
         quality=None if quality is None else _quality_record(quality),
+    )
+
+
+def log_of(record: LogRecord) -> LogInfo:
+    """A recording as it was written."""
+    return LogInfo(
+        name=record.name,
+        start_ns=None if record.start is None else nanoseconds(record.start),
+        end_ns=None if record.end is None else nanoseconds(record.end),
+        scans=record.scans,
+        keyframes=record.keyframes,
+    )
+
+
+def finding_of(record: FindingRecord) -> Finding:
+    """A finding as it was written."""
+    where = record.where
+    place = None if where is None or where.x is None or where.y is None else (where.x, where.y)
+    return Finding(
+        code=record.code,
+        severity=record.severity,
+        message=record.message,
+        advice=record.advice,
+        value=record.value,
+        limit=record.limit,
+        stamp_ns=None if where is None or where.stamp is None else nanoseconds(where.stamp),
+        place=place,
     )
 
 

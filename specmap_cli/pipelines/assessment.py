@@ -26,9 +26,21 @@ def assess(
 
     `beyond` keyframes did not fit into the grid; `warnings` are those of reading and registration.
     """
+    return judged(evidence_of(store, explored, laid, beyond, warnings, config), config.quality)
+
+
+def evidence_of(
+    store: KeyframeStore,
+    explored: Explored,
+    laid: LaidOut,
+    beyond: int,
+    warnings: tuple[str, ...],
+    config: Config,
+) -> Evidence:
+    """What the verdict on a map of one recording rests on; the arguments are those of `assess`."""
     rows = keyframe_rows(explored.trajectory, store)
     layout, breaks = laid.layout, tuple(explored.breaks)
-    evidence = Evidence(
+    return Evidence(
         trajectory=laid.trajectory,
         keyframes_ns=store.stamps_ns,
         breaks=breaks,
@@ -38,7 +50,6 @@ def assess(
         warnings=warnings,
         holes=holes_of(store, rows, laid.trajectory, layout, breaks, config.quality),
     )
-    return judged(evidence, config.quality)
 
 
 def tell(quality: Quality, progress: Progress) -> None:

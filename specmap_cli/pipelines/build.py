@@ -25,7 +25,7 @@ from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import assess, tell
 from specmap_cli.pipelines.exploration import Exploration, Explored
-from specmap_cli.pipelines.finished_map import FinishedMap
+from specmap_cli.pipelines.finished_map import FinishedMap, recording
 from specmap_cli.pipelines.laying_out import lay_out
 from specmap_cli.pipelines.learning import divide, learn, linked, whole_grid
 from specmap_cli.pipelines.run_record import BuildReport, run_record
@@ -71,7 +71,8 @@ def build_map(
         finished = map_log(stream, config, store, progress, observer=observer)
         run = run_record(log.given, stream.selection, config, finished)
         tell(finished.quality, progress)
-        write_map(partial, finished.result(log.name, run), store)
+        given_log = recording(log.name, finished.trajectory, len(store))
+        write_map(partial, finished.result((given_log,), run), store)
     return BuildReport(out=target, run=run, quality=finished.quality)
 
 
@@ -96,13 +97,18 @@ def map_log(
     explored, tracking = explore_log(  # what only the exploration knew is gone after it
         stream, config, Exploration(config, store, clock, observer), accepts, progress
     )
+    refuse_empty(store, stream, tracking)
+    return finish(explored, tracking, config, store, progress, clock)
+
+
+def refuse_empty(store: KeyframeStore, stream: SweepStream, tracking: Tracking) -> None:
+    """Raise NoResultError when a log left no keyframe."""
     if not len(store):
         found = "; ".join(tracking.warnings) or "too few returns in them"
         raise NoResultError(
             f"{stream.log.name}: none of {counted(stream.expected, 'scan')} could be registered "
             f"({found}): look at them with `specmap info`"
         )
-    return finish(explored, tracking, config, store, progress, clock)
 
 
 def explore_log(

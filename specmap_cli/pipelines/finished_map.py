@@ -28,7 +28,8 @@ class FinishedMap:
 
     `regions` divide the grid of the whole map. `counts` are of messages and scans. `limits`
     say how often a setting of that name cut the work short. `quality` is what is thought of the
-    map, `seconds` are those of each stage.
+    map, `seconds` are those of each stage. `starts` are the rows of the trajectory with which
+    further recordings begin.
     """
 
     topology: TopologicalMap
@@ -41,6 +42,7 @@ class FinishedMap:
     limits: Mapping[str, int]
     quality: Quality
     seconds: Mapping[str, float]
+    starts: tuple[int, ...] = ()
 
     @property
     def path_m(self) -> float:
@@ -52,29 +54,34 @@ class FinishedMap:
         counted = np.isin(trajectory.stamps_ns, self.labels.stamps_ns)
         if trajectory.lost is not None:
             counted |= trajectory.lost
-        return path_length(trajectory.poses[counted])
+        ways = np.split(np.arange(len(counted)), self.starts)
+        return sum(path_length(trajectory.poses[way][counted[way]]) for way in ways)
 
-    def result(self, log_name: str, run: Mapping[str, Any]) -> MapResult:
+    def result(self, logs: tuple[LogInfo, ...], run: Mapping[str, Any]) -> MapResult:
         """What the map directory is written from: the map, its picture, and `run` for run.json."""
-        stamps = self.trajectory.stamps_ns
-        log = LogInfo(
-            name=legible(Path(log_name).name),
-            start_ns=int(stamps.min()),
-            end_ns=int(stamps.max()),
-            scans=len(stamps),
-            keyframes=(0, len(self.labels.stamps_ns) - 1),
-        )
         return MapResult(
             topology=self.topology,
             regions=self.regions,
             trajectory=self.trajectory,
             labels=self.labels,
             classifiers=self.classifiers.to_json(),
-            logs=(log,),
+            logs=logs,
             run=run,
             quality=self.quality,
             pose_graph=write_g2o(self.layout),
             overview=render_overview(
-                self.topology, self.regions, self.trajectory, self.labels, log, self.quality
+                self.topology, self.regions, self.trajectory, self.labels, logs, self.quality
             ),
         )
+
+
+def recording(name: str, trajectory: Trajectory, keyframes: int) -> LogInfo:
+    """The recording of a file `name`, which gave a trajectory and some keyframes."""
+    stamps = trajectory.stamps_ns
+    return LogInfo(
+        name=legible(Path(name).name),
+        start_ns=int(stamps.min()),
+        end_ns=int(stamps.max()),
+        scans=len(stamps),
+        keyframes=(0, keyframes - 1),
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,8 +86,12 @@ def linked(
     breaks: Mapping[int, Bridge | None],
     closures: Sequence[Closure],
     grids: Mapping[int, GridMap],
+    starts: Collection[int] = (),
 ) -> TopologicalMap:
-    """The submaps linked where the robot drove across and where closures show that they meet."""
+    """The submaps linked where the robot drove across and where closures show that they meet.
+
+    `starts` are the keyframes with which other recordings begin.
+    """
     stamps_ns = labels.stamps_ns.tolist()
     return build_topology(
         labels=labels.submaps,
@@ -97,10 +101,12 @@ def linked(
             Break(keyframe, None if bridge is None else (bridge.position_m, bridge.heading_rad))
             for keyframe, bridge in sorted(breaks.items())
             if keyframe < len(stamps_ns)  # none came after the last of them
+            and keyframe not in starts
         ],
         closures=closures,
         stays=stays_of(regions, labels.submaps, stamps_ns),
         grids=grids,
+        starts=starts,
     )
 
 
@@ -122,7 +128,7 @@ def learn(
     with ahead(lambda: _without_grids(store, features, submaps, poses, config, raw_rng)) as beside:
         progress.start("grids", len(store))
         with clock.stage("grids"):
-            grids = _submap_grids(store, submaps, poses, config, progress)
+            grids = submap_grids(store, submaps, poses, config, progress)
         progress.start("training", None)
         with clock.stage("training"):
             virtual = None
@@ -153,17 +159,18 @@ def _without_grids(
     return raw, held_out_misfit(store, submaps, poses, config.localization)
 
 
-def _submap_grids(
+def submap_grids(
     store: KeyframeStore,
     submaps: Submaps,
     poses: FloatArray,
     config: Config,
-    progress: Progress,
+    progress: Progress | None = None,
 ) -> dict[int, GridMap]:
     """The grid of each submap from all its keyframes, in the frame of its first."""
     grids = {}
     for id_, keyframes in submaps.items():
         track = compose(invert(poses[keyframes[0]]), poses[keyframes])
         grids[id_] = integrate_keyframes(store, keyframes, track, config.grid).snapshot()
-        progress.advance(len(keyframes))
+        if progress is not None:
+            progress.advance(len(keyframes))
     return grids

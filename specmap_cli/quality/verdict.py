@@ -5,7 +5,7 @@ Every finding has a code that stays the same from version to version; docs/quali
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from specmap_cli.core.findings import INPUT, Finding, Quality, Severity
 from specmap_cli.core.settings import QualityConfig
@@ -13,6 +13,12 @@ from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.holes import unwatched
 from specmap_cli.quality.measured import odometry_disagrees, unmeasured_way
 from specmap_cli.quality.placed import (
+    BEYOND,
+    LOOSE,
+    MENDED,
+    MOVED,
+    REFUTED,
+    WALLS,
     beyond_grid,
     contradictions,
     loose_parts,
@@ -22,17 +28,20 @@ from specmap_cli.quality.placed import (
     refuted,
     walls,
 )
-from specmap_cli.quality.rivals import rival_places
+from specmap_cli.quality.placed import LAYOUT as LAYOUT_REFUSED
+from specmap_cli.quality.rivals import RIVAL, rival_places
 from specmap_cli.quality.tracked import breaks, lost_scans
 
 Check = Callable[[Evidence, QualityConfig], Iterator[Finding]]
 
-CHECKS: tuple[Check, ...] = (
+RECORDING: tuple[Check, ...] = (
     lost_scans,
     breaks,
     unwatched,
     unmeasured_way,
     odometry_disagrees,
+)
+LAYOUT: tuple[Check, ...] = (
     loose_parts,
     moved_parts,
     rival_places,
@@ -43,11 +52,32 @@ CHECKS: tuple[Check, ...] = (
     refuted,
     beyond_grid,
 )
+# What is said of a layout; the other codes are about recordings.
+LAYOUT_CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT_REFUSED, WALLS, MENDED, REFUTED, BEYOND})
 _ORDER: tuple[Severity, ...] = ("poor", "doubtful", "note")
 
 
 def judged(evidence: Evidence, config: QualityConfig) -> Quality:
     """The verdict with all findings, the gravest first, in the order of the stages otherwise."""
-    findings = [finding for check in CHECKS for finding in check(evidence, config)]
-    findings += [Finding(code=INPUT, severity="note", message=text) for text in evidence.warnings]
-    return Quality(findings=tuple(sorted(findings, key=lambda one: _ORDER.index(one.severity))))
+    return quality_of([*of_recording(evidence, config), *of_layout(evidence, config)])
+
+
+def of_recording(evidence: Evidence, config: QualityConfig) -> list[Finding]:
+    """What is to be said of a recording, wherever its map is laid into another one."""
+    told = [Finding(code=INPUT, severity="note", message=text) for text in evidence.warnings]
+    return [*_found(RECORDING, evidence, config), *told]
+
+
+def of_layout(evidence: Evidence, config: QualityConfig) -> list[Finding]:
+    """What is to be said of a layout, of one recording or of several."""
+    return _found(LAYOUT, evidence, config)
+
+
+def quality_of(findings: Sequence[Finding]) -> Quality:
+    """The findings, the gravest first; what reading had to say comes last of its kind."""
+    ordered = sorted(findings, key=lambda one: one.code == INPUT)
+    return Quality(findings=tuple(sorted(ordered, key=lambda one: _ORDER.index(one.severity))))
+
+
+def _found(checks: Sequence[Check], evidence: Evidence, config: QualityConfig) -> list[Finding]:
+    return [finding for check in checks for finding in check(evidence, config)]

@@ -76,18 +76,20 @@ def build_topology(
     closures: Sequence[Closure],
     stays: Sequence[Stay],
     grids: Mapping[int, GridMap],
+    starts: Collection[int] = (),
 ) -> TopologicalMap:
     """The topological map of keyframes with submap `labels` (n,) and `poses` (n, 3) in the map.
 
     Submaps are linked where the robot drove across, and where a verified closure shows that its
     tracks meet. `breaks` are where tracking restarted: what lies before is linked by a loose edge
     only. `closures` name `stays` by their numbers; `grids` are in the frames of the submaps, whose
-    origin is the pose of their first keyframe.
+    origin is the pose of their first keyframe. `starts` are the keyframes with which other
+    recordings begin: nobody drove from the one before to these.
     """
-    spans = runs(labels)
+    spans = _spans(labels, starts)
     submaps = _submaps(labels, poses, stamps_ns, spans, grids)
     contacts = [
-        *_driven(labels, poses, stamps_ns, spans, {each.keyframe for each in breaks}),
+        *_driven(labels, poses, stamps_ns, spans, starts, {each.keyframe for each in breaks}),
         *_recognised(labels, poses, closures, {stay.number: stay.submap for stay in stays}),
     ]
     return TopologicalMap(
@@ -120,6 +122,13 @@ def stays_of(
         )
         for number, keyframes in sorted(regions.items())
     )
+
+
+def _spans(labels: IntArray, starts: Collection[int]) -> list[Span]:
+    """Half-open ranges of keyframes in one submap, of one recording each."""
+    recording = np.isin(np.arange(len(labels)), list(starts)).cumsum()
+    both = np.unique(np.column_stack([recording, labels]), axis=0, return_inverse=True)[1]
+    return runs(both.reshape(-1))
 
 
 def _submaps(
@@ -159,10 +168,13 @@ def _driven(
     poses: FloatArray,
     stamps_ns: Sequence[int],
     spans: Sequence[Span],
+    starts: Collection[int],
     breaks: Collection[int],
 ) -> Iterator[_Contact]:
     """From each visit to the next: traversed, or loose where tracking restarted."""
     for (start, end), (after, _) in pairwise(spans):
+        if after in starts:
+            continue
         source, target = int(labels[start]), int(labels[after])
         pair = (min(source, target), max(source, target))
         if after in breaks:

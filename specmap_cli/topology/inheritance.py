@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -19,7 +18,6 @@ from specmap_cli.core.tracks import step_lengths
 from specmap_cli.topology.graph import settle_labels
 from specmap_cli.topology.regions import NOBODY, Regions
 
-_BESIDE_M = 0.15  # from the border of a region: a robot that stands there is still in it
 _MOST = 0.5  # share of a submap in one region of the joint map: that region is the same place
 
 
@@ -40,15 +38,14 @@ class Heritage:
 def inherited(old: Heritage, poses: FloatArray, divided: IntArray, region_min_m: float) -> IntArray:
     """The submap (m,) of each keyframe of a joint map: those of the old map, then the new ones.
 
-    `poses` (m, 3) are those in the joint map, `divided` (m,) the region of its own division that
-    each keyframe lies in. Old keyframes keep their submaps. New space on which the robot drove less
-    than `region_min_m` becomes no submap of its own.
+    `poses` (m, 3) are those in the joint map, `divided` (m,) the region of another division that
+    each keyframe lies in, NOBODY outside of it. Old keyframes keep their submaps. New space on
+    which the robot drove less than `region_min_m` becomes no submap of its own.
     """
     count = len(old.poses)
     labels = np.concatenate([old.submaps, _territory(old, poses)])
-    strange = labels == NOBODY
-    strange[:count] = False
-    heirs = _heirs(old.submaps, divided)
+    strange = (labels == NOBODY) & (np.arange(len(labels)) >= count)
+    heirs = {**_mostly_in(labels, divided), **_heirs(old.submaps, divided[:count])}
     names = _names(divided[strange].tolist(), heirs, old.next_id)
     labels[strange] = [names[region] for region in divided[strange].tolist()]
     own = _without_grazed(labels[count:], poses[count:], old.next_id, region_min_m)
@@ -64,37 +61,38 @@ def _territory(old: Heritage, poses: FloatArray) -> IntArray:
     count = len(old.poses)
     nearest = cKDTree(poses[:count, :2]).query(poses[count:, :2])[1]
     back = compose(old.poses[nearest], compose(invert(poses[nearest]), poses[count:]))
-    grid, owner = old.regions.grid, old.regions.owner
-    nobody = (owner == NOBODY).astype(np.uint8)
-    away, which = cv2.distanceTransformWithLabels(
-        nobody, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    owners = np.full(int(which.max()) + 1, NOBODY, dtype=np.int64)
-    owners[which[nobody == 0]] = owner[nobody == 0]
-    cells = grid.cells_of(back[:, :2])
-    inside = grid.inside(cells)
-    rows, columns = cells[inside].T
-    found = np.full(len(back), NOBODY, dtype=np.int64)
-    near = away[rows, columns] * grid.resolution <= _BESIDE_M
-    found[inside] = np.where(near, owners[which[rows, columns]], NOBODY)
+    return old.regions.owners(back)
+
+
+def _mostly_in(labels: IntArray, divided: IntArray) -> dict[int, int]:
+    """For regions of the division whose keyframes lie for the most part in one submap: its id."""
+    found = {}
+    for region in np.unique(divided[divided != NOBODY]).tolist():
+        submap, share = _commonest(labels[divided == region])
+        if submap != NOBODY and share > _MOST:
+            found[region] = submap
     return found
 
 
 def _heirs(submaps: IntArray, divided: IntArray) -> dict[int, int]:
-    """For regions of the joint map that are an old submap's place: its id.
+    """For regions of the division that are an old submap's place: its id.
 
     Most of the old keyframes of the submap lie there, and of all such submaps it has the most.
     """
-    heirs: dict[int, tuple[int, int]] = {}
+    heirs: dict[int, tuple[float, int]] = {}
     for submap in np.unique(submaps[submaps != NOBODY]).tolist():
-        regions, counts = np.unique(divided[: len(submaps)][submaps == submap], return_counts=True)
-        most = int(counts.argmax())
-        if counts[most] > _MOST * counts.sum():
-            region = int(regions[most])
-            best = heirs.get(region)
-            if best is None or counts[most] > best[0]:
-                heirs[region] = (int(counts[most]), submap)
+        region, share = _commonest(divided[submaps == submap])
+        count = share * np.count_nonzero(submaps == submap)
+        if region != NOBODY and share > _MOST and count > heirs.get(region, (0.0, 0))[0]:
+            heirs[region] = (count, submap)
     return {region: submap for region, (_, submap) in heirs.items()}
+
+
+def _commonest(values: IntArray) -> tuple[int, float]:
+    """The commonest of some values (n,), the smaller of equals, and its share."""
+    found, counts = np.unique(values, return_counts=True)
+    most = int(counts.argmax())
+    return int(found[most]), float(counts[most] / counts.sum())
 
 
 def _names(regions: list[int], heirs: dict[int, int], next_id: int) -> dict[int, int]:

@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.records import NO_SUBMAP, Labels
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.grids.gridmap import BoolArray, GridMap
 from specmap_cli.topology.outlines import NOTHING, Outline, outline_of
 
@@ -56,6 +57,26 @@ class Regions:
     def outline(self, submap: int) -> Outline:
         """The outline of one region, that of nothing for a submap without a cell."""
         return self.outlines.get(submap, NOTHING)
+
+    def owners(self, points: FloatArray) -> IntArray:
+        """(n,) the submap in whose region each point (n, 2 or more) lies, NOBODY outside of all.
+
+        A robot that stands beside the border of a region, by half its width, is still in it.
+        """
+        nobody = (self.owner == NOBODY).astype(np.uint8)
+        away, nearest = cv2.distanceTransformWithLabels(
+            nobody, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+        )
+        owner_of = np.full(int(nearest.max(initial=0)) + 1, NOBODY, dtype=np.int64)
+        owner_of[nearest[nobody == 0]] = self.owner[nobody == 0]
+        owner_of = np.where(nobody.all(), NOBODY, owner_of)
+        cells = self.grid.cells_of(points[:, :2])
+        inside = self.grid.inside(cells)
+        rows, columns = cells[inside].T
+        near = away[rows, columns] * self.grid.resolution <= _ROBOT_RADIUS_M
+        owners = np.full(len(points), NOBODY, dtype=np.int64)
+        owners[inside] = np.where(near, owner_of[nearest[rows, columns]], NOBODY)
+        return owners
 
 
 def divide(whole: GridMap, labels: Labels) -> Regions:

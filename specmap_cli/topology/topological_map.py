@@ -46,6 +46,11 @@ class Submap:
     properties: Mapping[str, Property] = field(default_factory=dict)
 
 
+def default_name(submap: int) -> str:
+    """What a submap is called until a person gives it a name."""
+    return f"submap {submap}"
+
+
 @dataclass(frozen=True, slots=True)
 class Traversal:
     """The robot crossed from one submap to another at `pose` (map frame)."""

@@ -16,8 +16,17 @@ from specmap_cli.cli.options import LogSettings, Settings
 from specmap_cli.core.errors import UsageError
 from tests.cli.conftest import QUICK, Run, standing_log
 
-READERS = {"info", "build", "localize", "evaluate"}
-WRITERS = {"build", "localize", "segment", "evaluate", "simulate", "convert", "export"}
+READERS = {"info", "build", "localize", "evaluate", "update"}
+WRITERS = {
+    "build",
+    "localize",
+    "segment",
+    "evaluate",
+    "simulate",
+    "convert",
+    "export",
+    "update",
+}
 ALL = READERS | WRITERS | {"config"}
 HAVE = {
     "--quiet": ALL,

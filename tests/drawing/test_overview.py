@@ -31,7 +31,7 @@ UNLABELLED = Labels(stamps_ns=NOWHERE.stamps_ns, poses=NOWHERE.poses, submaps=NO
 
 def drawn(result: MapResult) -> Image:
     return render_overview(
-        result.topology, result.regions, result.trajectory, result.labels, result.logs[0]
+        result.topology, result.regions, result.trajectory, result.labels, result.logs
     )
 
 
@@ -72,7 +72,7 @@ def test_nothing_known(shape: tuple[int, int]) -> None:
     grid = GridMap(np.full(shape, UNKNOWN, dtype=np.uint8), 0.05)
     empty = Regions.of(grid, np.full(shape, NOBODY))
     no_map = TopologicalMap(submaps={}, edges={})
-    overview = render_overview(no_map, empty, NOWHERE, UNLABELLED, LogInfo("empty"))
+    overview = render_overview(no_map, empty, NOWHERE, UNLABELLED, [LogInfo("empty")])
     plan = render_segmentation(no_map, empty, LogInfo("empty"))
     for image in (overview, plan):
         assert is_framed(image)
@@ -82,7 +82,7 @@ def test_nothing_known(shape: tuple[int, int]) -> None:
 def test_start_and_end_are_where_the_robot_was() -> None:
     topology, regions = one_room((80, 120))
     trajectory, labels = along(np.linspace((1.0, 1.0), (5.0, 3.0), 60))
-    image = render_overview(topology, regions, trajectory, labels, LogInfo("log"))
+    image = render_overview(topology, regions, trajectory, labels, [LogInfo("log")])
     start, end = places_on(regions, [(1.0, 1.0), (5.0, 3.0)])
     assert pixel(image, start) == pixel(image, end) == palette.INK
     corner = np.array([5.0, 5.0])
@@ -93,7 +93,7 @@ def test_start_and_end_are_where_the_robot_was() -> None:
 def test_the_way_is_drawn_over_its_whole_length() -> None:
     topology, regions = one_room((80, 120))
     way = np.linspace((1.0, 0.5), (5.0, 0.5), 60)
-    image = render_overview(topology, regions, *along(way), LogInfo("log"))
+    image = render_overview(topology, regions, *along(way), [LogInfo("log")])
     for place in places_on(regions, [(x, 0.5) for x in np.arange(1.3, 4.8, 0.25).tolist()]):
         x, y = place.astype(int)
         assert of_colour(image[y - 2 : y + 3, x - 2 : x + 3], symbols.PATH, 90).any()
@@ -108,7 +108,7 @@ def test_a_jump_is_not_drawn_as_a_way(result: MapResult) -> None:
     driven = Trajectory(stamps, np.linspace((-5.0, 0, 0), (5, 0, 0), 40))
     only = dataclasses.replace(result.topology, submaps={0: result.topology.submaps[0]}, edges={})
     none, broken, whole = (
-        render_overview(only, result.regions, path, result.labels, result.logs[0])[TITLE:]
+        render_overview(only, result.regions, path, result.labels, result.logs)[TITLE:]
         for path in (NOWHERE, lost, driven)
     )
     assert 100 < (broken != none).sum() < (whole != none).sum() / 2
@@ -121,7 +121,7 @@ def test_a_badge_stays_near_the_way_of_the_robot(
     """The middle of a room stands for it, unless the robot never came near: glass lies between."""
     topology, regions = one_room((80, 120))
     way = np.linspace(corner, np.array(corner) + 0.2, 20)
-    image = render_overview(topology, regions, *along(way), LogInfo("log"))
+    image = render_overview(topology, regions, *along(way), [LogInfo("log")])
     centroid = regions.outline(0).centroid
     assert centroid is not None
     (middle,) = places_on(regions, [(float(centroid[0]), float(centroid[1]))])
@@ -135,7 +135,7 @@ def test_unreached_cells_are_explained_when_there_are_many(share: float, said: b
     owner = regions.owner.copy()
     owner.reshape(-1)[np.flatnonzero(regions.grid.free)[: int(share * 10_000)]] = NOBODY
     image = render_overview(
-        topology, Regions.of(regions.grid, owner), NOWHERE, UNLABELLED, LogInfo("log")
+        topology, Regions.of(regions.grid, owner), NOWHERE, UNLABELLED, [LogInfo("log")]
     )
     legend = image[TITLE + 1800 + 30 :]
     assert (near(legend, palette.SHADE) > 500) is said
@@ -221,7 +221,7 @@ def test_a_doubtful_place_is_marked_and_the_title_says_why() -> None:
     aside = Finding(code="input", severity="note", message="odd", place=(4.0, 3.0))
     path = along(np.linspace((1.0, 1.0), (5.0, 1.0), 60))
     good, poor = (
-        render_overview(topology, regions, *path, LogInfo("log"), Quality(findings=findings))
+        render_overview(topology, regions, *path, [LogInfo("log")], Quality(findings=findings))
         for findings in ((aside,), (aside, said))
     )
     (middle,) = places_on(regions, [place])
@@ -234,7 +234,7 @@ def test_a_doubtful_place_is_marked_and_the_title_says_why() -> None:
 def test_a_way_out_of_the_grid_stays_on_the_sheet() -> None:
     topology, regions = one_room((80, 120))
     way = np.linspace((1.0, 1.0), (12.0, 9.0), 60)
-    image = render_overview(topology, regions, *along(way), LogInfo("log"))
+    image = render_overview(topology, regions, *along(way), [LogInfo("log")])
     assert is_framed(image)
     low, high = np.array([0.0, 0.0]), np.array([12.3, 9.3])
     sheet = Sheet(np.minimum(low, extent_of(regions)[0]), high, ())
@@ -247,7 +247,7 @@ def test_a_way_to_the_end_of_the_world_takes_no_more_memory() -> None:
     topology, regions = one_room((80, 120))
     way = np.array([(1.0, 1.0), (2.0, 1.0), (1e7, 1.0)])
     tracemalloc.start()
-    image = render_overview(topology, regions, *along(way), LogInfo("log"))
+    image = render_overview(topology, regions, *along(way), [LogInfo("log")])
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert is_framed(image)

@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.errors import InputError
-from specmap_cli.core.geometry import Pose2, compose, invert
+from specmap_cli.core.geometry import Pose2, compose, invert, nearest_motion
 from specmap_cli.core.records import Trajectory
 from specmap_cli.evaluation.trajectories import (
     Relations,
     associate,
-    best_motion,
     read_relations,
     read_tum,
     reference_errors,
@@ -110,7 +109,7 @@ def test_a_perfect_trajectory_has_no_error_in_any_frame(motion: Pose2) -> None:
     assert found.ate_m < 1e-6
     assert found.end_m < 1e-6
     assert all(r.translation_m.max < 1e-6 for r in found.relative.values())
-    back = best_motion(moved.poses[:, :2], truth.poses[:, :2])
+    back = nearest_motion(moved.poses[:, :2], truth.poses[:, :2])
     assert np.allclose((back @ motion)[:2], 0.0, atol=1e-6)
 
 
@@ -219,7 +218,7 @@ def test_the_best_motion_is_that_of_a_singular_value_decomposition(
     rng = np.random.default_rng(seed)
     points = rng.uniform(-5, 5, (12, 2))
     targets = motion.apply(points) + rng.normal(0.0, 0.3, (12, 2))
-    found = best_motion(points, targets)
+    found = nearest_motion(points, targets)
     p, t = points - points.mean(axis=0), targets - targets.mean(axis=0)
     u, _, vt = np.linalg.svd(p.T @ t)
     rotation = vt.T @ np.diag([1.0, np.linalg.det(vt.T @ u.T)]) @ u.T

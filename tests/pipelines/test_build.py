@@ -31,7 +31,7 @@ from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines import learning
 from specmap_cli.pipelines.build import explore, finish, map_log
 from specmap_cli.pipelines.exploration import Exploration, Explored, online_labels
-from specmap_cli.pipelines.finished_map import FinishedMap
+from specmap_cli.pipelines.finished_map import FinishedMap, recording
 from specmap_cli.pipelines.refutation import REFUTED, constraints_of, refute
 from specmap_cli.pipelines.simulate import SimulationResult
 from specmap_cli.pipelines.stopwatch import Stopwatch
@@ -130,7 +130,9 @@ def test_a_map_can_be_laid_out_again_from_its_directory_alone(
     flat_map: Flat, tmp_path: Path
 ) -> None:
     """Keyframes, stays, closures and breaks say all that the layout was made of."""
-    write_map(tmp_path, flat_map.finished.result("flat.mcap", {}), flat_map.store)
+    finished = flat_map.finished
+    log = recording("flat.mcap", finished.trajectory, len(flat_map.store))
+    write_map(tmp_path, finished.result((log,), {}), flat_map.store)
     stored, config = read_map(tmp_path), Config().relaxation
     topology = stored.topology
     assert any(closure.merged for closure in topology.closures)

@@ -42,22 +42,29 @@ def likely_pairs(
 
 
 def _ranks(old: KnownMap, new: KnownMap, config: LocalizationConfig) -> FloatArray:
-    """(n_old, n_new) the product of the chances by which two submaps claim each other (eq. 5)."""
-    asked_old, asked_new = _asked(old), _asked(new)
-    if asked_old is None or asked_new is None or asked_old.feature_set != asked_new.feature_set:
+    """(n_old, n_new) the product of the chances by which two submaps claim each other (eq. 5).
+
+    Of a map that has no classifiers it is the chance by which the other one claims alone.
+    """
+    ranks = [_claimed(new, by=old, config=config), _claimed(old, by=new, config=config)]
+    known = [ranks[0], None if ranks[1] is None else ranks[1].T]
+    claims = [chances for chances in known if chances is not None]
+    if not claims:
         return _by_area(old, new)
-    old_scans = _cast(old, asked_new.feature_set, config)
-    new_scans = _cast(new, asked_old.feature_set, config)
-    new_by_old = _chances(asked_old, old.ids, new_scans).T
-    return np.asarray(new_by_old * _chances(asked_new, new.ids, old_scans))
+    return np.asarray(np.prod(claims, axis=0))
 
 
-def _asked(known: KnownMap) -> Recogniser | None:
-    """The classifiers that are asked for virtual scans: they know every submap, or are none."""
-    virtual = None if known.classifiers is None else known.classifiers.virtual
-    if virtual is None or set(virtual.ids) != set(known.ids):
+def _claimed(of: KnownMap, *, by: KnownMap, config: LocalizationConfig) -> FloatArray | None:
+    """(n_by, n_of) mean chances by which the submaps of one map claim scans of another's.
+
+    None where the one cannot be asked, or nobody knows where the robot was in the other.
+    """
+    asked = None if by.classifiers is None else by.classifiers.virtual
+    if asked is None or set(asked.ids) != set(by.ids):
         return None
-    return virtual if all(len(known.tracks.get(i, ())) for i in known.ids) else None
+    if not all(len(of.tracks.get(i, ())) for i in of.ids):
+        return None
+    return _chances(asked, by.ids, _cast(of, asked.feature_set, config)).T
 
 
 def _cast(known: KnownMap, feature_set: str, config: LocalizationConfig) -> list[FloatArray]:

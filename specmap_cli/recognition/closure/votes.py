@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, nearest_motion, wrap_angle
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.closure.kinship import Pair
 from specmap_cli.recognition.closure.known_map import Pieces
@@ -95,16 +95,7 @@ def fitted(transforms: Sequence[Pose2], centres: FloatArray, radii: FloatArray) 
     source = centres[:, None, :] + corners[None] * radii[:, None, None]
     pairs = zip(transforms, source, strict=True)
     target = np.concatenate([pose.apply(points) for pose, points in pairs])
-    return _nearest_motion(source.reshape(-1, 2), target)
-
-
-def _nearest_motion(source: FloatArray, target: FloatArray) -> Pose2:
-    """The rigid motion that takes points (n, 2) nearest to others (n, 2)."""
-    middle, aim = source.mean(axis=0), target.mean(axis=0)
-    a, b = source - middle, target - aim
-    turn = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
-    rotated = Pose2(0.0, 0.0, turn).apply(middle[None])[0]
-    return Pose2(float(aim[0] - rotated[0]), float(aim[1] - rotated[1]), turn)
+    return nearest_motion(source.reshape(-1, 2), target)
 
 
 def _is_sure(check: Check, config: RecognitionConfig) -> bool:

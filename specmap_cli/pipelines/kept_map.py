@@ -1,0 +1,199 @@
+"""A map that can grow: its keyframes, what ties them, and how the map looks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from specmap_cli.core.findings import Finding
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import Closure, Labels, Trajectory
+from specmap_cli.core.settings import Config
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.g2o import read_g2o
+from specmap_cli.layout.motion_edges import Bridge
+from specmap_cli.layout.relaxation import Layout
+from specmap_cli.maps import filenames
+from specmap_cli.maps.graph_conversion import finding_of, log_of
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.tables import read_text
+from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.pipelines.assessment import evidence_of
+from specmap_cli.pipelines.exploration import Explored
+from specmap_cli.pipelines.finished_map import recording
+from specmap_cli.pipelines.laying_out import LaidOut
+from specmap_cli.pipelines.learning import divide, submap_grids, submaps_of, whole_grid
+from specmap_cli.pipelines.localize import classifiers_of
+from specmap_cli.quality.verdict import LAYOUT_CODES, of_recording
+from specmap_cli.recognition.closure.known_map import KnownMap
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.regions import divide as divide_cells
+from specmap_cli.topology.topological_map import (
+    LogInfo,
+    Property,
+    Submap,
+    SubmapKind,
+    TopologicalMap,
+    default_name,
+)
+
+Stays = Mapping[int, tuple[int, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What a person said of a submap."""
+
+    name: str = ""
+    kind: SubmapKind | None = None
+    properties: Mapping[str, Property] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeptMap:
+    """A map with its keyframes: number i of the store is row i of `labels` and of the layout.
+
+    `stays` are the keyframes of each piece in which the robot saw the map, by number, that of its
+    frame first; `closures` name these. `breaks` are the keyframes at which tracking started afresh
+    or another recording begins. `findings` are those about the recordings, `said` is what a person
+    said. `next_id` and what follows it are ids that no submap ever had.
+    """
+
+    layout: Layout
+    labels: Labels
+    trajectory: Trajectory
+    stays: Stays
+    closures: tuple[Closure, ...]
+    breaks: Mapping[int, Bridge | None]
+    logs: tuple[LogInfo, ...]
+    findings: tuple[Finding, ...]
+    said: Mapping[int, Said]
+    next_id: int
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """The keyframes with which the recordings after the first one begin."""
+        return tuple(log.keyframes[0] for log in self.logs[1:] if log.keyframes is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A kept map as it looks: the division of its cells, and what aligns it with others."""
+
+    kept: KeptMap
+    regions: Regions
+    known: KnownMap
+
+
+def seen_of_stored(stored: StoredMap) -> Seen:
+    """A map directory. Raises MapError when a file that it takes is missing or damaged."""
+    topology, labels = stored.topology, stored.labels
+    logs = tuple(log_of(record) for record in stored.record.graph.logs)
+    kept = KeptMap(
+        layout=_layout(stored, labels),
+        labels=labels,
+        trajectory=read_trajectory(stored.path / filenames.TRAJECTORY, stored.limits),
+        stays={stay.number: stay.from_origin for stay in topology.stays},
+        closures=topology.closures,
+        breaks=_breaks(topology, logs),
+        logs=logs,
+        findings=_findings(stored),
+        said={id_: _said(submap) for id_, submap in topology.submaps.items()},
+        next_id=topology.next_id,
+    )
+    known = KnownMap(
+        whole=stored.map_grid,
+        grids=stored.grids,
+        frames={id_: submap.map_from_submap for id_, submap in topology.submaps.items()},
+        tracks=_tracks(labels),
+        classifiers=classifiers_of(stored),
+    )
+    return Seen(kept, stored.regions, known)
+
+
+def seen_of_log(
+    explored: Explored,
+    laid: LaidOut,
+    name: str,
+    warnings: tuple[str, ...],
+    store: KeyframeStore,
+    config: Config,
+) -> Seen:
+    """A recording that was explored and laid out by itself; no classifier was trained for it.
+
+    `name` is that of its file, `warnings` are those of reading and registration.
+    """
+    whole, beyond = whole_grid(store, laid.layout, config)
+    submaps = divide(whole, laid.layout, explored, laid.closures, config)
+    labels = Labels(
+        stamps_ns=np.array(store.stamps_ns, dtype=np.int64),
+        poses=laid.layout.poses,
+        submaps=submaps,
+    )
+    evidence = evidence_of(store, explored, laid, beyond, warnings, config)
+    kept = KeptMap(
+        layout=laid.layout,
+        labels=labels,
+        trajectory=laid.trajectory,
+        stays=explored.regions,
+        closures=laid.closures,
+        breaks=explored.breaks,
+        logs=(recording(name, laid.trajectory, len(submaps)),),
+        findings=tuple(of_recording(evidence, config.quality)),
+        said={},
+        next_id=1 + int(submaps.max()),
+    )
+    keyframes = submaps_of(submaps)
+    known = KnownMap(
+        whole=whole,
+        grids=submap_grids(store, keyframes, labels.poses, config),
+        frames={id_: Pose2(*labels.poses[own[0]].tolist()) for id_, own in keyframes.items()},
+        tracks=_tracks(labels),
+    )
+    return Seen(kept, divide_cells(whole, labels), known)
+
+
+def _findings(stored: StoredMap) -> tuple[Finding, ...]:
+    """What was found out about the recordings."""
+    quality = stored.record.graph.quality
+    found = [] if quality is None else [finding_of(record) for record in quality.findings]
+    return tuple(one for one in found if one.code not in LAYOUT_CODES)
+
+
+def _layout(stored: StoredMap, labels: Labels) -> Layout:
+    """The layout of a map directory, with the links that are more than the way between nodes."""
+    path = stored.path / filenames.POSE_GRAPH
+    poses, links = read_g2o(read_text(path, stored.limits))
+    nodes = np.array(sorted(poses), dtype=np.int64)
+    after = dict(pairwise(nodes.tolist()))
+    return Layout(
+        poses=labels.poses,
+        nodes=nodes,
+        kept=tuple(link for link in links if after.get(link.source) != link.target),
+    )
+
+
+def _breaks(topology: TopologicalMap, logs: Sequence[LogInfo]) -> dict[int, Bridge | None]:
+    """Where tracking started afresh, and where recordings begin."""
+    starts = {log.keyframes[0] for log in logs[1:] if log.keyframes is not None}
+    return {
+        **dict.fromkeys(sorted(starts)),
+        **{
+            each.keyframe: None if each.bridge is None else Bridge(*each.bridge)
+            for each in topology.breaks
+        },
+    }
+
+
+def _said(submap: Submap) -> Said:
+    """What a person said of a submap; a name that the program gave is none."""
+    name = "" if submap.name == default_name(submap.id) else submap.name
+    return Said(name, None, submap.properties)
+
+
+def _tracks(labels: Labels) -> dict[int, FloatArray]:
+    """Where the robot was in each submap, in the map."""
+    return {id_: labels.poses[keyframes] for id_, keyframes in submaps_of(labels.submaps).items()}

@@ -1,0 +1,241 @@
+"""Two maps in one: the new one laid into the old one, whose submaps keep their ids."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.findings import Finding
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
+from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
+from specmap_cli.core.settings import Config
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.carrying import carried, rows_of
+from specmap_cli.layout.healing import Audited, healed
+from specmap_cli.layout.joining import join_layouts, placed
+from specmap_cli.layout.relaxation import Layout
+from specmap_cli.pipelines.kept_map import KeptMap, Said, Seen
+from specmap_cli.pipelines.refutation import constraints_of, refute
+from specmap_cli.recognition.closure.alignment import Alignment
+from specmap_cli.recognition.closure.joints import Joint
+from specmap_cli.topology.inheritance import Heritage, inherited
+from specmap_cli.topology.topological_map import LogInfo
+
+_JOINED = "the maps were joined here"
+_APART_M = 20.0  # between maps that have nothing in common: walls within it are never matched
+
+
+@dataclass(frozen=True, slots=True)
+class Joined:
+    """Two maps in one: the map that was `kept`, and the audit of its layout."""
+
+    kept: KeptMap
+    audited: Audited
+
+    @property
+    def is_tied(self) -> bool:
+        """Whether matched walls hold the pieces together."""
+        return not self.kept.layout.loose
+
+
+def join(
+    store: KeyframeStore, old: Seen, new: Seen, alignment: Alignment, config: Config
+) -> Joined:
+    """The old map with the new one laid into it; `store` holds the keyframes of both, in order.
+
+    Every submap of the old map keeps its keyframes and its id. Raises ValueError for an alignment
+    without a transform.
+    """
+    if alignment.old_from_new is None:
+        raise ValueError("maps that are not aligned cannot be joined")
+    first = len(old.kept.labels.stamps_ns)
+    stay = 1 + max(old.kept.stays, default=-1)
+    later = _renumbered(new.kept, alignment.old_from_new, first, stay)
+    stays = {**old.kept.stays, **later.stays}
+    found = _closures(alignment.joints, old.kept, new.kept, stay)
+    breaks = {**old.kept.breaks, first: None, **later.breaks}
+    constraints = constraints_of(found, stays, store, config.relaxation)
+    ties = tuple(constraints.values())
+    layout = join_layouts(store, old.kept.layout, later.layout, ties, breaks, config.relaxation)
+    layout = _in_frame_of(old.kept.layout, layout)
+    audited = healed(store, layout, breaks, config.relaxation, config.audit)
+    layout = audited.layout
+    labels = _labels(store, old, new, layout, alignment.old_from_new, config)
+    kept = KeptMap(
+        layout=layout,
+        labels=labels,
+        trajectory=_trajectory(old.kept, new.kept, layout),
+        stays=stays,
+        closures=(*old.kept.closures, *later.closures, *refute(found, constraints, layout)),
+        breaks=breaks,
+        logs=(*old.kept.logs, *later.logs),
+        findings=(*old.kept.findings, *later.findings),
+        said=_said_of_both(old, new, labels.submaps[first:]),
+        next_id=max(old.kept.next_id, 1 + int(labels.submaps.max(initial=-1))),
+    )
+    return Joined(kept, audited)
+
+
+def _in_frame_of(old: Layout, joint: Layout) -> Layout:
+    """The joint layout where its old keyframes lie nearest to their places in the old map."""
+    count = len(old.poses)
+    return placed(joint, nearest_motion(joint.poses[:count, :2], old.poses[:, :2]))
+
+
+def beside(old: Seen, new: Seen, reason: str) -> Alignment:
+    """A place for a map that fits nowhere: to the right of the old map, with a gap between them."""
+    (left, low), width = old.known.whole.origin, old.known.whole.cells.shape[1]
+    right = left + width * old.known.whole.resolution
+    x, y = new.known.whole.origin
+    return Alignment(
+        old_from_new=Pose2(right + _APART_M - x, low - y, 0.0),
+        reason=f"a part of its own: {reason}",
+    )
+
+
+def _renumbered(kept: KeptMap, old_from_new: Pose2, first: int, first_stay: int) -> KeptMap:
+    """The map in another one's frame, its keyframes and stays numbered behind those of that."""
+    return replace(
+        kept,
+        layout=placed(kept.layout, old_from_new, first),
+        stays={
+            number + first_stay: tuple(keyframe + first for keyframe in own)
+            for number, own in kept.stays.items()
+        },
+        closures=tuple(
+            replace(closure, new=closure.new + first_stay, old=closure.old + first_stay)
+            for closure in kept.closures
+        ),
+        breaks={number + first: bridge for number, bridge in kept.breaks.items() if number},
+        findings=tuple(_moved(finding, old_from_new) for finding in kept.findings),
+        logs=tuple(_later(log, first) for log in kept.logs),
+    )
+
+
+def _later(log: LogInfo, first: int) -> LogInfo:
+    """A recording whose keyframes are numbered from `first` on."""
+    if log.keyframes is None:
+        return log
+    start, end = log.keyframes
+    return replace(log, keyframes=(start + first, end + first))
+
+
+def _moved(finding: Finding, old_from_new: Pose2) -> Finding:
+    """A finding at its place in another map."""
+    if finding.place is None:
+        return finding
+    x, y = old_from_new.apply(np.array([finding.place]))[0].tolist()
+    return replace(finding, place=(x, y))
+
+
+def _closures(
+    joints: Sequence[Joint], old: KeptMap, new: KeptMap, first_stay: int
+) -> tuple[Closure, ...]:
+    """What the joints say, as closures between the longest stays in their submaps.
+
+    `first_stay` is the number that the first stay of the new map gets.
+    """
+    found = []
+    for joint in joints:
+        one, other = _longest_stay(old, joint.old), _longest_stay(new, joint.new)
+        if one is None or other is None:
+            continue
+        frames = [
+            Pose2(*kept.layout.poses[kept.stays[number][0]].tolist())
+            for kept, number in ((old, one), (new, other))
+        ]
+        found.append(
+            Closure(
+                new=other + first_stay,
+                old=one,
+                xi=np.nan,
+                claims_new_by_old=np.nan,
+                claims_old_by_new=np.nan,
+                verified=True,
+                merged=True,
+                score=joint.check.score,
+                reason=_JOINED,
+                old_from_new=frames[0].inverse() @ joint.map_from_map @ frames[1],
+            )
+        )
+    return tuple(found)
+
+
+def _longest_stay(kept: KeptMap, submap: int) -> int | None:
+    """The stay with the most keyframes of a submap, the first of equals; None without any."""
+    counts = {
+        number: int(np.count_nonzero(kept.labels.submaps[list(keyframes)] == submap))
+        for number, keyframes in kept.stays.items()
+    }
+    best = max(counts, key=lambda number: (counts[number], -number), default=None)
+    return best if best is not None and counts[best] else None
+
+
+def _labels(
+    store: KeyframeStore, old: Seen, new: Seen, layout: Layout, old_from_new: Pose2, config: Config
+) -> Labels:
+    """The keyframes of both maps: old ones stay in their submaps, new ones get into these."""
+    there = compose(np.array(old_from_new.inverse()), old.kept.labels.poses)
+    divided = np.concatenate([new.regions.owners(there), new.kept.labels.submaps])
+    heritage = Heritage(
+        old.kept.labels.poses, old.kept.labels.submaps, old.regions, old.kept.next_id
+    )
+    return Labels(
+        stamps_ns=np.array(store.stamps_ns, dtype=np.int64),
+        poses=layout.poses,
+        submaps=inherited(heritage, layout.poses, divided, config.segmentation.region_min_m),
+    )
+
+
+def _said_of_both(old: Seen, new: Seen, submaps: IntArray) -> dict[int, Said]:
+    """What a person said of the submaps; what was said of the old map counts first."""
+    first = {id_: said for id_, said in old.kept.said.items() if said != Said()}
+    return {**_handed_on(new, submaps), **first}
+
+
+def _handed_on(new: Seen, submaps: IntArray) -> dict[int, Said]:
+    """What a person said of the new map's submaps, by the id (n,) of each new keyframe's submap."""
+    own = new.kept.labels.submaps
+    return {
+        int(np.bincount(submaps[own == id_]).argmax()): said
+        for id_, said in new.kept.said.items()
+        if said != Said() and (own == id_).any()
+    }
+
+
+def _trajectory(old: KeptMap, new: KeptMap, layout: Layout) -> Trajectory:
+    """All scans of both maps, moved with the keyframes of the joint layout."""
+    count = len(old.labels.stamps_ns)
+    parts = (old, layout.poses[:count]), (new, layout.poses[count:])
+    poses = [_carried(kept, now) for kept, now in parts]
+    ways = old.trajectory, new.trajectory
+    return Trajectory(
+        stamps_ns=np.concatenate([way.stamps_ns for way in ways]),
+        poses=np.concatenate(poses),
+        tilt=_both([way.tilt for way in ways], [(len(way.poses), 3) for way in ways]),
+        lost=_both([way.lost for way in ways], [(len(way.poses),) for way in ways], np.bool_),
+    )
+
+
+def _carried(kept: KeptMap, now: FloatArray) -> FloatArray:
+    """The trajectory of a map whose keyframes lie at poses `now` (n, 3)."""
+    labels = kept.labels
+    rows = rows_of(kept.trajectory, labels.stamps_ns.tolist(), labels.poses)
+    return carried(kept.trajectory.poses, rows, now[: len(rows)])
+
+
+def _both(
+    parts: Sequence[NDArray[Any] | None], shapes: Sequence[tuple[int, ...]], kind: Any = np.float64
+) -> NDArray[Any] | None:
+    """Columns of both trajectories, zero where one has none; None where neither has any."""
+    if all(part is None for part in parts):
+        return None
+    filled = [
+        np.zeros(shape, dtype=kind) if part is None else part
+        for part, shape in zip(parts, shapes, strict=True)
+    ]
+    return np.concatenate(filled)

@@ -1,0 +1,223 @@
+"""Another recording of the building added to its map: the submaps that are known stay as they are.
+
+The recording is registered and laid out by itself. Its submaps are recognised among those of the
+map; when several of them agree on where it lies, both are laid out as one. Only new space is
+divided afresh, and the classifiers learn the new visits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
+from specmap_cli.core.errors import InputError, NoResultError
+from specmap_cli.core.findings import Quality, summary
+from specmap_cli.core.progress import Progress, Silent
+from specmap_cli.core.settings import Config
+from specmap_cli.core.text import counted
+from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.logs import open_log
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.maps.directory import OutputDirectory
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.writing import write_map
+from specmap_cli.pipelines.assessment import tell
+from specmap_cli.pipelines.build import explore_log, refuse_empty
+from specmap_cli.pipelines.exploration import Exploration
+from specmap_cli.pipelines.kept_map import Seen, seen_of_log, seen_of_stored
+from specmap_cli.pipelines.laying_out import lay_out
+from specmap_cli.pipelines.localize import settings_for
+from specmap_cli.pipelines.map_joining import Joined, beside, join
+from specmap_cli.pipelines.remaking import remade
+from specmap_cli.pipelines.run_record import run_record
+from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.tracking import Tracking
+from specmap_cli.recognition.closure.alignment import Alignment, align
+from specmap_cli.recognition.features.sets import check_feature_sets
+
+_SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UpdateReport:
+    """What `update` did: the map directory, its run.json, and which submaps are new.
+
+    `visited` are the ids of the old map's submaps that the recording came to.
+    """
+
+    out: Path
+    run: Mapping[str, Any]
+    quality: Quality
+    alignment: Alignment
+    visited: tuple[int, ...]
+    new: tuple[int, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same for a machine."""
+        motion = self.alignment.old_from_new
+        return {
+            "out": str(self.out),
+            **self.run["counts"],
+            "aligned": self.alignment.reason,
+            "old_from_new": None if motion is None else list(motion),
+            "visited": list(self.visited),
+            "new": list(self.new),
+            "quality": self.run["quality"],
+            "warnings": self.run["warnings"],
+        }
+
+    def lines(self) -> list[str]:
+        """A summary: what makes the map doubtful or poor comes first."""
+        counts, verdict = self.run["counts"], self.quality.verdict
+        trust = "" if verdict == "good" else f"{self.out}: this map is {verdict}: "
+        fresh = f"{len(self.new)} new"
+        if self.new:
+            fresh += f" ({', '.join(str(id_) for id_ in self.new)})"
+        return [
+            *(trust + line for line in summary(self.quality.worst)),
+            f"{self.out}: {self.alignment.reason}",
+            f"{self.out}: {counted(counts['submaps'], 'submap')}: "
+            f"{len(self.visited)} visited again, {fresh}; "
+            f"{counted(counts['scans'], 'scan')} over {counts['path_m']:.0f} m",
+            *(["quality: good"] if verdict == "good" else []),
+            f"look at {self.out / 'overview.png'}",
+        ]
+
+
+def update_map(
+    map_: StoredMap | Path | str,
+    logs: Paths,
+    out: Path | str,
+    config: Config | None = None,
+    *,
+    allow_apart: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> UpdateReport:
+    """Add a recording to a map, and write the result to the directory `out`.
+
+    Without `config` the settings are those the map was built with. A recording that fits nowhere is
+    refused, or with `allow_apart` appended as a part of its own. Raises NoResultError for one that
+    is refused or has no scan that could be registered, InputError for one that is in the map,
+    LogError, MapError and UsageError as `build_map` and `read_map` do.
+    """
+    given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
+    limits = None if config is None else config.limits
+    stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"), limits)
+    config = settings_for(stored, {}) if config is None else instance_of(config, Config, "config")
+    check_feature_sets(config)
+    clock = Stopwatch()
+    with (
+        open_log(given, config.log) as log,
+        OutputDirectory(target, overwrite, progress) as partial,
+        stored.keyframes() as store,
+        KeyframeStore() as own,
+    ):
+        old = seen_of_stored(stored)
+        stream = SweepStream(log, config.log)
+        new, tracking = survey(stream, config, own, progress, clock)
+        _refuse_known(old, new, store, own)
+        progress.start("aligning", None)
+        with clock.stage("alignment"):
+            alignment = align(old.known, new.known, config)
+            if alignment.old_from_new is None:
+                alignment = _apart(alignment, old, new, log.name, stored.path, allow=allow_apart)
+        store.extend(own)
+        progress.start("layout", None)
+        with clock.stage("layout"):
+            joined = join(store, old, new, alignment, config)
+        _refuse_loose(joined, old, log.name, allow=allow_apart)
+        finished = remade(store, joined, config, progress, clock, _counts(stored, tracking))
+        run = {
+            **run_record(log.given, stream.selection, config, finished),
+            "updates": [*stored.run.get("updates", []), _told(stored.path, alignment)],
+        }
+        tell(finished.quality, progress)
+        write_map(partial, finished.result(joined.kept.logs, run), store)
+    visits = joined.kept.labels.submaps[len(old.kept.labels.submaps) :]
+    known = set(old.kept.labels.submaps.tolist())
+    return UpdateReport(
+        out=target,
+        run=run,
+        quality=finished.quality,
+        alignment=alignment,
+        visited=tuple(sorted(set(visits.tolist()) & known)),
+        new=tuple(sorted(set(visits.tolist()) - known)),
+    )
+
+
+def survey(
+    stream: SweepStream,
+    config: Config,
+    store: KeyframeStore,
+    progress: Progress,
+    clock: Stopwatch,
+) -> tuple[Seen, Tracking]:
+    """A recording explored and laid out by itself, its keyframes in `store`.
+
+    Raises NoResultError when it left no keyframe, or none that fits the grid.
+    """
+    exploration = Exploration(config, store, clock, None)
+    accepts = KeyframeSelector(config.keyframes).accepts
+    explored, tracking = explore_log(stream, config, exploration, accepts, progress)
+    refuse_empty(store, stream, tracking)
+    laid = lay_out(explored, config, store, progress, clock)
+    with clock.stage("grids"):
+        seen = seen_of_log(explored, laid, stream.log.name, tracking.warnings, store, config)
+    return seen, tracking
+
+
+def _refuse_known(old: Seen, new: Seen, store: KeyframeStore, own: KeyframeStore) -> None:
+    """Refuse a recording that the map was made of: its walls would count twice."""
+    (log,) = new.kept.logs
+    scan = own.scan(0)
+    for known in old.kept.logs:
+        if known.keyframes is None or (known.start_ns, known.scans) != (log.start_ns, log.scans):
+            continue
+        first = store.scan(known.keyframes[0])
+        if first.ranges.shape == scan.ranges.shape and np.allclose(
+            first.ranges, scan.ranges, atol=_SAME_M, equal_nan=True
+        ):
+            raise InputError(f"{log.name}: is in the map already, as {known.name}: nothing to add")
+
+
+def _apart(
+    alignment: Alignment, old: Seen, new: Seen, name: str, path: Path, *, allow: bool
+) -> Alignment:
+    """A place beside the old map, where that is allowed; NoResultError otherwise."""
+    if not allow:
+        raise NoResultError(
+            f"{name}: fits nowhere in {path}: {alignment.reason}: build a map of its own, or "
+            "append it as a part of its own with --allow-apart"
+        )
+    return beside(old, new, alignment.reason)
+
+
+def _refuse_loose(joined: Joined, old: Seen, name: str, *, allow: bool) -> None:
+    """Refuse a recording that no wall ties to the map in the end."""
+    if len(old.kept.labels.stamps_ns) in joined.kept.layout.loose and not allow:
+        raise NoResultError(
+            f"{name}: lies in the map, but no wall that both saw holds it there: build a map of "
+            "its own, or append it as a part of its own with --allow-apart"
+        )
+
+
+def _counts(stored: StoredMap, tracking: Tracking) -> dict[str, int]:
+    """The messages and scans that were read for the map and for the recording together."""
+    before = stored.run.get("counts", {})
+    return {name: count + int(before.get(name, 0)) for name, count in tracking.counts.items()}
+
+
+def _told(path: Path, alignment: Alignment) -> dict[str, Any]:
+    """What run.json keeps of an update."""
+    motion = alignment.old_from_new
+    return {
+        "map": path.resolve().name,
+        "old_from_new": None if motion is None else np.round(motion, 6).tolist(),
+        "reason": alignment.reason,
+    }

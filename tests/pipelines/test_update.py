@@ -1,0 +1,173 @@
+"""A map takes in another log: what is known stays, what is new is added, strangers are refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from specmap_cli import build_map, read_map
+from specmap_cli.core.config import load_config
+from specmap_cli.core.errors import InputError, MapError, NoResultError
+from specmap_cli.evaluation.trajectories import read_tum, reference_errors
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.pipelines.simulate import SimulationResult, simulate
+from specmap_cli.pipelines.update import UpdateReport, update_map
+from specmap_cli.simulation.simulator import SimulationOptions
+
+QUICK = load_config(
+    None, None, {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
+)
+THIRD_DOOR = (slice(38, 42), slice(140, 158))
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A map of the flat with its third room closed, and what an update with the open flat made."""
+
+    first: SimulationResult
+    second: SimulationResult
+    old: StoredMap
+    new: StoredMap
+    report: UpdateReport
+
+
+@pytest.fixture(scope="module")
+def kept(
+    flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
+) -> Kept:
+    folder = tmp_path_factory.mktemp("update")
+    cells = flat.cells.copy()
+    cells[THIRD_DOOR] = OCCUPIED
+    once = flat_options.model_copy(update={"laps": 1})
+    again = once.model_copy(update={"seed": 8, "spacing_m": 1.2})
+    first = simulate(GridMap(cells, flat.resolution), once, folder / "first.mcap")
+    second = simulate(flat, again, folder / "second.mcap")
+    build_map(first.log, folder / "old", QUICK)
+    document = json.loads((folder / "old" / "topology.json").read_text(encoding="utf-8"))
+    document["nodes"][1] |= {"name": "Hallway", "properties": {"floor": 2}}
+    document["graph"]["next_id"] = 7  # some submaps are no more
+    (folder / "old" / "topology.json").write_text(json.dumps(document), encoding="utf-8")
+    report = update_map(folder / "old", second.log, folder / "new", QUICK)
+    return Kept(first, second, read_map(folder / "old"), read_map(folder / "new"), report)
+
+
+def test_old_submaps_keep_ids_names_and_keyframes(kept: Kept) -> None:
+    count = len(kept.old.labels.submaps)
+    assert kept.new.labels.submaps[:count].tolist() == kept.old.labels.submaps.tolist()
+    assert set(kept.old.ids) < set(kept.new.ids)
+    submap = kept.new.topology.submaps[1]
+    assert (submap.name, dict(submap.properties)) == ("Hallway", {"floor": 2})
+    assert kept.new.topology.submaps[0].name == "submap 0"
+
+
+def test_borders_and_frame_stay(kept: Kept) -> None:
+    grid, owner = kept.old.regions.grid, kept.old.regions.owner
+    for id_ in kept.old.ids:
+        cells = np.argwhere(owner == id_)
+        found = kept.new.regions.owners(grid.centres_of(cells))
+        assert (found == id_).mean() > 0.9
+    count = len(kept.old.labels.poses)
+    moved = kept.new.labels.poses[:count, :2] - kept.old.labels.poses[:, :2]
+    assert np.hypot(*moved.T).max() < 0.05
+
+
+def test_the_room_that_opened_gets_an_id_that_was_never_given(kept: Kept) -> None:
+    assert kept.report.new == (7,)
+    assert set(kept.report.visited) == set(kept.old.ids)
+    assert kept.new.record.graph.next_id == 8
+    assert kept.new.topology.submaps[7].grid.free_area_m2 > 5.0
+    assert any(7 in (edge.source, edge.target) for edge in kept.new.record.edges)
+
+
+def test_both_logs_are_in_the_map(kept: Kept) -> None:
+    logs = kept.new.record.graph.logs
+    count = len(kept.old.labels.submaps)
+    assert [log.name for log in logs] == ["first.mcap", "second.mcap"]
+    assert logs[0].keyframes == (0, count - 1)
+    assert logs[1].keyframes == (count, len(kept.new.labels.submaps) - 1)
+    total = kept.first.scans + kept.second.scans
+    assert kept.report.run["counts"]["scans"] == total == sum(log.scans for log in logs)
+    with kept.new.keyframes() as store:
+        assert len(store) == len(kept.new.labels.submaps)
+    assert kept.report.quality.verdict == "good"
+
+
+def test_nobody_drove_from_the_end_of_one_log_to_the_start_of_the_next(kept: Kept) -> None:
+    count = len(kept.old.labels.submaps)
+    first_new_ns = int(kept.new.labels.stamps_ns[count])
+    assert all(edge.kind == "traversed" for edge in kept.new.record.edges)
+    starts = [visit.start for node in kept.new.record.nodes for visit in node.visits]
+    assert sum(abs(start * 1e9 - first_new_ns) < 1e4 for start in starts) >= 1
+    assert kept.report.run["counts"]["path_m"] == pytest.approx(
+        kept.old.run["counts"]["path_m"] + 35.0, abs=8.0
+    )
+
+
+def test_the_joint_layout_is_as_good_as_either(kept: Kept, tmp_path: Path) -> None:
+    whole = read_tum(kept.new.path / "trajectory.tum")
+    for log, rows in (
+        (kept.first, slice(0, kept.first.scans)),
+        (kept.second, slice(kept.first.scans, None)),
+    ):
+        piece = tmp_path / "piece.tum"
+        lines = (kept.new.path / "trajectory.tum").read_text(encoding="utf-8").splitlines()
+        piece.write_text("\n".join(lines[rows]) + "\n", encoding="utf-8")
+        errors = reference_errors(read_tum(piece), read_tum(log.truth))
+        assert errors.ate_m < 0.06
+    assert len(whole.stamps_ns) == kept.first.scans + kept.second.scans
+
+
+def test_what_was_found_closes_loops_between_the_logs(kept: Kept) -> None:
+    count = len(kept.old.labels.submaps)
+    stays = {stay.number: stay for stay in kept.new.topology.stays}
+    joined = [
+        closure
+        for closure in kept.new.topology.closures
+        if stays[closure.old].keyframes[0] < count <= stays[closure.new].keyframes[0]
+    ]
+    assert len(joined) >= 2
+    assert all(closure.merged and closure.old_from_new is not None for closure in joined)
+
+
+def test_an_updated_map_can_be_updated_and_a_log_is_taken_once(kept: Kept, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"second\.mcap: is in the map already, as second\.mcap"):
+        update_map(kept.new, kept.second.log, tmp_path / "out", QUICK)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_log_of_another_building_is_refused_or_stands_apart(
+    kept: Kept, flat_options: SimulationOptions, tmp_path: Path
+) -> None:
+    cells = np.full((200, 120), OCCUPIED, dtype=np.uint8)
+    cells[4:90, 4:60] = FREE
+    cells[94:196, 4:116] = FREE
+    cells[90:94, 30:50] = FREE
+    cells[120:140, 60:70] = OCCUPIED
+    once = flat_options.model_copy(update={"laps": 1})
+    other = simulate(GridMap(cells, 0.05), once, tmp_path / "other.mcap")
+    with pytest.raises(NoResultError, match=r"other\.mcap: fits nowhere .* --allow-apart"):
+        update_map(kept.old, other.log, tmp_path / "out", QUICK)
+    assert not (tmp_path / "out").exists()
+    report = update_map(kept.old, other.log, tmp_path / "out", QUICK, allow_apart=True)
+    apart = read_map(tmp_path / "out")
+    assert report.visited == ()
+    assert report.quality.verdict != "good"
+    known = set(kept.old.ids)
+    assert not any((e.source in known) != (e.target in known) for e in apart.record.edges)
+    for id_ in report.new:
+        assert apart.record.nodes[apart.ids.index(id_)].x > kept.old.map_grid.origin[0] + 20.0
+
+
+def test_a_map_without_keyframes_cannot_be_updated(kept: Kept, tmp_path: Path) -> None:
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    for file in kept.old.path.iterdir():
+        if file.is_file() and file.suffix != ".mcap":
+            (bare / file.name).write_bytes(file.read_bytes())
+    with pytest.raises(MapError, match=r"has no keyframes\.mcap"):
+        update_map(bare, kept.second.log, tmp_path / "out", QUICK)
