@@ -9,6 +9,7 @@ import typer
 
 from specmap_cli.cli import (
     build,
+    compare,
     config,
     convert,
     evaluate,
@@ -85,6 +86,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "build": build.build,
     "localize": localize.localize,
     "update": update.update,
+    "compare": compare.compare,
     "segment": segment.segment,
     "evaluate": evaluate.evaluate,
     "simulate": simulate.simulate,

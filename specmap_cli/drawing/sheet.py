@@ -14,7 +14,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.drawing.canvas import Canvas, text_width
 from specmap_cli.drawing.palette import INK, PAPER, QUIET, SHADE, Colour
 from specmap_cli.drawing.symbols import Legend, Symbol
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
 
 # Pixels, chosen by eye for a picture that fills a page or a screen.
@@ -69,12 +69,42 @@ class Sheet:
 
     def ground(self, regions: Regions, fills: Mapping[int, Colour]) -> None:
         """Paint regions in their colours, unowned free cells grey, walls dark."""
-        grid, owner, walls = _at_most_a_pixel_each(regions, self.pixels_per_m)
+        self.floor(regions, fills)
+        self.walls(regions.grid, regions.grid.occupied, INK)
+
+    def floor(self, regions: Regions, fills: Mapping[int, Colour]) -> None:
+        """Paint regions in their colours, unowned free cells grey."""
+        grid, owner = _at_most_a_pixel_each(regions, self.pixels_per_m)
         table = np.full((max([int(owner.max(initial=0)), *fills]) + 2, 3), SHADE, dtype=np.uint8)
         for id_, fill in fills.items():
             table[id_ + 1] = fill
         colours = table[owner + 1]
         colours[grid.cells != FREE] = PAPER
+        inside = slice(TITLE, TITLE + self.map_height)
+        painted = self._to_scale(colours, grid, PAPER)
+        self.canvas.image[inside] = painted[inside]
+
+    def walls(self, grid: GridMap, walls: BoolArray, colour: Colour) -> None:
+        """Paint some cells (H, W) of a grid in one colour over what is there."""
+        step = _thinning(grid, self.pixels_per_m)
+        padded = _padded(walls, step, fill=False)
+        height, width = padded.shape
+        by_block = padded.reshape(height // step, step, width // step, step)
+        blocks = np.asarray(by_block.any(axis=(1, 3)))
+        thinned = GridMap(blocks.astype(np.uint8), grid.resolution * step, grid.origin)
+        cover = self._to_scale(blocks.astype(np.float32), thinned)[..., None]
+        scale = thinned.resolution * self.pixels_per_m
+        cover = np.minimum(cover * max(1.0, _WALL_STRENGTH / scale), 1.0)
+        inside = slice(TITLE, TITLE + self.map_height)
+        painted = self.canvas.image[inside]
+        inked = painted * (1.0 - cover[inside])
+        inked = inked + np.array(colour, dtype=np.float32) * cover[inside]
+        self.canvas.image[inside] = np.round(inked).astype(np.uint8)
+
+    def _to_scale(
+        self, picture: NDArray[Any], grid: GridMap, border: Colour = (0, 0, 0)
+    ) -> NDArray[Any]:
+        """A picture of the cells of a grid, as large as the canvas and where it belongs."""
         scale = grid.resolution * self.pixels_per_m
         left, bottom = self.pixels(np.array([grid.origin]))[0]
         # the pixel of the centre of cell (row, column); pixel centres are whole numbers
@@ -86,12 +116,7 @@ class Sheet:
         )
         size = (self.canvas.image.shape[1], self.canvas.image.shape[0])
         edges = cv2.INTER_NEAREST if scale > _SQUARES_FROM else cv2.INTER_LINEAR
-        painted = cv2.warpAffine(colours, to_pixels, size, flags=edges, borderValue=PAPER)
-        cover = cv2.warpAffine(walls.astype(np.float32), to_pixels, size, flags=edges)[..., None]
-        cover = np.minimum(cover * max(1.0, _WALL_STRENGTH / scale), 1.0)
-        inked = painted * (1.0 - cover) + np.array(INK, dtype=np.float32) * cover
-        inside = slice(TITLE, TITLE + self.map_height)
-        self.canvas.image[inside] = np.round(inked[inside]).astype(np.uint8)
+        return cv2.warpAffine(picture, to_pixels, size, flags=edges, borderValue=border)
 
     def _draw_scale_bar(self) -> None:
         """A bar of a round length, alternately dark and light."""
@@ -115,25 +140,30 @@ class Sheet:
                 x += _entry_width(words)
 
 
-def _at_most_a_pixel_each(
-    regions: Regions, pixels_per_m: float
-) -> tuple[GridMap, OwnerArray, BoolArray]:
-    """Cells, owners and walls, thinned out until a cell is more than half a pixel.
+def _at_most_a_pixel_each(regions: Regions, pixels_per_m: float) -> tuple[GridMap, OwnerArray]:
+    """Cells and owners, thinned out until a cell is more than half a pixel.
 
-    Blocks of cells keep the state and the owner of their middle one, and are walls when any is.
+    Blocks of cells keep the state and the owner of their middle one.
     """
-    cells, owner = regions.grid.cells, regions.owner
-    step = max(1, int(1.0 / (regions.grid.resolution * pixels_per_m)))
-    step = min(step, max(1, *cells.shape))  # a way may lead far out of a small grid
-    if step > 1:
-        margins = [(0, -side % step) for side in cells.shape]
-        cells = np.pad(cells, margins, constant_values=UNKNOWN)
-        owner = np.pad(owner, margins, constant_values=NOBODY)
-    height, width = cells.shape
-    walls = (cells == OCCUPIED).reshape(height // step, step, width // step, step).any(axis=(1, 3))
+    step = _thinning(regions.grid, pixels_per_m)
+    cells = _padded(regions.grid.cells, step, UNKNOWN)
+    owner = _padded(regions.owner, step, NOBODY)
     middle = (slice(step // 2, None, step), slice(step // 2, None, step))
     thinned = GridMap(cells[middle], regions.grid.resolution * step, regions.grid.origin)
-    return thinned, owner[middle], walls
+    return thinned, owner[middle]
+
+
+def _thinning(grid: GridMap, pixels_per_m: float) -> int:
+    """How many cells a side make one that is more than half a pixel."""
+    step = max(1, int(1.0 / (grid.resolution * pixels_per_m)))
+    return int(min(step, max(1, *grid.cells.shape)))  # a way may lead far out of a small grid
+
+
+def _padded(cells: NDArray[Any], step: int, fill: int) -> NDArray[Any]:
+    """Cells (H, W) with some more of a kind, until whole blocks of `step` by `step` are full."""
+    if step == 1:
+        return cells
+    return np.pad(cells, [(0, -side % step) for side in cells.shape], constant_values=fill)
 
 
 def extent_of(regions: Regions) -> tuple[FloatArray, FloatArray]:

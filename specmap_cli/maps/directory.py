@@ -46,15 +46,20 @@ class OutputDirectory:
 
     An exception inside, an interruption included, removes what was written. An existing map is
     replaced only with `overwrite`, and only once its successor is complete; a directory that holds
-    anything but a map is never touched. What a run that was killed left beside the target is put
-    right on entering, and noted. Raises UsageError, on entering where possible.
+    anything but a map (one without the file `marker`) is never touched. What a run that was killed
+    left beside the target is put right on entering, and noted. Raises UsageError, on entering where possible.
     """
 
     def __init__(
-        self, path: str | Path, overwrite: bool = False, progress: Progress | None = None
+        self,
+        path: str | Path,
+        overwrite: bool = False,
+        progress: Progress | None = None,
+        marker: str = TOPOLOGY,
     ) -> None:
         self.path = Path(path)
         self.overwrite = overwrite
+        self.marker = marker
         self.progress = progress or Silent()
         self._target = Path(os.path.realpath(path))
         self._partial = sibling(self._target, "partial", os.urandom(4).hex())
@@ -113,14 +118,17 @@ class OutputDirectory:
             raise UsageError(f"{self.path}: is a mount point: choose a directory inside it")
         if not any(self._target.iterdir()):
             return
-        if not (self._target / TOPOLOGY).is_file():  # we wrote no directory without it
+        if not (self._target / self.marker).is_file():  # we wrote no directory without it
+            what = "map" if self.marker == TOPOLOGY else "earlier result"
             raise UsageError(
-                f"{self.path}: is not empty and holds no map (no {TOPOLOGY} in it): "
+                f"{self.path}: is not empty and holds no {what} (no {self.marker} in it): "
                 "choose another output directory"
             )
         if not self.overwrite:
+            what = "a map" if self.marker == TOPOLOGY else "a result"
             raise UsageError(
-                f"{self.path}: already holds a map: use --overwrite to replace it, or another --out"
+                f"{self.path}: already holds {what}: use --overwrite to replace it, "
+                "or another --out"
             )
 
     def _make_parents(self) -> None:

@@ -1,0 +1,187 @@
+"""The picture of two maps against each other: old in blue, new in orange, common walls dark."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.text import counted
+from specmap_cli.drawing.canvas import Canvas, Image
+from specmap_cli.drawing.palette import INK, PAPER, QUIET, WRONG, Colour, paler
+from specmap_cli.drawing.sheet import Sheet, extent_of
+from specmap_cli.drawing.symbols import Legend
+from specmap_cli.grids.bent import BentMotion
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.topology.blocked import Way
+from specmap_cli.topology.differences import Differences
+from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.things import Thing, walls_in_common
+
+OLD: Colour = (196, 110, 30)
+NEW: Colour = (0, 120, 240)
+OPENED: Colour = (90, 150, 40)
+_BOTH, _OLD_ONLY, _NEW_ONLY = 0, 1, 2
+_FLOOR: Colour = (244, 244, 244)
+_PALE = 0.78
+_BOX, _HALO = 4, 9  # pixels: of a box round a thing, and of the paper under it
+_BOX_MARGIN_M = 0.12  # between a thing and its box
+_DISC, _BAR = 15.0, 9.0  # pixels: of the sign of a way
+_ID_LETTERS = 17.0
+
+
+def render_comparison(
+    old: Regions,
+    new: Regions,
+    old_from_new: BentMotion,
+    found: Differences,
+    names: tuple[str, str],
+) -> Image:
+    """What differs between two maps, in the frame of the old one; BGR (H, W, 3)."""
+    both = _laid_over(old, new, old_from_new)
+    sheet = Sheet(*extent_of(both), _legend(found))
+    fills = {_BOTH: _FLOOR, _OLD_ONLY: paler(OLD, _PALE), _NEW_ONLY: paler(NEW, _PALE)}
+    sheet.floor(both, fills)
+    _draw_walls(sheet, both.grid, old.grid, new.grid, old_from_new)
+    _draw_ids(sheet, old, new, old_from_new, found)
+    for one in found.vanished:
+        _box(sheet.canvas, sheet.pixels(_widened(one.thing)), OLD)
+    for one in found.appeared:
+        _box(sheet.canvas, sheet.pixels(_widened(one.thing)), NEW)
+    _draw_ways(sheet, found.closed, WRONG)
+    _draw_ways(sheet, found.opened, OPENED)
+    sheet.title(f"{names[1]} against {names[0]}", _figures(found))
+    return sheet.canvas.image
+
+
+def _laid_over(old: Regions, new: Regions, old_from_new: BentMotion) -> Regions:
+    """Both maps on one grid in the frame of the old one; who saw each free cell is its owner."""
+    cell_m = old.grid.resolution
+    corners = _corners(new.grid)
+    reach = np.concatenate([_corners(old.grid), old_from_new.rigid.apply(corners)])
+    low = np.floor((reach.min(axis=0) - old.grid.origin) / cell_m) * cell_m + old.grid.origin
+    width, height = np.ceil((reach.max(axis=0) - low) / cell_m).astype(int).tolist()
+    empty = np.full((height, width), UNKNOWN, dtype=np.uint8)
+    canvas = GridMap(empty, cell_m, (float(low[0]), float(low[1])))
+    places = canvas.centres_of(np.argwhere(empty == UNKNOWN))
+    one = old.grid.values_at(places).reshape(empty.shape)
+    other = new.grid.values_at(old_from_new.rigid.inverse().apply(places)).reshape(empty.shape)
+    free_old, free_new = one == FREE, other == FREE
+    owner = np.full(empty.shape, NOBODY, dtype=np.int64)
+    owner[free_old & (other != UNKNOWN)] = _BOTH
+    owner[free_new & (one != UNKNOWN)] = _BOTH
+    owner[free_old & (other == UNKNOWN)] = _OLD_ONLY
+    owner[free_new & (one == UNKNOWN)] = _NEW_ONLY
+    cells = np.where(owner != NOBODY, FREE, np.where((one | other) == UNKNOWN, UNKNOWN, OCCUPIED))
+    return Regions(GridMap(cells.astype(np.uint8), cell_m, canvas.origin), owner, {})
+
+
+def _corners(grid: GridMap) -> FloatArray:
+    """(4, 2) the corners of a grid, metres."""
+    height, width = grid.cells.shape
+    cells = np.array([[x, y] for x in (0.0, width) for y in (0.0, height)])
+    return np.asarray(cells * grid.resolution + grid.origin)
+
+
+def _draw_walls(
+    sheet: Sheet, canvas: GridMap, old: GridMap, new: GridMap, old_from_new: BentMotion
+) -> None:
+    """Walls of one map in its colour, those of both dark."""
+    common = walls_in_common(old, new, old_from_new.inverse())
+    sheet.walls(old, common, INK)
+    sheet.walls(old, old.occupied & ~common, OLD)
+    alone = new.occupied & ~walls_in_common(new, old, old_from_new)
+    places = old_from_new.apply(new.centres_of(np.argwhere(alone)))
+    cells = canvas.cells_of(places)
+    rows, columns = cells[canvas.inside(cells)].T
+    picture = np.zeros(canvas.cells.shape, dtype=np.bool_)
+    picture[rows, columns] = True
+    sheet.walls(canvas, picture, NEW)
+
+
+def _draw_ids(
+    sheet: Sheet, old: Regions, new: Regions, old_from_new: BentMotion, found: Differences
+) -> None:
+    """The ids of the old submaps, and those of new space in orange."""
+    for id_, outline in sorted(old.outlines.items()):
+        if outline.centroid is not None:
+            _id(sheet, outline.centroid, id_, QUIET)
+    for id_ in found.identity.added:
+        centroid = new.outline(id_).centroid
+        if centroid is not None:
+            _id(sheet, old_from_new.apply(centroid[None])[0], id_, NEW)
+
+
+def _id(sheet: Sheet, place: FloatArray, id_: int, colour: Colour) -> None:
+    x, y = sheet.pixels(place[None])[0]
+    sheet.canvas.text(x, y, str(id_), _ID_LETTERS, colour, "centre", bold=True)
+
+
+def _widened(thing: Thing) -> FloatArray:
+    """The corners (4, 2) of a box round a thing that leaves its walls to be seen."""
+    away = thing.corners - thing.centre
+    length = np.maximum(np.hypot(away[:, 0], away[:, 1]), _BOX_MARGIN_M)[:, None]
+    return np.asarray(thing.centre + away * (1.0 + 1.5 * _BOX_MARGIN_M / length))
+
+
+def _box(canvas: Canvas, corners: NDArray[np.float64], colour: Colour) -> None:
+    ring = np.concatenate([corners, corners[:1]])
+    canvas.line(ring, PAPER, _HALO)
+    canvas.line(ring, colour, _BOX)
+
+
+def _draw_ways(sheet: Sheet, ways: Iterable[Way], colour: Colour) -> None:
+    for way in ways:
+        _sign(sheet.canvas, sheet.pixels(way.place[None])[0], colour)
+
+
+def _sign(canvas: Canvas, centre: FloatArray, colour: Colour) -> None:
+    """A disc with a bar, which stands upright where the way is open."""
+    canvas.disc(centre, _DISC, colour, PAPER)
+    along = np.array([0.0, _BAR]) if colour == OPENED else np.array([_BAR, 0.0])
+    canvas.line(np.array([centre - along, centre + along]), PAPER, 5)
+
+
+def _figures(found: Differences) -> str:
+    parts = [
+        f"{len(ways)} {what}"
+        for ways, what in ((found.closed, "closed"), (found.opened, "opened"))
+        if ways
+    ]
+    ways = [f"ways: {' and '.join(parts)}"] if parts else []
+    things = [
+        f"{counted(len(things), 'thing')} {what}"
+        for things, what in ((found.appeared, "appeared"), (found.vanished, "vanished"))
+        if things
+    ]
+    return ",  ".join([*ways, *things]) or "no change found"
+
+
+def _legend(found: Differences) -> Legend:
+    """What the picture shows."""
+    legend: Legend = (
+        ("wall in both", lambda c, x, y: _bar(c, x, y, INK)),
+        ("only in the old map", lambda c, x, y: _bar(c, x, y, OLD)),
+        ("only in the new map", lambda c, x, y: _bar(c, x, y, NEW)),
+    )
+    if found.vanished:
+        legend = (*legend, ("vanished", lambda c, x, y: _frame(c, x, y, OLD)))
+    if found.appeared:
+        legend = (*legend, ("appeared", lambda c, x, y: _frame(c, x, y, NEW)))
+    if found.closed:
+        legend = (*legend, ("way closed", lambda c, x, y: _sign(c, np.array([x, y]), WRONG)))
+    if found.opened:
+        legend = (*legend, ("way opened", lambda c, x, y: _sign(c, np.array([x, y]), OPENED)))
+    return legend
+
+
+def _bar(canvas: Canvas, x: float, y: float, colour: Colour) -> None:
+    canvas.box(np.array([x - 20, y - 10]), np.array([x + 20, y + 10]), paler(colour, _PALE))
+    canvas.box(np.array([x - 20, y - 3]), np.array([x + 20, y + 3]), colour)
+
+
+def _frame(canvas: Canvas, x: float, y: float, colour: Colour) -> None:
+    corners = [[x - 16, y - 9], [x + 16, y - 9], [x + 16, y + 9], [x - 16, y + 9]]
+    _box(canvas, np.array(corners), colour)

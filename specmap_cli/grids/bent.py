@@ -1,0 +1,67 @@
+"""A motion between two maps that were bent by drift: rigid, and a little off here and there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+
+_REACH_M2 = 4.0  # two metres: within these a place's own motion counts alike
+_AT_ONCE = 1 << 20  # points times places: bounds the memory to some 100 MB
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """At `centre` (2,) of the source the motion is this one; `weight` says how sure that is."""
+
+    centre: FloatArray
+    motion: Pose2
+    weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class BentMotion:
+    """`rigid` from one map to another, and what it is at some places; between them it blends."""
+
+    rigid: Pose2
+    anchors: tuple[Anchor, ...] = ()
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Points (N, 2) of one map in the other."""
+        if not self.anchors:
+            return self.rigid.apply(points)
+        step = max(1, _AT_ONCE // len(self.anchors))
+        parts = [self._part(points[k : k + step]) for k in range(0, len(points), step)]
+        return np.concatenate(parts) if parts else np.zeros((0, 2))
+
+    def near(self, place: FloatArray) -> Pose2:
+        """The rigid motion round a place (2,)."""
+        here = place[None]
+        shift = (self.apply(here) - self.rigid.apply(here))[0]
+        x, y, theta = self.rigid
+        return Pose2(x + float(shift[0]), y + float(shift[1]), theta)
+
+    def inverse(self) -> BentMotion:
+        """The motion back."""
+        anchors = tuple(
+            replace(
+                anchor,
+                centre=anchor.motion.apply(anchor.centre[None])[0],
+                motion=anchor.motion.inverse(),
+            )
+            for anchor in self.anchors
+        )
+        return BentMotion(self.rigid.inverse(), anchors)
+
+    def _part(self, points: FloatArray) -> FloatArray:
+        centres = np.array([anchor.centre for anchor in self.anchors])
+        weights = np.array([anchor.weight for anchor in self.anchors])
+        squares = ((points[:, None, :] - centres[None]) ** 2).sum(axis=2)
+        shares = weights / (_REACH_M2 + squares) ** 2  # far ones do not add up
+        shares /= shares.sum(axis=1, keepdims=True)
+        placed = np.zeros((len(points), 2))
+        for k, anchor in enumerate(self.anchors):
+            placed += shares[:, k, None] * anchor.motion.apply(points)
+        return placed

@@ -1,0 +1,171 @@
+"""The contents of compare.json: two maps against each other.
+
+These models are the format. `comparison.schema.json` beside this file is the same as JSON Schema,
+for other tools. After a change of the models, `python -m specmap_cli.maps.comparison` prints the
+new one. Lengths are metres, angles radians; places are in the frame of the old map.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from specmap_cli.maps.schema import Amount, Number, Point, SubmapId, Transform
+
+SCHEMA_VERSION = 1
+SCHEMA_FILE = Path(__file__).with_name("comparison.schema.json")
+
+Pair = tuple[SubmapId, SubmapId]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class MapFigures(_Record):
+    """One of the two maps: what it is made of, and how large it is."""
+
+    map: str = Field(description="as it was named on the command line")
+    submaps: int = Field(ge=0)
+    edges: int = Field(ge=0)
+    keyframes: int = Field(ge=0)
+    path_m: Amount = Field(description="driven from keyframe to keyframe")
+    duration_s: Amount = Field(description="from the first keyframe to the last")
+    area_m2: Amount = Field(description="free space")
+    verdict: str | None = Field(description="what the map thinks of itself")
+
+
+class AlignmentRecord(_Record):
+    """Where the new map lies in the old one, and what that stands on.
+
+    `votes` pairs of submaps found it by themselves, of `submaps` in either map. `rival` is the part
+    of the walls that the next best transform explains. `residual_m` is how far submaps lie off.
+    """
+
+    old_from_new: Transform
+    votes: int = Field(ge=0)
+    submaps: int = Field(ge=0)
+    area_m2: Amount = Field(description="free in both maps")
+    walls_m: Amount = Field(description="walls that agree")
+    residual_m: Amount
+    rival: float
+
+
+class SameRecord(_Record):
+    """A submap of either map that are one, and intersection over union of what both maps saw."""
+
+    old: SubmapId
+    new: SubmapId
+    old_name: str
+    new_name: str
+    iou: float
+
+
+class SplitRecord(_Record):
+    """An old submap that is several new ones."""
+
+    old: SubmapId
+    new: list[SubmapId]
+
+
+class MergeRecord(_Record):
+    """Several old submaps that are one new one."""
+
+    old: list[SubmapId]
+    new: SubmapId
+
+
+class SubmapsRecord(_Record):
+    """What became of the submaps.
+
+    `new`: space that the old map did not see; `unseen`: submaps that the new map did not see;
+    `gone`: the new map saw their place, where there is no floor any more; `redrawn_old` and
+    `redrawn_new`: what is left, whose borders are drawn elsewhere.
+    """
+
+    same: list[SameRecord]
+    split: list[SplitRecord]
+    merged: list[MergeRecord]
+    new: list[SubmapId]
+    unseen: list[SubmapId]
+    gone: list[SubmapId]
+    redrawn_old: list[SubmapId]
+    redrawn_new: list[SubmapId]
+
+
+class DoorRecord(_Record):
+    """A way between two submaps of the map in which it is open."""
+
+    between: Pair
+    x: Number
+    y: Number
+    width_m: Amount
+
+
+class DoorsRecord(_Record):
+    """Ways that were open and are blocked (`closed`), and the other way round (`opened`).
+
+    A closed way is between submaps of the old map, an opened one between submaps of the new map.
+    """
+
+    closed: list[DoorRecord]
+    opened: list[DoorRecord]
+
+
+class ThingRecord(_Record):
+    """Something that stands in one map where the other saw free space, in the smallest box.
+
+    The submaps are those that it stands in by the old map and by the new one.
+    """
+
+    x: Number
+    y: Number
+    length_m: Amount
+    width_m: Amount
+    area_m2: Amount
+    corners: list[Point]
+    old_submap: SubmapId | None
+    new_submap: SubmapId | None
+
+
+class ThingsRecord(_Record):
+    """Walls and furniture that appeared, and that vanished."""
+
+    appeared: list[ThingRecord]
+    vanished: list[ThingRecord]
+
+
+class ComparisonRecord(_Record):
+    """The whole file; `identical`: the maps hold the same submaps and the same grid."""
+
+    schema_version: Literal[1]
+    old: MapFigures
+    new: MapFigures
+    identical: bool
+    alignment: AlignmentRecord
+    submaps: SubmapsRecord
+    doors: DoorsRecord
+    things: ThingsRecord
+
+
+def json_schema() -> dict[str, Any]:
+    """The models as JSON Schema (draft 2020-12)."""
+    schema = ComparisonRecord.model_json_schema()
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "title": "specmap compare.json",
+    }
+
+
+def schema_text() -> str:
+    """The text of `comparison.schema.json`."""
+    return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(schema_text())

@@ -1,0 +1,189 @@
+"""A comparison of two maps as a record and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from specmap_cli.core.text import counted, plain, rounded
+from specmap_cli.maps.comparison import SCHEMA_VERSION, ComparisonRecord, DoorRecord, ThingRecord
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.recognition.closure.alignment import Alignment
+from specmap_cli.topology.blocked import Way
+from specmap_cli.topology.differences import Differences, PlacedThing
+
+_NS = 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """A map's figures as compare.json has them, and the names of its submaps."""
+
+    record: dict[str, Any]
+    names: dict[int, str]
+
+    @classmethod
+    def of(cls, stored: StoredMap) -> Figures:
+        """Those of a stored map."""
+        labels, quality = stored.labels, stored.record.graph.quality
+        stamps = labels.stamps_ns
+        record = {
+            "map": str(stored.path),
+            "submaps": len(stored.record.nodes),
+            "edges": len(stored.record.edges),
+            "keyframes": len(stamps),
+            "path_m": labels.path_m,
+            "duration_s": float(stamps.max() - stamps.min()) / _NS if len(stamps) else 0.0,
+            "area_m2": stored.map_grid.free_area_m2,
+            "verdict": None if quality is None else quality.verdict,
+        }
+        return cls(record, {node.id: node.name for node in stored.record.nodes})
+
+
+def record_of(
+    maps: tuple[Figures, Figures], alignment: Alignment, found: Differences, identical: bool
+) -> ComparisonRecord:
+    """The contents of compare.json."""
+    document = {
+        "schema_version": SCHEMA_VERSION,
+        "old": maps[0].record,
+        "new": maps[1].record,
+        "identical": identical,
+        "alignment": _alignment(alignment),
+        "submaps": _submaps(found, maps),
+        "doors": {
+            "closed": [_door(way) for way in found.closed],
+            "opened": [_door(way) for way in found.opened],
+        },
+        "things": {
+            "appeared": [_thing(one) for one in found.appeared],
+            "vanished": [_thing(one) for one in found.vanished],
+        },
+    }
+    return ComparisonRecord.model_validate(plain(document))
+
+
+def lines_of(record: ComparisonRecord) -> list[str]:
+    """A comparison in words."""
+    if record.identical:
+        return [f"{record.new.map}: identical to {record.old.map}"]
+    at = record.alignment
+    return [
+        f"{record.new.map} against {record.old.map}: {counted(at.votes, 'pair')} of submaps agree, "
+        f"{at.area_m2:.0f} m2 are in both, off by {at.residual_m:.2f} m",
+        *_of_submaps(record),
+        *_of_doors(record),
+        *_of_things("appeared", record.things.appeared),
+        *_of_things("vanished", record.things.vanished),
+        *([] if _changes(record) else ["the building: no change found"]),
+        f"driven: {record.old.path_m:.0f} m, then {record.new.path_m:.0f} m; submaps: "
+        f"{record.old.submaps}, then {record.new.submaps}; free space: "
+        f"{record.old.area_m2:.0f} m2, then {record.new.area_m2:.0f} m2",
+    ]
+
+
+def _changes(record: ComparisonRecord) -> bool:
+    doors, things = record.doors, record.things
+    return bool(doors.closed or doors.opened or things.appeared or things.vanished) or bool(
+        record.submaps.gone
+    )
+
+
+def _alignment(alignment: Alignment) -> dict[str, Any]:
+    ground = alignment.ground
+    return {
+        "old_from_new": alignment.old_from_new,
+        "votes": alignment.votes,
+        "submaps": alignment.party,
+        "area_m2": alignment.area_m2,
+        "walls_m": 0.0 if ground is None else ground.confirmed_m,
+        "residual_m": 0.0 if ground is None else ground.residual_m,
+        "rival": rounded(alignment.rival),
+    }
+
+
+def _submaps(found: Differences, maps: tuple[Figures, Figures]) -> dict[str, Any]:
+    identity = found.identity
+    return {
+        "same": [
+            {
+                "old": pair.old,
+                "new": pair.new,
+                "old_name": maps[0].names[pair.old],
+                "new_name": maps[1].names[pair.new],
+                "iou": pair.iou,
+            }
+            for pair in identity.same
+        ],
+        "split": [{"old": old, "new": list(new)} for old, new in identity.splits.items()],
+        "merged": [{"old": list(old), "new": new} for new, old in identity.merges.items()],
+        "new": identity.added,
+        "unseen": identity.unseen,
+        "gone": identity.gone,
+        "redrawn_old": identity.redrawn[0],
+        "redrawn_new": identity.redrawn[1],
+    }
+
+
+def _door(way: Way) -> dict[str, Any]:
+    x, y = way.place.tolist()
+    return {"between": way.between, "x": x, "y": y, "width_m": way.width_m}
+
+
+def _thing(one: PlacedThing) -> dict[str, Any]:
+    thing = one.thing
+    x, y = thing.centre.tolist()
+    return {
+        "x": x,
+        "y": y,
+        "length_m": thing.length_m,
+        "width_m": thing.width_m,
+        "area_m2": thing.area_m2,
+        "corners": thing.corners,
+        "old_submap": one.old_submap,
+        "new_submap": one.new_submap,
+    }
+
+
+def _of_submaps(record: ComparisonRecord) -> list[str]:
+    """What became of the submaps: all that are the same in one line, the others by id."""
+    submaps = record.submaps
+    lines = [f"submaps: {len(submaps.same)} the same"]
+    for what, ids in (
+        ("new", submaps.new),
+        ("gone", submaps.gone),
+        ("not seen again", submaps.unseen),
+    ):
+        if ids:
+            lines.append(f"submaps {what}: {_listed(ids)}")
+    lines += [f"submap {one.old} is now {_listed(one.new)}" for one in submaps.split]
+    lines += [f"submaps {_listed(one.old)} are now {one.new}" for one in submaps.merged]
+    if submaps.redrawn_old or submaps.redrawn_new:
+        old, new = _listed(submaps.redrawn_old), _listed(submaps.redrawn_new)
+        lines.append(f"submaps divided otherwise: {old or 'none'}, now {new or 'none'}")
+    return lines
+
+
+def _of_doors(record: ComparisonRecord) -> list[str]:
+    return [
+        *(f"way closed: {_where(door)}" for door in record.doors.closed),
+        *(f"way opened: {_where(door)}" for door in record.doors.opened),
+    ]
+
+
+def _where(door: DoorRecord) -> str:
+    a, b = door.between
+    return f"{door.width_m:.1f} m wide, between {a} and {b}, at ({door.x:.1f}, {door.y:.1f})"
+
+
+def _of_things(what: str, things: Sequence[ThingRecord]) -> list[str]:
+    return [
+        f"{what}: {one.length_m:.1f} m x {one.width_m:.1f} m at ({one.x:.1f}, {one.y:.1f})"
+        + ("" if one.old_submap is None else f", in {one.old_submap}")
+        for one in things
+    ]
+
+
+def _listed(ids: Iterable[int]) -> str:
+    return ", ".join(map(str, ids))
