@@ -47,7 +47,8 @@ class OutputDirectory:
     An exception inside, an interruption included, removes what was written. An existing map is
     replaced only with `overwrite`, and only once its successor is complete; a directory that holds
     anything but a map (one without the file `marker`) is never touched. What a run that was killed
-    left beside the target is put right on entering, and noted. Raises UsageError, on entering where possible.
+    left beside the target is put right on entering, and noted. Raises UsageError, on entering where
+    possible.
     """
 
     def __init__(

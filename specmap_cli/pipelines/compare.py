@@ -27,7 +27,9 @@ from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.topology.differences import Differences, differences
 
 COMPARISON, SUMMARY, PICTURE = "compare.json", "summary.txt", "compare.png"
-_LEAST_FIT, _LEAST_WALLS_M = 0.7, 5.0  # of a submap whose own place in the other map is believed
+# Of a submap whose own place in the other map is believed: how well it fits, metres of wall, and
+# their share; a room of which the other map saw but a wall slides along it.
+_LEAST_FIT, _LEAST_WALLS_M, _LEAST_SHARE = 0.7, 5.0, 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,6 +147,7 @@ def _motion(alignment: Alignment) -> BentMotion:
     anchors = tuple(
         Anchor(fit.centre, fit.old_from_new, fit.confirmed_m)
         for fit in pieces
-        if fit.score >= _LEAST_FIT and fit.confirmed_m >= _LEAST_WALLS_M
+        if fit.score >= _LEAST_FIT
+        and fit.confirmed_m >= max(_LEAST_WALLS_M, _LEAST_SHARE * fit.walls_m)
     )
     return BentMotion(alignment.old_from_new, anchors)
