@@ -14,12 +14,12 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from specmap_cli.maps.schema import Amount, Number, Point, SubmapId, Transform
+from specmap_cli.maps.schema_values import Amount, Count, Number, Point, Transform
 
 SCHEMA_VERSION = 1
 SCHEMA_FILE = Path(__file__).with_name("comparison.schema.json")
 
-Pair = tuple[SubmapId, SubmapId]
+Pair = tuple[Count, Count]
 
 
 class _Record(BaseModel):
@@ -58,8 +58,8 @@ class AlignmentRecord(_Record):
 class SameRecord(_Record):
     """A submap of either map that are one, and intersection over union of what both maps saw."""
 
-    old: SubmapId
-    new: SubmapId
+    old: Count
+    new: Count
     old_name: str
     new_name: str
     iou: float
@@ -68,15 +68,15 @@ class SameRecord(_Record):
 class SplitRecord(_Record):
     """An old submap that is several new ones."""
 
-    old: SubmapId
-    new: list[SubmapId]
+    old: Count
+    new: list[Count]
 
 
 class MergeRecord(_Record):
     """Several old submaps that are one new one."""
 
-    old: list[SubmapId]
-    new: SubmapId
+    old: list[Count]
+    new: Count
 
 
 class SubmapsRecord(_Record):
@@ -90,11 +90,11 @@ class SubmapsRecord(_Record):
     same: list[SameRecord]
     split: list[SplitRecord]
     merged: list[MergeRecord]
-    new: list[SubmapId]
-    unseen: list[SubmapId]
-    gone: list[SubmapId]
-    redrawn_old: list[SubmapId]
-    redrawn_new: list[SubmapId]
+    new: list[Count]
+    unseen: list[Count]
+    gone: list[Count]
+    redrawn_old: list[Count]
+    redrawn_new: list[Count]
 
 
 class DoorRecord(_Record):
@@ -128,8 +128,8 @@ class ThingRecord(_Record):
     width_m: Amount
     area_m2: Amount
     corners: list[Point]
-    old_submap: SubmapId | None
-    new_submap: SubmapId | None
+    old_submap: Count | None
+    new_submap: Count | None
 
 
 class ThingsRecord(_Record):

@@ -26,15 +26,17 @@ WRITERS = {
     "convert",
     "export",
     "update",
+    "compare",
 }
+SETTLED = READERS | {"segment", "convert", "config", "export", "simulate", "compare"}
 ALL = READERS | WRITERS | {"config"}
 HAVE = {
     "--quiet": ALL,
     "-q": ALL,
     "--json": ALL,
-    "--config": READERS | {"segment", "convert", "config", "export", "simulate"},
-    "--set": READERS | {"segment", "convert", "config", "export", "simulate"},
-    "--preset": READERS | {"segment", "convert", "config", "export", "simulate"},
+    "--config": SETTLED,
+    "--set": SETTLED,
+    "--preset": SETTLED,
     "--scan-topic": READERS,
     "--odom-topic": READERS,
     "--base-frame": READERS,
