@@ -10,7 +10,7 @@ import typer
 
 from specmap_cli.cli.options import Common, Logs, LogSettings, Overwrite, output
 from specmap_cli.cli.targets import keep_inputs
-from specmap_cli.core.errors import BROKEN_RULE
+from specmap_cli.core.errors import BROKEN_RULE, UsageError
 
 
 class FailingVerdict(StrEnum):
@@ -32,6 +32,10 @@ FailOn = Annotated[
     FailingVerdict | None,
     typer.Option(help="Exit with code 5 when the map is doubtful, or poor. It is written anyway."),
 ]
+Like = Annotated[
+    Path | None,
+    typer.Option(help="Map directory whose frame, ids, names and borders the new map takes."),
+]
 Seed = Annotated[int | None, typer.Option(help="Seed of everything random.")]
 
 
@@ -41,6 +45,7 @@ def build(
     no_relax: NoRelax = False,
     explain: Explain = None,
     seed: Seed = None,
+    like: Like = None,
     overwrite: Overwrite = False,
     fail_on: FailOn = None,
     *,
@@ -55,15 +60,21 @@ def build(
     \b
     specmap build log.mcap
     specmap build log.bag -o map --scan-topic /scan --set grid.resolution_m=0.1
+    specmap build today.mcap -o today --like map
     """
     from specmap_cli.core.findings import at_least_as_bad
     from specmap_cli.pipelines.build import build_map
+    from specmap_cli.pipelines.likeness import build_like
 
     effective = settings.load({"relaxation.enabled": False if no_relax else None, "seed": seed})
     keep_inputs([out], logs)
+    if like is not None and explain is not None:
+        raise UsageError("--like and --explain do not go together: build without one of them")
     with common.progress() as progress:
-        report = build_map(
-            logs, out, effective, overwrite=overwrite, progress=progress, explain=explain
+        report = (
+            build_map(logs, out, effective, overwrite=overwrite, progress=progress, explain=explain)
+            if like is None
+            else build_like(logs, like, out, effective, overwrite=overwrite, progress=progress)
         )
     common.show(report.as_dict(), report.lines())
     if fail_on is not None and at_least_as_bad(report.quality.verdict, fail_on.value):

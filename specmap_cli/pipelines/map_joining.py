@@ -13,6 +13,7 @@ from specmap_cli.core.findings import Finding
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
 from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.carrying import carried, rows_of
 from specmap_cli.layout.healing import Audited, healed
@@ -20,9 +21,9 @@ from specmap_cli.layout.joining import join_layouts, placed
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.pipelines.kept_map import KeptMap, Said, Seen
 from specmap_cli.pipelines.refutation import constraints_of, refute
-from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.recognition.closure.joints import Joint
 from specmap_cli.topology.inheritance import Heritage, inherited
+from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo
 
 _JOINED = "the maps were joined here"
@@ -43,39 +44,47 @@ class Joined:
 
 
 def join(
-    store: KeyframeStore, old: Seen, new: Seen, alignment: Alignment, config: Config
+    store: KeyframeStore,
+    old: KeptMap,
+    regions: Regions,
+    new: Seen,
+    old_from_new: Pose2,
+    found: Sequence[Closure],
+    config: Config,
 ) -> Joined:
     """The old map with the new one laid into it; `store` holds the keyframes of both, in order.
 
-    Every submap of the old map keeps its keyframes and its id. Raises ValueError for an alignment
-    without a transform.
+    `regions` divide the cells of the old map. `found` are closures between the two: `old` is the
+    number of a stay of the old map, `new` that of one of the new map. Every submap of the old map
+    keeps its keyframes and its id.
     """
-    if alignment.old_from_new is None:
-        raise ValueError("maps that are not aligned cannot be joined")
-    first = len(old.kept.labels.stamps_ns)
-    stay = 1 + max(old.kept.stays, default=-1)
-    later = _renumbered(new.kept, alignment.old_from_new, first, stay)
-    stays = {**old.kept.stays, **later.stays}
-    found = _closures(alignment.joints, old.kept, new.kept, stay)
-    breaks = {**old.kept.breaks, first: None, **later.breaks}
+    first, stay = len(old.labels.stamps_ns), 1 + max(old.stays, default=-1)
+    later = _renumbered(new.kept, old_from_new, first, stay)
+    stays = {**old.stays, **later.stays}
+    found = tuple(replace(closure, new=closure.new + stay) for closure in found)
+    breaks = {**old.breaks, first: None, **later.breaks}
     constraints = constraints_of(found, stays, store, config.relaxation)
     ties = tuple(constraints.values())
-    layout = join_layouts(store, old.kept.layout, later.layout, ties, breaks, config.relaxation)
-    layout = _in_frame_of(old.kept.layout, layout)
+    layout = join_layouts(store, old.layout, later.layout, ties, breaks, config.relaxation)
+    layout = _in_frame_of(old.layout, layout)
     audited = healed(store, layout, breaks, config.relaxation, config.audit)
     layout = audited.layout
-    labels = _labels(store, old, new, layout, alignment.old_from_new, config)
+    labels = Labels(
+        stamps_ns=np.array(store.stamps_ns, dtype=np.int64),
+        poses=layout.poses,
+        submaps=inherit(old, regions, new, layout.poses, old_from_new, config),
+    )
     kept = KeptMap(
         layout=layout,
         labels=labels,
-        trajectory=_trajectory(old.kept, new.kept, layout),
+        trajectory=_trajectory(old, new.kept, layout),
         stays=stays,
-        closures=(*old.kept.closures, *later.closures, *refute(found, constraints, layout)),
+        closures=(*old.closures, *later.closures, *refute(found, constraints, layout)),
         breaks=breaks,
-        logs=(*old.kept.logs, *later.logs),
-        findings=(*old.kept.findings, *later.findings),
-        said=_said_of_both(old, new, labels.submaps[first:]),
-        next_id=max(old.kept.next_id, 1 + int(labels.submaps.max(initial=-1))),
+        logs=(*old.logs, *later.logs),
+        findings=(*old.findings, *later.findings),
+        said=said_of_both(old, new.kept, labels.submaps[first:]),
+        next_id=max(old.next_id, 1 + int(labels.submaps.max(initial=-1))),
     )
     return Joined(kept, audited)
 
@@ -86,15 +95,11 @@ def _in_frame_of(old: Layout, joint: Layout) -> Layout:
     return placed(joint, nearest_motion(joint.poses[:count, :2], old.poses[:, :2]))
 
 
-def beside(old: Seen, new: Seen, reason: str) -> Alignment:
+def beside(old: GridMap, new: GridMap) -> Pose2:
     """A place for a map that fits nowhere: to the right of the old map, with a gap between them."""
-    (left, low), width = old.known.whole.origin, old.known.whole.cells.shape[1]
-    right = left + width * old.known.whole.resolution
-    x, y = new.known.whole.origin
-    return Alignment(
-        old_from_new=Pose2(right + _APART_M - x, low - y, 0.0),
-        reason=f"a part of its own: {reason}",
-    )
+    (left, low), (x, y) = old.origin, new.origin
+    right = left + old.cells.shape[1] * old.resolution
+    return Pose2(right + _APART_M - x, low - y, 0.0)
 
 
 def _renumbered(kept: KeptMap, old_from_new: Pose2, first: int, first_stay: int) -> KeptMap:
@@ -111,7 +116,7 @@ def _renumbered(kept: KeptMap, old_from_new: Pose2, first: int, first_stay: int)
             for closure in kept.closures
         ),
         breaks={number + first: bridge for number, bridge in kept.breaks.items() if number},
-        findings=tuple(_moved(finding, old_from_new) for finding in kept.findings),
+        findings=tuple(moved_finding(finding, old_from_new) for finding in kept.findings),
         logs=tuple(_later(log, first) for log in kept.logs),
     )
 
@@ -124,7 +129,7 @@ def _later(log: LogInfo, first: int) -> LogInfo:
     return replace(log, keyframes=(start + first, end + first))
 
 
-def _moved(finding: Finding, old_from_new: Pose2) -> Finding:
+def moved_finding(finding: Finding, old_from_new: Pose2) -> Finding:
     """A finding at its place in another map."""
     if finding.place is None:
         return finding
@@ -132,12 +137,10 @@ def _moved(finding: Finding, old_from_new: Pose2) -> Finding:
     return replace(finding, place=(x, y))
 
 
-def _closures(
-    joints: Sequence[Joint], old: KeptMap, new: KeptMap, first_stay: int
-) -> tuple[Closure, ...]:
-    """What the joints say, as closures between the longest stays in their submaps.
+def closures_between(old: KeptMap, new: KeptMap, joints: Sequence[Joint]) -> tuple[Closure, ...]:
+    """What the joints of an alignment say, as closures between the longest stays in the submaps.
 
-    `first_stay` is the number that the first stay of the new map gets.
+    Each names the stays by the numbers that they have in their own maps.
     """
     found = []
     for joint in joints:
@@ -150,7 +153,7 @@ def _closures(
         ]
         found.append(
             Closure(
-                new=other + first_stay,
+                new=other,
                 old=one,
                 xi=np.nan,
                 claims_new_by_old=np.nan,
@@ -175,34 +178,39 @@ def _longest_stay(kept: KeptMap, submap: int) -> int | None:
     return best if best is not None and counts[best] else None
 
 
-def _labels(
-    store: KeyframeStore, old: Seen, new: Seen, layout: Layout, old_from_new: Pose2, config: Config
-) -> Labels:
-    """The keyframes of both maps: old ones stay in their submaps, new ones get into these."""
-    there = compose(np.array(old_from_new.inverse()), old.kept.labels.poses)
+def inherit(
+    old: KeptMap,
+    regions: Regions,
+    new: Seen,
+    poses: FloatArray,
+    old_from_new: Pose2,
+    config: Config,
+) -> IntArray:
+    """The submap (m,) of each keyframe of both maps, which lie at `poses` (m, 3).
+
+    Old ones stay in their submaps, new ones get into these; `regions` divide the old map.
+    """
+    there = compose(np.array(old_from_new.inverse()), old.labels.poses)
     divided = np.concatenate([new.regions.owners(there), new.kept.labels.submaps])
-    heritage = Heritage(
-        old.kept.labels.poses, old.kept.labels.submaps, old.regions, old.kept.next_id
-    )
-    return Labels(
-        stamps_ns=np.array(store.stamps_ns, dtype=np.int64),
-        poses=layout.poses,
-        submaps=inherited(heritage, layout.poses, divided, config.segmentation.region_min_m),
-    )
+    heritage = Heritage(old.labels.poses, old.labels.submaps, regions, old.next_id)
+    return inherited(heritage, poses, divided, config.segmentation.region_min_m)
 
 
-def _said_of_both(old: Seen, new: Seen, submaps: IntArray) -> dict[int, Said]:
-    """What a person said of the submaps; what was said of the old map counts first."""
-    first = {id_: said for id_, said in old.kept.said.items() if said != Said()}
+def said_of_both(old: KeptMap, new: KeptMap, submaps: IntArray) -> dict[int, Said]:
+    """What a person said of the submaps; what was said of the old map counts first.
+
+    `submaps` (n,) is where each keyframe of the new map ended.
+    """
+    first = {id_: said for id_, said in old.said.items() if said != Said()}
     return {**_handed_on(new, submaps), **first}
 
 
-def _handed_on(new: Seen, submaps: IntArray) -> dict[int, Said]:
+def _handed_on(new: KeptMap, submaps: IntArray) -> dict[int, Said]:
     """What a person said of the new map's submaps, by the id (n,) of each new keyframe's submap."""
-    own = new.kept.labels.submaps
+    own = new.labels.submaps
     return {
         int(np.bincount(submaps[own == id_]).argmax()): said
-        for id_, said in new.kept.said.items()
+        for id_, said in new.said.items()
         if said != Said() and (own == id_).any()
     }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -63,6 +64,11 @@ def remade(
         seconds=dict(clock.seconds),
         starts=tuple(np.cumsum([log.scans for log in kept.logs])[:-1].tolist()),
     )
+
+
+def added(before: Mapping[str, Any], counts: Mapping[str, int]) -> dict[str, int]:
+    """What was counted for a map and for what is added to it, together."""
+    return {name: count + int(before.get(name, 0)) for name, count in counts.items()}
 
 
 def _named(topology: TopologicalMap, kept: KeptMap) -> TopologicalMap:

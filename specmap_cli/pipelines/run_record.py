@@ -15,6 +15,9 @@ from specmap_cli.core.versions import versions
 from specmap_cli.logs.selection import Selection
 from specmap_cli.pipelines.finished_map import FinishedMap
 
+# The counts that say what the map is; the others say what was read for it.
+OF_THE_MAP = frozenset({"scans", "keyframes", "submaps", "edges", "merges", "path_m"})
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildReport:
@@ -50,9 +53,9 @@ class BuildReport:
 
 
 def run_record(
-    logs: Sequence[Path], selection: Selection, config: Config, finished: FinishedMap
+    inputs: Sequence[Path], selection: Selection | None, config: Config, finished: FinishedMap
 ) -> dict[str, Any]:
-    """The contents of run.json."""
+    """The contents of run.json; `selection` is of the log that was read, None where none was."""
     topology = finished.topology
     counts = {
         "scans": len(finished.trajectory.stamps_ns),
@@ -64,8 +67,8 @@ def run_record(
         **finished.counts,
     }
     return {
-        "inputs": [path.name for path in logs],
-        "selection": _selected(selection),
+        "inputs": [path.name for path in inputs],
+        "selection": None if selection is None else _selected(selection),
         "config": config.model_dump(),
         "versions": versions(),
         "counts": counts,

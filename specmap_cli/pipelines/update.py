@@ -20,23 +20,21 @@ from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
-from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
-from specmap_cli.pipelines.build import explore_log, refuse_empty
-from specmap_cli.pipelines.exploration import Exploration
-from specmap_cli.pipelines.kept_map import Seen, seen_of_log, seen_of_stored
-from specmap_cli.pipelines.laying_out import lay_out
+from specmap_cli.pipelines.finished_map import FinishedMap
+from specmap_cli.pipelines.kept_map import Seen, seen_of_stored
 from specmap_cli.pipelines.localize import settings_for
-from specmap_cli.pipelines.map_joining import Joined, beside, join
-from specmap_cli.pipelines.remaking import remade
+from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
+from specmap_cli.pipelines.remaking import added, remade
 from specmap_cli.pipelines.run_record import run_record
 from specmap_cli.pipelines.stopwatch import Stopwatch
-from specmap_cli.pipelines.tracking import Tracking
+from specmap_cli.pipelines.survey import survey
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import check_feature_sets
 
@@ -111,65 +109,68 @@ def update_map(
     stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"), limits)
     config = settings_for(stored, {}) if config is None else instance_of(config, Config, "config")
     check_feature_sets(config)
-    clock = Stopwatch()
     with (
         open_log(given, config.log) as log,
         OutputDirectory(target, overwrite, progress) as partial,
         stored.keyframes() as store,
-        KeyframeStore() as own,
     ):
-        old = seen_of_stored(stored)
         stream = SweepStream(log, config.log)
-        new, tracking = survey(stream, config, own, progress, clock)
-        _refuse_known(old, new, store, own)
-        progress.start("aligning", None)
-        with clock.stage("alignment"):
-            alignment = align(old.known, new.known, config)
-            if alignment.old_from_new is None:
-                alignment = _apart(alignment, old, new, log.name, stored.path, allow=allow_apart)
-        store.extend(own)
-        progress.start("layout", None)
-        with clock.stage("layout"):
-            joined = join(store, old, new, alignment, config)
-        _refuse_loose(joined, old, log.name, allow=allow_apart)
-        finished = remade(store, joined, config, progress, clock, _counts(stored, tracking))
+        updated = _updated(stored, stream, store, config, progress, allow_apart=allow_apart)
+        finished, joined = updated.finished, updated.joined
         run = {
             **run_record(log.given, stream.selection, config, finished),
-            "updates": [*stored.run.get("updates", []), _told(stored.path, alignment)],
+            "updates": [*stored.run.get("updates", []), _told(stored.path, updated.alignment)],
         }
         tell(finished.quality, progress)
         write_map(partial, finished.result(joined.kept.logs, run), store)
-    visits = joined.kept.labels.submaps[len(old.kept.labels.submaps) :]
-    known = set(old.kept.labels.submaps.tolist())
+    visits = joined.kept.labels.submaps[len(stored.labels.submaps) :]
     return UpdateReport(
         out=target,
         run=run,
         quality=finished.quality,
-        alignment=alignment,
-        visited=tuple(sorted(set(visits.tolist()) & known)),
-        new=tuple(sorted(set(visits.tolist()) - known)),
+        alignment=updated.alignment,
+        visited=tuple(sorted(set(visits.tolist()) & set(stored.ids))),
+        new=tuple(sorted(set(visits.tolist()) - set(stored.ids))),
     )
 
 
-def survey(
-    stream: SweepStream,
-    config: Config,
-    store: KeyframeStore,
-    progress: Progress,
-    clock: Stopwatch,
-) -> tuple[Seen, Tracking]:
-    """A recording explored and laid out by itself, its keyframes in `store`.
+@dataclass(frozen=True, slots=True)
+class _Updated:
+    """A map with a recording more, and where that lies in it."""
 
-    Raises NoResultError when it left no keyframe, or none that fits the grid.
-    """
-    exploration = Exploration(config, store, clock, None)
-    accepts = KeyframeSelector(config.keyframes).accepts
-    explored, tracking = explore_log(stream, config, exploration, accepts, progress)
-    refuse_empty(store, stream, tracking)
-    laid = lay_out(explored, config, store, progress, clock)
-    with clock.stage("grids"):
-        seen = seen_of_log(explored, laid, stream.log.name, tracking.warnings, store, config)
-    return seen, tracking
+    finished: FinishedMap
+    joined: Joined
+    alignment: Alignment
+
+
+def _updated(
+    stored: StoredMap,
+    stream: SweepStream,
+    store: KeyframeStore,
+    config: Config,
+    progress: Progress,
+    *,
+    allow_apart: bool,
+) -> _Updated:
+    """The map with the recording; its keyframes are added to `store`, which holds the map's."""
+    clock, name = Stopwatch(), stream.log.name
+    old = seen_of_stored(stored)
+    with KeyframeStore() as own:
+        surveyed = survey(stream, config, own, progress, clock)
+        new = surveyed.seen
+        _refuse_known(old, new, store, own)
+        store.extend(own)
+    progress.start("aligning", None)
+    with clock.stage("alignment"):
+        alignment = align(old.known, new.known, config)
+    if alignment.old_from_new is None and not allow_apart:
+        raise _fits_nowhere(name, stored.path, alignment.reason)
+    progress.start("layout", None)
+    with clock.stage("layout"):
+        joined = _joined(store, old, new, alignment, config)
+    _refuse_loose(joined, old, name, allow=allow_apart)
+    counts = added(stored.run.get("counts", {}), surveyed.tracking.counts)
+    return _Updated(remade(store, joined, config, progress, clock, counts), joined, alignment)
 
 
 def _refuse_known(old: Seen, new: Seen, store: KeyframeStore, own: KeyframeStore) -> None:
@@ -186,16 +187,20 @@ def _refuse_known(old: Seen, new: Seen, store: KeyframeStore, own: KeyframeStore
             raise InputError(f"{log.name}: is in the map already, as {known.name}: nothing to add")
 
 
-def _apart(
-    alignment: Alignment, old: Seen, new: Seen, name: str, path: Path, *, allow: bool
-) -> Alignment:
-    """A place beside the old map, where that is allowed; NoResultError otherwise."""
-    if not allow:
-        raise NoResultError(
-            f"{name}: fits nowhere in {path}: {alignment.reason}: build a map of its own, or "
-            "append it as a part of its own with --allow-apart"
-        )
-    return beside(old, new, alignment.reason)
+def _fits_nowhere(name: str, path: Path, reason: str) -> NoResultError:
+    return NoResultError(
+        f"{name}: fits nowhere in {path}: {reason}: build a map of its own, or append it as a part "
+        "of its own with --allow-apart"
+    )
+
+
+def _joined(
+    store: KeyframeStore, old: Seen, new: Seen, alignment: Alignment, config: Config
+) -> Joined:
+    """The recording laid into the map where they are aligned, beside it otherwise."""
+    where = alignment.old_from_new or beside(old.known.whole, new.known.whole)
+    found = closures_between(old.kept, new.kept, alignment.joints)
+    return join(store, old.kept, old.regions, new, where, found, config)
 
 
 def _refuse_loose(joined: Joined, old: Seen, name: str, *, allow: bool) -> None:
@@ -205,12 +210,6 @@ def _refuse_loose(joined: Joined, old: Seen, name: str, *, allow: bool) -> None:
             f"{name}: lies in the map, but no wall that both saw holds it there: build a map of "
             "its own, or append it as a part of its own with --allow-apart"
         )
-
-
-def _counts(stored: StoredMap, tracking: Tracking) -> dict[str, int]:
-    """The messages and scans that were read for the map and for the recording together."""
-    before = stored.run.get("counts", {})
-    return {name: count + int(before.get(name, 0)) for name, count in tracking.counts.items()}
 
 
 def _told(path: Path, alignment: Alignment) -> dict[str, Any]:

@@ -27,8 +27,9 @@ WRITERS = {
     "export",
     "update",
     "compare",
+    "merge",
 }
-SETTLED = READERS | {"segment", "convert", "config", "export", "simulate", "compare"}
+SETTLED = READERS | {"segment", "convert", "config", "export", "simulate", "compare", "merge"}
 ALL = READERS | WRITERS | {"config"}
 HAVE = {
     "--quiet": ALL,
