@@ -78,7 +78,8 @@ def compare_maps(
     progress.start("comparing", None)
     alignment = _found(one, other, identical, config)
     motion = _motion(alignment)
-    found = differences(one.regions, other.regions, motion)
+    tracks = one.labels.poses, other.labels.poses
+    found = differences(one.regions, other.regions, tracks, motion)
     return Comparison(
         old=one,
         new=other,

@@ -14,8 +14,9 @@ from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.things import Surveyed
 
-_LEAST_M = 0.5  # of a way: through a narrower one no robot goes, and noise closes it
+_LEAST_M = 0.6  # of a way: through a narrower one hardly a robot goes, and noise closes it
 _REACH_M = 0.6  # of a way beyond its border, besides half its width: a step into either room
 _APART_M = 0.25  # what lies farther than this from a border is on one side of it
 _PASSABLE_M = 0.1  # from obstacles: a leaf of a door has gaps of a cell or two
@@ -37,18 +38,19 @@ class Way:
     width_m: float
 
 
-def blocked_ways(regions: Regions, other: GridMap, other_from_map: BentMotion) -> list[Way]:
+def blocked_ways(regions: Regions, seen: Surveyed, other_from_map: BentMotion) -> list[Way]:
     """The ways of a divided map that are blocked in another map, which saw one side at the least.
 
     What hides the other side must stand all across: behind a closed door nothing is seen.
 
     In order of the pairs of submaps, then of the places.
     """
-    near_m = other.obstacle_distance()
+    other = seen.grid, seen.grid.obstacle_distance()
     return [
         way
         for way, border in _ways(regions)
-        if _is_blocked(regions, way, border, (other, near_m), other_from_map)
+        if seen.saw_well(other_from_map.apply(way.place[None]))[0]
+        and _is_blocked(regions, way, border, other, other_from_map)
     ]
 
 

@@ -13,7 +13,7 @@ from specmap_cli.grids.bent import BentMotion
 from specmap_cli.topology.blocked import Way, blocked_ways
 from specmap_cli.topology.identity import Identity, identify
 from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.things import Thing, things_in
+from specmap_cli.topology.things import Surveyed, Thing, things_in
 
 _DOORWAY_M = 0.5  # from a way, besides half its width: what stands there is its door
 _NEAR_M = 1.0  # from a submap's floor: what stands there stands in it
@@ -50,15 +50,17 @@ class Differences:
         return sum(len(part) for part in parts) + len(self.identity.gone)
 
 
-def differences(old: Regions, new: Regions, old_from_new: BentMotion) -> Differences:
-    """What differs between two divided maps."""
+def differences(
+    old: Regions, new: Regions, tracks: tuple[FloatArray, FloatArray], old_from_new: BentMotion
+) -> Differences:
+    """What differs between two divided maps; `tracks` (n, 2 or more) of the robot are theirs."""
     new_from_old = old_from_new.inverse()
-    closed = blocked_ways(old, new.grid, new_from_old)
-    opened = [_moved(way, old_from_new) for way in blocked_ways(new, old.grid, old_from_new)]
-    appeared = [
-        _turned(thing, old_from_new) for thing in things_in(new.grid, old.grid, old_from_new)
-    ]
-    vanished = things_in(old.grid, new.grid, new_from_old)
+    before, after = Surveyed(old.grid, tracks[0]), Surveyed(new.grid, tracks[1])
+    closed = blocked_ways(old, after, new_from_old)
+    opened = [_moved(way, old_from_new) for way in blocked_ways(new, before, old_from_new)]
+    things = things_in(new.grid, before, old_from_new)
+    appeared = [_turned(thing, old_from_new) for thing in things]
+    vanished = things_in(old.grid, after, new_from_old)
     placed = [
         tuple(_placed(thing, old, new, new_from_old) for thing in _outside(things, ways))
         for things, ways in ((appeared, closed), (vanished, opened))

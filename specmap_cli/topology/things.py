@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray
@@ -18,8 +19,9 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 _APART_M, _APART_CELLS = 0.15, 2.5
 # It must stand so deep in free space of the other map: its edge is where beams ended by chance.
 _DEPTH_M, _DEPTH_CELLS = 0.12, 2.0
+NEAR_M = 5.0  # farther off, half a degree and a slanting wall are more than that
 _BESIDE_CELLS = 1.5  # what hangs together with it belongs to it when it is off by more than this
-_LEAST_M, _LEAST_CELLS = 0.15, 4  # a hand's breadth and its noise; single cells flicker
+_LEAST_M, _LEAST_CELLS = 0.15, 5  # a hand's breadth and its noise; single cells flicker
 _GAP_M = 0.2  # between pieces of one thing: its faces are seen, and some of these from aside
 
 Pixels = NDArray[np.uint8]
@@ -46,12 +48,29 @@ class Thing:
         return self.length_m * self.width_m
 
 
-def things_in(grid: GridMap, other: GridMap, other_from_grid: BentMotion) -> list[Thing]:
-    """What stands in a map where the other one saw free space, the largest first."""
-    cells = np.argwhere(grid.occupied)
+@dataclass(frozen=True, slots=True)
+class Surveyed:
+    """The grid of a map, and the `track` (n, 2 or more) of the robot that saw it."""
+
+    grid: GridMap
+    track: FloatArray
+
+    def saw_well(self, places: FloatArray) -> BoolArray:
+        """(N,) whether the robot came near each place (N, 2): from afar it sees at a slant."""
+        if not len(places) or not len(self.track):
+            return np.zeros(len(places), dtype=np.bool_)
+        away = cKDTree(self.track[:, :2]).query(places, distance_upper_bound=NEAR_M)[0]
+        return np.asarray(np.isfinite(away))
+
+
+def things_in(grid: GridMap, seen: Surveyed, other_from_grid: BentMotion) -> list[Thing]:
+    """What stands in a map where another one saw free space, the largest first."""
+    cells, other = np.argwhere(grid.occupied), seen.grid
     apart_m, depth_m = _distances(other)
-    placed = other.cells_of(other_from_grid.apply(grid.centres_of(cells)))
+    places = other_from_grid.apply(grid.centres_of(cells))
+    placed = other.cells_of(places)
     inside = other.inside(placed)
+    inside[inside] = seen.saw_well(places[inside])
     cells, (rows, columns) = cells[inside], placed[inside].T
     free = other.cells[rows, columns] == FREE
     apart = apart_m[rows, columns]

@@ -1,0 +1,170 @@
+"""Two maps of one building against each other: what changed is told, and nothing else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from specmap_cli.cli import main
+from specmap_cli.core.errors import NoResultError, UsageError
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.maps import comparison as schema
+from specmap_cli.pipelines.build import build_map
+from specmap_cli.pipelines.compare import (
+    COMPARISON,
+    PICTURE,
+    SUMMARY,
+    Comparison,
+    compare_maps,
+    write_comparison,
+)
+from specmap_cli.pipelines.simulate import SimulationResult, simulate
+from specmap_cli.simulation.simulator import SimulationOptions
+
+
+def mapped(grid: GridMap, folder: Path, seed: int, view_deg: float = 360.0) -> Path:
+    options = SimulationOptions(
+        field_of_view_deg=view_deg, beams=240, range_max_m=12, rate_hz=5, seed=seed
+    )
+    log = simulate(grid, options, folder / "tour.mcap").log
+    build_map([log], folder / "map")
+    return folder / "map"
+
+
+@pytest.fixture(scope="module")
+def before(flat_log: SimulationResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of the flat."""
+    out = tmp_path_factory.mktemp("before") / "map"
+    build_map([flat_log.log], out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def changed(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of the flat with a closed door, a cabinet more, and a hole in a wall."""
+    cells = flat.cells.copy()
+    cells[39:41, 140:158] = OCCUPIED  # the door of the third room
+    cells[60:76, 108:116] = OCCUPIED  # a cabinet of 0.4 m x 0.8 m in the second room
+    cells[70:90, 116:120] = FREE  # from the second room to the third
+    return mapped(GridMap(cells, flat.resolution), tmp_path_factory.mktemp("changed"), 9)
+
+
+@pytest.fixture(scope="module")
+def told(before: Path, changed: Path) -> Comparison:
+    return compare_maps(before, changed)
+
+
+def test_what_changed_is_told(told: Comparison) -> None:
+    found = told.differences
+    assert [round(way.width_m, 1) for way in found.closed] == [pytest.approx(0.9, abs=0.15)]
+    assert len(found.opened) == 1
+    assert len(found.appeared) == 1
+    assert not found.vanished
+    cabinet = found.appeared[0].thing
+    assert cabinet.length_m == pytest.approx(0.8, abs=0.2)
+    assert 0.05 < cabinet.area_m2 < 0.5
+    assert found.appeared[0].old_submap is not None
+    assert len(told.record.submaps.same) >= 3
+
+
+def test_places_are_those_of_the_old_map(told: Comparison) -> None:
+    grid = told.old.map_grid
+    cabinet = told.differences.appeared[0].thing
+    assert (grid.values_at(cabinet.centre[None]) == FREE).all()
+    for way in told.differences.closed:
+        assert (grid.values_at(way.place[None]) == FREE).all()
+
+
+def test_the_other_way_round_things_vanish(before: Path, changed: Path) -> None:
+    back = compare_maps(changed, before).differences
+    assert len(back.vanished) == 1
+    assert not back.appeared
+    assert (len(back.closed), len(back.opened)) == (1, 1)
+
+
+def test_two_recordings_of_one_building_differ_in_nothing(
+    flat: GridMap, before: Path, tmp_path: Path
+) -> None:
+    again = mapped(flat, tmp_path, 21, 270.0)
+    found = compare_maps(before, again)
+    assert found.differences.changes == 0
+    assert "the building: no change found" in found.lines()
+
+
+def test_a_map_is_identical_to_itself(before: Path) -> None:
+    found = compare_maps(before, before)
+    assert found.identical
+    assert found.lines() == [f"{before}: identical to {before}"]
+    assert found.differences.changes == 0
+
+
+def test_a_map_of_another_building_is_refused_with_the_reason(
+    office: GridMap, before: Path, tmp_path: Path
+) -> None:
+    part = GridMap(office.cells[:140, :200].copy(), office.resolution)
+    with pytest.raises(NoResultError, match="not aligned with"):
+        compare_maps(before, mapped(part, tmp_path, 2))
+
+
+def test_the_command_writes_all_of_it(
+    before: Path, changed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "changes"
+    assert main(["compare", str(before), str(changed), "-o", str(out), "--json", "-q"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    jsonschema.validate(printed, json.loads(schema.SCHEMA_FILE.read_text(encoding="utf-8")))
+    assert json.loads((out / COMPARISON).read_text(encoding="utf-8")) == printed
+    assert "way closed: " in (out / SUMMARY).read_text(encoding="utf-8")
+    assert (out / PICTURE).read_bytes().startswith(b"\x89PNG")
+    assert sorted(path.name for path in out.iterdir()) == sorted([COMPARISON, PICTURE, SUMMARY])
+    assert main(["compare", str(before), str(changed), "-o", str(out), "-q"]) == 2
+    assert "already holds a result" in capsys.readouterr().err
+    assert main(["compare", str(before), str(changed), "-o", str(out), "-q", "--overwrite"]) == 0
+
+
+def test_a_directory_of_something_else_is_never_replaced(
+    told: Comparison, before: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(UsageError, match=f"no {COMPARISON} in it"):
+        write_comparison(told, tmp_path, overwrite=True)
+    with pytest.raises(UsageError, match=f"no {COMPARISON} in it"):
+        write_comparison(told, before, overwrite=True)
+
+
+def test_the_same_maps_give_the_same_bytes(told: Comparison, tmp_path: Path) -> None:
+    for name in ("one", "other"):
+        write_comparison(told, tmp_path / name)
+    for file in (COMPARISON, PICTURE, SUMMARY):
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "other" / file).read_bytes()
+
+
+def test_what_is_no_map_is_told(
+    before: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["compare", str(before), str(tmp_path / "none"), "-q"]) == 3
+    assert "no such map directory" in capsys.readouterr().err
+    assert main(["compare", str(before), str(before), "-o", str(before), "-q"]) == 2
+
+
+def test_the_schema_that_is_shipped_is_that_of_the_models() -> None:
+    shipped = schema.SCHEMA_FILE.read_text(encoding="utf-8")
+    assert shipped == schema.schema_text(), (
+        "run `python -m specmap_cli.maps.comparison > specmap_cli/maps/comparison.schema.json`"
+    )
+    jsonschema.Draft202012Validator.check_schema(schema.json_schema())
+
+
+def test_a_map_without_classifiers_is_compared_by_its_grids(
+    before: Path, changed: Path, tmp_path: Path
+) -> None:
+    import shutil
+
+    bare = tmp_path / "bare"
+    shutil.copytree(changed, bare)
+    (bare / "classifiers.json").unlink()
+    assert np.isfinite(compare_maps(before, bare).alignment.rival)
