@@ -17,6 +17,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 # An obstacle is another one when it stands farther than this from all obstacles of the other map:
 # what cells, the noise of a laser and a map that is bent a little leave open.
 _APART_M, _APART_CELLS = 0.15, 2.5
+_ROUNDING_M = 1e-6  # of a whole number of cells
 # It must stand so deep in free space of the other map: its edge is where beams ended by chance.
 _DEPTH_M, _DEPTH_CELLS = 0.12, 2.0
 NEAR_M = 5.0  # farther off, half a degree and a slanting wall are more than that
@@ -74,7 +75,7 @@ def things_in(grid: GridMap, seen: Surveyed, other_from_grid: BentMotion) -> lis
     cells, (rows, columns) = cells[inside], placed[inside].T
     free = other.cells[rows, columns] == FREE
     apart = apart_m[rows, columns]
-    sure = free & (apart > max(_APART_M, _APART_CELLS * other.resolution))
+    sure = free & (apart > max(_APART_M, _APART_CELLS * other.resolution) + _ROUNDING_M)
     sure &= depth_m[rows, columns] > max(_DEPTH_M, _DEPTH_CELLS * other.resolution)
     beside = free & (apart > _BESIDE_CELLS * other.resolution)
     found = [_thing(grid, part) for part in _parts(grid, cells, sure, beside)]

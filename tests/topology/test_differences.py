@@ -1,0 +1,140 @@
+"""What differs between two maps in one frame, judged where both saw."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.grids.bent import BentMotion
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.topology.differences import Differences, differences
+from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.things import Surveyed, things_in
+
+CELL_M = 0.05
+DOOR = (slice(58, 76), slice(98, 102))  # 0.9 m, between the two rooms
+RIGID = BentMotion(IDENTITY)
+TRACK = np.array([[x, 3.0] for x in np.arange(1.0, 9.5, 0.5)])
+
+
+def flat(door: bool = True) -> Regions:
+    """Two rooms of 4.7 m x 5.6 m side by side, with a door or a wall between them."""
+    cells = np.full((120, 200), OCCUPIED, dtype=np.uint8)
+    owner = np.full(cells.shape, NOBODY)
+    for id_, columns in enumerate((slice(4, 98), slice(102, 196))):
+        cells[4:116, columns], owner[4:116, columns] = FREE, id_
+    if door:
+        cells[DOOR], owner[DOOR] = FREE, 0
+    return Regions.of(GridMap(cells, CELL_M), owner)
+
+
+def drawn(regions: Regions, *boxes: tuple[slice, slice], state: int = OCCUPIED) -> Regions:
+    cells, owner = regions.grid.cells.copy(), regions.owner.copy()
+    for box in boxes:
+        cells[box] = state
+        owner[box] = 0 if state == FREE else NOBODY
+    return Regions.of(GridMap(cells, CELL_M, regions.grid.origin), owner)
+
+
+def told(old: Regions, new: Regions, track: FloatArray = TRACK) -> Differences:
+    return differences(old, new, (TRACK, track), RIGID)
+
+
+CABINET = (slice(20, 28), slice(50, 66))  # 0.8 m x 0.4 m
+
+
+def test_nothing_is_told_of_a_map_itself() -> None:
+    assert told(flat(), flat()).changes == 0
+
+
+def test_a_cabinet_appears_and_vanishes() -> None:
+    appeared = told(flat(), drawn(flat(), CABINET)).appeared
+    assert len(appeared) == 1
+    assert appeared[0].thing.centre == pytest.approx([2.9, 1.2], abs=0.05)
+    assert appeared[0].thing.length_m == pytest.approx(0.8, abs=0.1)
+    assert appeared[0].thing.width_m == pytest.approx(0.4, abs=0.1)
+    assert (appeared[0].old_submap, appeared[0].new_submap) == (0, 0)
+    vanished = told(drawn(flat(), CABINET), flat()).vanished
+    assert vanished[0].thing.centre == pytest.approx(appeared[0].thing.centre)
+
+
+def test_a_moved_cabinet_is_both() -> None:
+    elsewhere = (slice(90, 98), slice(150, 166))
+    found = told(drawn(flat(), CABINET), drawn(flat(), elsewhere))
+    assert (len(found.appeared), len(found.vanished), found.changes) == (1, 1, 2)
+    assert found.appeared[0].old_submap == 1
+
+
+@pytest.mark.parametrize("shift", [1, 2, 3])
+def test_walls_that_are_drawn_some_centimetres_elsewhere_are_the_same(shift: int) -> None:
+    moved = drawn(flat(), (slice(4, 4 + shift), slice(4, 98)), (slice(4, 116), slice(4, 4 + shift)))
+    assert told(flat(), moved).changes == 0
+
+
+def test_single_cells_flicker() -> None:
+    specks = [(slice(k, k + 1), slice(3 * k, 3 * k + 1)) for k in range(20, 32, 5)]
+    assert told(flat(), drawn(flat(), *specks)).changes == 0
+
+
+def test_what_only_one_map_saw_is_no_change() -> None:
+    new = drawn(drawn(flat(), CABINET), (slice(0, 120), slice(0, 100)), state=UNKNOWN)
+    assert told(flat(), new).changes == 0
+    assert told(new, flat()).changes == 0
+
+
+def test_what_was_seen_from_afar_is_not_judged() -> None:
+    far = TRACK[TRACK[:, 0] > 8.5]
+    assert told(drawn(flat(), CABINET), flat(), far).changes == 0
+    assert len(told(drawn(flat(), CABINET), flat(), TRACK).vanished) == 1
+
+
+def test_a_closed_door_is_a_way_and_no_thing() -> None:
+    leaf = (slice(58, 76), slice(99, 101))
+    found = told(flat(), drawn(flat(), leaf))
+    assert [way.between for way in found.closed] == [(0, 1)]
+    assert found.closed[0].width_m == pytest.approx(0.9, abs=0.1)
+    assert found.closed[0].place == pytest.approx([5.0, 3.35], abs=0.5)
+    assert not found.appeared
+    assert not found.opened
+    back = told(drawn(flat(), leaf), flat())
+    assert [way.between for way in back.opened] == [(0, 1)]
+    assert not back.vanished
+
+
+def test_a_door_that_was_closed_before_a_room_was_seen_is_told_from_one_side() -> None:
+    leaf, room = (slice(58, 76), slice(99, 101)), (slice(0, 120), slice(102, 200))
+    new = drawn(drawn(flat(), leaf), room, state=UNKNOWN)
+    new = drawn(new, (slice(58, 76), slice(101, 102)), state=UNKNOWN)
+    assert [way.between for way in told(flat(), new).closed] == [(0, 1)]
+
+
+def test_a_door_that_was_not_seen_again_is_not_closed() -> None:
+    unseen = drawn(flat(), (slice(0, 120), slice(80, 200)), state=UNKNOWN)
+    assert told(flat(), unseen).changes == 0
+
+
+def test_a_cabinet_that_leaves_half_of_the_door_free_does_not_close_it() -> None:
+    found = told(flat(), drawn(flat(), (slice(58, 66), slice(96, 104))))
+    assert not found.closed
+    assert len(found.appeared) == 1
+
+
+def test_a_way_cut_through_a_wall_is_opened() -> None:
+    found = told(flat(door=False), flat())
+    assert [way.between for way in found.opened] == [(0, 1)]
+    assert found.changes == 1
+
+
+def test_places_of_the_new_map_are_told_in_the_frame_of_the_old_one() -> None:
+    new = drawn(flat(), CABINET)
+    shifted = Regions(GridMap(new.grid.cells, CELL_M, (7.0, -2.0)), new.owner, new.outlines)
+    old_from_new = BentMotion(Pose2(-7.0, 2.0, 0.0))
+    found = differences(flat(), shifted, (TRACK, TRACK + (7.0, -2.0)), old_from_new)
+    assert found.appeared[0].thing.centre == pytest.approx([2.9, 1.2], abs=0.05)
+    assert found.appeared[0].thing.corners.mean(axis=0) == pytest.approx([2.9, 1.2], abs=0.05)
+
+
+def test_a_map_without_a_track_judges_nothing() -> None:
+    seen = Surveyed(flat().grid, np.zeros((0, 3)))
+    assert things_in(drawn(flat(), CABINET).grid, seen, RIGID) == []
