@@ -20,11 +20,10 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.data import plan
 from benchmarks.unknown import world_of
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, nearest_motion, wrap_angle
 from specmap_cli.core.settings import Config
 from specmap_cli.evaluation.trajectories import read_tum
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
@@ -34,6 +33,7 @@ from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.pipelines.known_maps import align_maps
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import simulation_options
+from specmap_cli.topology.blocked import Way
 
 Box = tuple[float, float, float, float]  # left, low, right, high; metres of the plan, y up
 
@@ -182,7 +182,7 @@ def alignment(folder: Path) -> None:
     """Pairs of maps of one building, of others, and of look-alikes."""
     made = {name: _mapped(folder, name, plan_of(spec[0]), *spec[1:]) for name, spec in MAPS.items()}
     same = [(a, b) for a, b in combinations(MAPS, 2) if MAPS[a][0] == MAPS[b][0]]
-    print("one building: metres and degrees off, seconds of a processor")
+    print("one building")
     for a, b in same:
         print(f"  {a:<12} {b:<12} {_verdict(made[a], made[b])}", flush=True)
     print("other buildings")
@@ -267,15 +267,7 @@ def _plan_from_map(path: Path) -> Pose2:
     stored, truth = read_map(path).labels, read_tum(path.with_suffix(".tum"))
     rows = np.searchsorted(truth.stamps_ns, stored.stamps_ns - 1_000_000)
     true = truth.poses[np.minimum(rows, len(truth.poses) - 1), :2]
-    return _motion(stored.poses[:, :2], true)
-
-
-def _motion(source: FloatArray, target: FloatArray) -> Pose2:
-    """The rigid motion that takes points (n, 2) nearest to others (n, 2)."""
-    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
-    turn = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
-    shift = target.mean(axis=0) - Pose2(0.0, 0.0, turn).apply(source.mean(axis=0)[None])[0]
-    return Pose2(float(shift[0]), float(shift[1]), turn)
+    return nearest_motion(stored.poses[:, :2], true)
 
 
 def _verdict(old: Path, new: Path) -> str:
@@ -313,8 +305,9 @@ def _is_added(box: Box | None, told: Comparison, plan_from_old: Pose2) -> bool:
     return _near(box, plan_from_old.apply(told.old_from_new.apply(places)))
 
 
-def _ways(ways: Sequence[object], plan_from_old: Pose2) -> NDArray[np.float64]:
-    places = np.array([way.place for way in ways]).reshape(-1, 2)  # type: ignore[attr-defined]
+def _ways(ways: Sequence[Way], plan_from_old: Pose2) -> FloatArray:
+    """(n, 2) where some ways are in the plan."""
+    places = np.array([way.place for way in ways]).reshape(-1, 2)
     return plan_from_old.apply(places)
 
 

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from specmap_cli.maps.schema_values import Amount, Count, Number, Point, Transform
 
 SCHEMA_VERSION = 1
+SCHEMA_ID = f"urn:specmap:comparison:{SCHEMA_VERSION}"
 SCHEMA_FILE = Path(__file__).with_name("comparison.schema.json")
 
 Pair = tuple[Count, Count]
@@ -30,9 +31,9 @@ class MapFigures(_Record):
     """One of the two maps: what it is made of, and how large it is."""
 
     map: str = Field(description="as it was named on the command line")
-    submaps: int = Field(ge=0)
-    edges: int = Field(ge=0)
-    keyframes: int = Field(ge=0)
+    submaps: Count
+    edges: Count
+    keyframes: Count
     path_m: Amount = Field(description="driven from keyframe to keyframe")
     duration_s: Amount = Field(description="from the first keyframe to the last")
     area_m2: Amount = Field(description="free space")
@@ -47,8 +48,8 @@ class AlignmentRecord(_Record):
     """
 
     old_from_new: Transform
-    votes: int = Field(ge=0)
-    submaps: int = Field(ge=0)
+    votes: Count
+    submaps: Count
     area_m2: Amount = Field(description="free in both maps")
     walls_m: Amount = Field(description="walls that agree")
     residual_m: Amount
@@ -157,6 +158,7 @@ def json_schema() -> dict[str, Any]:
     schema = ComparisonRecord.model_json_schema()
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": SCHEMA_ID,
         **schema,
         "title": "specmap compare.json",
     }
