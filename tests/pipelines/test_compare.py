@@ -14,6 +14,7 @@ from specmap_cli.cli import main
 from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps import comparison as schema
+from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.compare import (
     COMPARISON,
@@ -102,11 +103,16 @@ def test_a_map_is_identical_to_itself(before: Path) -> None:
 
 
 def test_a_map_of_another_building_is_refused_with_the_reason(
-    office: GridMap, before: Path, tmp_path: Path
+    before: Path, result: MapResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    part = GridMap(office.cells[:140, :200].copy(), office.resolution)
+    house = tmp_path / "house"
+    house.mkdir()
+    write_map(house, result)
+    (house / "classifiers.json").unlink()
     with pytest.raises(NoResultError, match="not aligned with"):
-        compare_maps(before, mapped(part, tmp_path, 2))
+        compare_maps(before, house)
+    assert main(["compare", str(before), str(house), "-q"]) == 4
+    assert f"{house}: not aligned with {before}: " in capsys.readouterr().err
 
 
 def test_the_command_writes_all_of_it(
@@ -120,9 +126,13 @@ def test_the_command_writes_all_of_it(
     assert "way closed: " in (out / SUMMARY).read_text(encoding="utf-8")
     assert (out / PICTURE).read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in out.iterdir()) == sorted([COMPARISON, PICTURE, SUMMARY])
-    assert main(["compare", str(before), str(changed), "-o", str(out), "-q"]) == 2
-    assert "already holds a result" in capsys.readouterr().err
-    assert main(["compare", str(before), str(changed), "-o", str(out), "-q", "--overwrite"]) == 0
+
+
+def test_an_earlier_result_is_replaced_only_when_told(told: Comparison, tmp_path: Path) -> None:
+    write_comparison(told, tmp_path / "out")
+    with pytest.raises(UsageError, match="already holds a result"):
+        write_comparison(told, tmp_path / "out")
+    write_comparison(told, tmp_path / "out", overwrite=True)
 
 
 def test_a_directory_of_something_else_is_never_replaced(
