@@ -31,6 +31,7 @@ class MapFigures(_Record):
     """One of the two maps: what it is made of, and how large it is."""
 
     map: str = Field(description="as it was named on the command line")
+    names: dict[Count, str] = Field(description="of the submaps")
     submaps: Count
     edges: Count
     keyframes: Count
@@ -61,8 +62,6 @@ class SameRecord(_Record):
 
     old: Count
     new: Count
-    old_name: str
-    new_name: str
     iou: float
 
 

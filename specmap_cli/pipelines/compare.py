@@ -20,7 +20,7 @@ from specmap_cli.grids.map_server import write_png
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.pipelines.comparison_report import Figures, lines_of, record_of
+from specmap_cli.pipelines.comparison_report import lines_of, record_of
 from specmap_cli.pipelines.known_maps import align_maps
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.recognition.closure.alignment import Alignment
@@ -46,8 +46,8 @@ class Comparison:
     @property
     def record(self) -> ComparisonRecord:
         """The same as it is written to compare.json."""
-        figures = Figures.of(self.old), Figures.of(self.new)
-        return record_of(figures, self.alignment, self.differences, self.identical)
+        maps = self.old, self.new
+        return record_of(maps, self.alignment, self.differences, self.identical)
 
     def as_dict(self) -> dict[str, Any]:
         """The same for a machine."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from specmap_cli.core.text import counted, plain, rounded
@@ -12,46 +11,39 @@ from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.topology.blocked import Way
 from specmap_cli.topology.differences import Differences, PlacedThing
+from specmap_cli.topology.topological_map import default_name
 
 _NS = 1e9
 
 
-@dataclass(frozen=True, slots=True)
-class Figures:
-    """A map's figures as compare.json has them, and the names of its submaps."""
-
-    record: dict[str, Any]
-    names: dict[int, str]
-
-    @classmethod
-    def of(cls, stored: StoredMap) -> Figures:
-        """Those of a stored map."""
-        labels, quality = stored.labels, stored.record.graph.quality
-        stamps = labels.stamps_ns
-        record = {
-            "map": str(stored.path),
-            "submaps": len(stored.record.nodes),
-            "edges": len(stored.record.edges),
-            "keyframes": len(stamps),
-            "path_m": labels.path_m,
-            "duration_s": float(stamps.max() - stamps.min()) / _NS if len(stamps) else 0.0,
-            "area_m2": stored.map_grid.free_area_m2,
-            "verdict": None if quality is None else quality.verdict,
-        }
-        return cls(record, {node.id: node.name for node in stored.record.nodes})
+def figures_of(stored: StoredMap) -> dict[str, Any]:
+    """A map's figures as compare.json has them."""
+    labels, quality = stored.labels, stored.record.graph.quality
+    stamps = labels.stamps_ns
+    return {
+        "map": str(stored.path),
+        "names": {node.id: node.name for node in stored.record.nodes},
+        "submaps": len(stored.record.nodes),
+        "edges": len(stored.record.edges),
+        "keyframes": len(stamps),
+        "path_m": labels.path_m,
+        "duration_s": float(stamps.max() - stamps.min()) / _NS if len(stamps) else 0.0,
+        "area_m2": stored.map_grid.free_area_m2,
+        "verdict": None if quality is None else quality.verdict,
+    }
 
 
 def record_of(
-    maps: tuple[Figures, Figures], alignment: Alignment, found: Differences, identical: bool
+    maps: tuple[StoredMap, StoredMap], alignment: Alignment, found: Differences, identical: bool
 ) -> ComparisonRecord:
-    """The contents of compare.json."""
+    """The contents of compare.json for an old and a new map."""
     document = {
         "schema_version": SCHEMA_VERSION,
-        "old": maps[0].record,
-        "new": maps[1].record,
+        "old": figures_of(maps[0]),
+        "new": figures_of(maps[1]),
         "identical": identical,
         "alignment": _alignment(alignment),
-        "submaps": _submaps(found, maps),
+        "submaps": _submaps(found),
         "doors": {
             "closed": [_door(way) for way in found.closed],
             "opened": [_door(way) for way in found.opened],
@@ -74,8 +66,8 @@ def lines_of(record: ComparisonRecord) -> list[str]:
         f"{at.area_m2:.0f} m2 are in both, off by {at.residual_m:.2f} m",
         *_of_submaps(record),
         *_of_doors(record),
-        *_of_things("appeared", record.things.appeared),
-        *_of_things("vanished", record.things.vanished),
+        *_of_things("appeared", record.things.appeared, record.old.names),
+        *_of_things("vanished", record.things.vanished, record.old.names),
         *([] if _changes(record) else ["the building: no change found"]),
         f"driven: {record.old.path_m:.0f} m, then {record.new.path_m:.0f} m; submaps: "
         f"{record.old.submaps}, then {record.new.submaps}; free space: "
@@ -103,19 +95,10 @@ def _alignment(alignment: Alignment) -> dict[str, Any]:
     }
 
 
-def _submaps(found: Differences, maps: tuple[Figures, Figures]) -> dict[str, Any]:
+def _submaps(found: Differences) -> dict[str, Any]:
     identity = found.identity
     return {
-        "same": [
-            {
-                "old": pair.old,
-                "new": pair.new,
-                "old_name": maps[0].names[pair.old],
-                "new_name": maps[1].names[pair.new],
-                "iou": pair.iou,
-            }
-            for pair in identity.same
-        ],
+        "same": [{"old": one.old, "new": one.new, "iou": one.iou} for one in identity.same],
         "split": [{"old": old, "new": list(new)} for old, new in identity.splits.items()],
         "merged": [{"old": list(old), "new": new} for new, old in identity.merges.items()],
         "new": identity.added,
@@ -148,42 +131,50 @@ def _thing(one: PlacedThing) -> dict[str, Any]:
 
 def _of_submaps(record: ComparisonRecord) -> list[str]:
     """What became of the submaps: all that are the same in one line, the others by id."""
-    submaps = record.submaps
+    submaps, old, new = record.submaps, record.old.names, record.new.names
     lines = [f"submaps: {len(submaps.same)} the same"]
-    for what, ids in (
-        ("new", submaps.new),
-        ("gone", submaps.gone),
-        ("not seen again", submaps.unseen),
+    for what, ids, names in (
+        ("new", submaps.new, new),
+        ("gone", submaps.gone, old),
+        ("not seen again", submaps.unseen, old),
     ):
         if ids:
-            lines.append(f"submaps {what}: {_listed(ids)}")
-    lines += [f"submap {one.old} is now {_listed(one.new)}" for one in submaps.split]
-    lines += [f"submaps {_listed(one.old)} are now {one.new}" for one in submaps.merged]
+            lines.append(f"submaps {what}: {_listed(ids, names)}")
+    for split in submaps.split:
+        lines.append(f"submap {_listed([split.old], old)} is now {_listed(split.new, new)}")
+    for merge in submaps.merged:
+        lines.append(f"submaps {_listed(merge.old, old)} are now {_listed([merge.new], new)}")
     if submaps.redrawn_old or submaps.redrawn_new:
-        old, new = _listed(submaps.redrawn_old), _listed(submaps.redrawn_new)
-        lines.append(f"submaps divided otherwise: {old or 'none'}, now {new or 'none'}")
+        before, after = _listed(submaps.redrawn_old, old), _listed(submaps.redrawn_new, new)
+        lines.append(f"submaps divided otherwise: {before or 'none'}, now {after or 'none'}")
     return lines
 
 
 def _of_doors(record: ComparisonRecord) -> list[str]:
     return [
-        *(f"way closed: {_where(door)}" for door in record.doors.closed),
-        *(f"way opened: {_where(door)}" for door in record.doors.opened),
+        *(f"way closed: {_where(door, record.old.names)}" for door in record.doors.closed),
+        *(
+            f"way opened: {_where(door, record.new.names)}, by the ids of the new map"
+            for door in record.doors.opened
+        ),
     ]
 
 
-def _where(door: DoorRecord) -> str:
-    a, b = door.between
+def _where(door: DoorRecord, names: Mapping[int, str]) -> str:
+    a, b = (_listed([id_], names) for id_ in door.between)
     return f"{door.width_m:.1f} m wide, between {a} and {b}, at ({door.x:.1f}, {door.y:.1f})"
 
 
-def _of_things(what: str, things: Sequence[ThingRecord]) -> list[str]:
+def _of_things(what: str, things: Sequence[ThingRecord], names: Mapping[int, str]) -> list[str]:
     return [
         f"{what}: {one.length_m:.1f} m x {one.width_m:.1f} m at ({one.x:.1f}, {one.y:.1f})"
-        + ("" if one.old_submap is None else f", in {one.old_submap}")
+        + ("" if one.old_submap is None else f", in {_listed([one.old_submap], names)}")
         for one in things
     ]
 
 
-def _listed(ids: Iterable[int]) -> str:
-    return ", ".join(map(str, ids))
+def _listed(ids: Iterable[int], names: Mapping[int, str]) -> str:
+    """Ids with the names that a person gave: a submap's own name is `submap` and its id."""
+    return ", ".join(
+        f"{id_} ({names[id_]})" if names[id_] != default_name(id_) else str(id_) for id_ in ids
+    )

@@ -24,6 +24,7 @@ from specmap_cli.pipelines.compare import (
     compare_maps,
     write_comparison,
 )
+from specmap_cli.pipelines.comparison_report import lines_of
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import SimulationOptions
 
@@ -69,6 +70,14 @@ def test_what_changed_is_told(told: Comparison) -> None:
     assert 0.05 < cabinet.area_m2 < 0.5
     assert found.appeared[0].old_submap is not None
     assert len(told.record.submaps.same) >= 3
+
+
+def test_names_that_a_person_gave_are_told(told: Comparison) -> None:
+    names = {**told.record.old.names, told.differences.closed[0].between[0]: "Kitchen"}
+    old = told.record.old.model_copy(update={"names": names})
+    lines = lines_of(told.record.model_copy(update={"old": old}))
+    assert any(line.startswith("way closed: ") and "(Kitchen)" in line for line in lines)
+    assert not any("(submap" in line for line in lines)
 
 
 def test_places_are_those_of_the_old_map(told: Comparison) -> None:
