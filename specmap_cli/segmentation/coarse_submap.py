@@ -88,9 +88,24 @@ class CoarseSubmap:
 
     def near(self, other: CoarseSubmap) -> bool:
         """Whether nodes of both can be the same: their bands overlap, if nodes lie only there."""
+        return bool(self._bands_meet(self.poses, other.poses).any())
+
+    def apart(self, reached: BoolArray) -> BoolArray:
+        """Those of the keyframes (p,) whose stretch of way lies apart from all that is `reached`.
+
+        What free space does not join with the robot, and has no node in common with what it does,
+        stays alone wherever the robot goes on from there. A stretch is driven without a gap.
+        """
+        near, poses = reached.copy(), self.poses
+        near[~reached] = self._bands_meet(poses[reached], poses[~reached])
+        stretch = np.cumsum(np.diff(self._keyframes, prepend=self._keyframes[0]) > 1)
+        return np.asarray((np.bincount(stretch, near) == 0)[stretch])
+
+    def _bands_meet(self, some: FloatArray, others: FloatArray) -> BoolArray:
+        """(m,) whether the band of each of the `others` (m, 3) overlaps that of `some` (n, 3)."""
         reach = 2.0 * self.config.path_band_m or np.inf
-        away, _ = cKDTree(self.poses[:, :2]).query(other.poses[:, :2], distance_upper_bound=reach)
-        return bool((away <= reach).any())
+        away, _ = cKDTree(some[:, :2]).query(others[:, :2], distance_upper_bound=reach)
+        return np.asarray(away <= reach)
 
     def _part(self, members: set[int]) -> CoarseSubmap:
         """The submap of some of the keyframes, nothing of it in its grid."""

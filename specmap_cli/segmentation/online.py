@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from specmap_cli.core.records import BoolArray
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.segmentation.coarse_submap import CoarseSubmap, way_driven
@@ -78,19 +79,33 @@ class OnlineSegmenter:
         return self._since_test >= self.config.test_metres
 
     def _test(self) -> list[Region]:
-        """Test the current submap and split off the region that was left, if there is one."""
-        keyframes = np.array(self._current.keyframes)
+        """Test the current submap; the regions that were split off, oldest first."""
         test = examine(self._current.grid(), self._current.poses, self.config)
+        apart = self._current.apart(test.reached)
+        lost = self._without(apart)
+        keyframes, stays = np.array(self._current.keyframes), test.stays[~apart]
         split = test.eigenvalue > self.config.split_eigenvalue and all(
             len(side) and way_driven(self._store, side.tolist()) >= self.config.region_min_m
-            for side in (keyframes[~test.stays], keyframes[test.stays])
+            for side in (keyframes[~stays], keyframes[stays])
         )
         if self.observer is not None:
             self.observer(test, split)
         if not split:
+            return lost
+        self._current, left = self._current.split(stays)
+        return [*lost, self._finish(left)]
+
+    def _without(self, apart: BoolArray) -> list[Region]:
+        """Take keyframes (p,) out of the current submap: a region that the robot is long gone from.
+
+        Left there, it would make the map of every test as large as the way from there.
+        """
+        if not apart.any():
             return []
-        self._current, left = self._current.split(test.stays)
-        return [self._finish(left)]
+        self._current, left = self._current.split(~apart)
+        region = Region(self._finished, left.keyframes, None)
+        self._finished += 1
+        return [region]
 
     def _finish(self, left: CoarseSubmap) -> Region:
         """The next finished region, a piece of an earlier one where the robot came back to it."""

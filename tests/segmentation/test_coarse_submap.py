@@ -181,6 +181,28 @@ def test_submaps_are_near_when_their_bands_overlap(away: float, near: bool) -> N
         assert submap_of(store, [0]).near(submap_of(store, [2]))  # nodes lie anywhere
 
 
+def apart(numbers: list[int], xs: list[float], reached: set[int], band: float = 2.0) -> list[int]:
+    """Which keyframes of a submap lie apart from those reached; `xs` is where each one is."""
+    with stored([Pose2(x, 0.0, 0.0) for x in xs]) as store:
+        submap = CoarseSubmap(SegmentationConfig(path_band_m=band), GRID, store)
+        for number in numbers:
+            submap.add(number)
+        found = submap.apart(np.array([number in reached for number in numbers]))
+        return [
+            number for number, is_apart in zip(numbers, found.tolist(), strict=True) if is_apart
+        ]
+
+
+def test_a_stretch_apart_is_one_that_shares_no_node_with_what_is_reached() -> None:
+    xs = [0.0, 1.0, 2.0, 3.1, 6.1, 7.0]
+    assert apart([0, 1, 2, 5], xs, {5}) == [0, 1, 2]
+    assert apart([0, 1, 3, 5], xs, {5}) == [0, 1]  # 3 is less than four metres away
+    assert apart([0, 1, 2, 3, 5], xs, {5}) == []  # a stretch is apart as a whole
+    assert apart([0, 1, 2, 5], xs, {1, 5}) == []
+    assert apart([0, 1, 2, 5], xs, {0, 1, 2, 5}) == []
+    assert apart([0, 1, 2, 5], xs, {5}, band=0.0) == []  # nodes lie anywhere
+
+
 @given(st.sets(st.integers(0, 25)))
 def test_the_way_of_some_keyframes_leaves_out_what_lies_between(numbers: set[int]) -> None:
     poses = [Pose2(0.1 * k**1.5, 0.3 * (k % 3), 0.0) for k in range(26)]

@@ -100,6 +100,39 @@ def test_without_regrowing_the_return_is_a_region_of_its_own(
     assert [region.continues for region in regions] == [None, None, None]
 
 
+@pytest.fixture
+def three_rooms(plan: Callable[..., GridMap]) -> Iterator[KeyframeStore]:
+    """A way round a corner through three rooms; the first door is too narrow for a sight line."""
+    rooms = [(0.3, 0.3, 4.3, 4.3), (4.5, 0.3, 9.5, 4.3), (4.5, 4.5, 9.5, 8.5)]
+    doors = [(4.3, 1.7, 4.5, 2.2), (8.0, 4.3, 8.9, 4.5)]
+    way = waypoints_to_poses((1, 3), (3, 3), (3, 1.95), (6, 1.95), (8.45, 1.95), (8.45, 6.0))
+    way += waypoints_to_poses((8.45, 6.0), (6.0, 6.0), (6.0, 7.5), (8.5, 7.5), (8.5, 6.5), (6, 6))
+    with record(plan(9.8, 8.8, *rooms, *doors), way) as store:
+        yield store
+
+
+def test_what_no_sight_line_joins_any_more_is_a_region_once_the_robot_is_gone(
+    three_rooms: KeyframeStore,
+) -> None:
+    tests: list[SplitTest] = []
+    segmenter = OnlineSegmenter(
+        DEFAULT, GridConfig(), three_rooms, lambda test, split: tests.append(test)
+    )
+    regions = run(segmenter, len(three_rooms))
+    x, y = three_rooms.poses[:, :2].T
+    assert sorted(k for region in regions for k in region.keyframes) == list(range(len(x)))
+    assert [(region.number, region.continues) for region in regions] == [
+        (0, None),
+        (1, None),
+        (2, None),
+    ]
+    room = np.where(x < 4.4, 0, np.where(y < 4.4, 1, 2))
+    for region, expected in zip(regions, (1, 0, 2), strict=True):
+        assert (room[list(region.keyframes)] == expected).mean() > 0.95
+    assert any((~test.reached).any() for test in tests)
+    assert tests[-1].poses[:, 1].min() > 4.3  # the map of a test is that of the third room
+
+
 def test_a_loss_of_track_ends_the_region_and_joins_nothing(two_room_tour: KeyframeStore) -> None:
     segmenter = OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour)
     first = [region for number in range(30) for region in segmenter.add(number)]
