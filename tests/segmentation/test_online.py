@@ -116,7 +116,7 @@ def test_what_no_sight_line_joins_any_more_is_a_region_once_the_robot_is_gone(
 ) -> None:
     tests: list[SplitTest] = []
     segmenter = OnlineSegmenter(
-        DEFAULT, GridConfig(), three_rooms, lambda test, split: tests.append(test)
+        DEFAULT, GridConfig(), three_rooms, lambda test, _: tests.append(test)
     )
     regions = run(segmenter, len(three_rooms))
     x, y = three_rooms.poses[:, :2].T
