@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -63,22 +64,32 @@ class KnownArea:
     origin: tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PreparedGrid:
-    """One grid prepared for matching, in the grid's frame.
+    """One `grid` prepared for matching, in its own frame.
 
     `walls` (N, 2) points of the occupied cells, each for `metres_a_point` of wall; `direction` of
-    its walls in [0, pi / 2) rad; `field` and `wide` how near walls are, for the refinement and,
-    more tolerant, for ranking.
+    its walls in [0, pi / 2) rad. What the older grid of a match alone needs is made when asked for:
+    many a grid is only ever the newer one.
     """
 
+    grid: GridMap
+    sigma_m: float
     walls: FloatArray
     metres_a_point: float
     direction: float
-    field: ScoreField
-    wide: ScoreField
     area: KnownArea
     coarse: CoarseGrid
+
+    @cached_property
+    def wide(self) -> ScoreField:
+        """How near walls are, tolerant, for ranking."""
+        return ScoreField.from_grid(self.grid, 2.0 * self.sigma_m)
+
+    @cached_property
+    def field(self) -> ScoreField:
+        """How near walls are, for the refinement."""
+        return self.wide.sharper()
 
 
 def prepared(grid: GridMap, config: RecognitionConfig) -> PreparedGrid | None:
@@ -88,14 +99,12 @@ def prepared(grid: GridMap, config: RecognitionConfig) -> PreparedGrid | None:
     if len(occupied) * grid.resolution < _LEAST_WALL_M:
         return None
     points = evenly(occupied, _MOST_POINTS)
-    sigma = max(config.match_sigma_m, grid.resolution)
-    wide = ScoreField.from_grid(grid, 2.0 * sigma)
     return PreparedGrid(
+        grid=grid,
+        sigma_m=max(config.match_sigma_m, grid.resolution),
         walls=grid.centres_of(points),
         metres_a_point=grid.resolution * len(occupied) / len(points),
         direction=wall_direction(grid),
-        field=wide.sharper(),
-        wide=wide,
         area=_known_area(grid, config.inlier_m),
         coarse=_coarse(grid, config.match_cell_m),
     )

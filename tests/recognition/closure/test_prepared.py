@@ -13,6 +13,7 @@ from scipy.ndimage import distance_transform_edt
 from specmap_cli.core.geometry import wrap_angle
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.matching import ScoreField
 from specmap_cli.recognition.closure.prepared import (
     PreparedGrid,
     PreparedGrids,
@@ -20,6 +21,7 @@ from specmap_cli.recognition.closure.prepared import (
     prepared,
     wall_direction,
 )
+from specmap_cli.recognition.closure.verification import verify
 from tests.strategies import grid_maps
 
 CONFIG = RecognitionConfig()
@@ -170,3 +172,17 @@ def test_a_grid_that_cannot_be_prepared_is_remembered_too(monkeypatch: pytest.Mo
     assert grids.of(1, box()) is None
     assert grids.of(1, box()) is None
     assert len(asked) == 1
+
+
+def test_fields_are_made_of_the_older_grid_alone_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    old, new = prepared_box(), prepared_box()
+    asked: list[GridMap] = []
+    real = ScoreField.from_grid
+
+    def counted(grid: GridMap, sigma_m: float) -> ScoreField:
+        asked.append(grid)
+        return real(grid, sigma_m)
+
+    monkeypatch.setattr(ScoreField, "from_grid", counted)
+    assert verify(old, new, CONFIG) == verify(old, new, CONFIG)
+    assert [grid is old.grid for grid in asked] == [True]
