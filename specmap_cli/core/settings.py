@@ -257,7 +257,7 @@ class SegmentationConfig(_Section):
     neighbours: int = Field(0, ge=0, description="l of eq. 1; 0: all visible nodes")
     eigenvalue_min: float = Field(0.75, gt=0, lt=1, description="k counts the eigenvalues above")
     part_nodes: int = Field(
-        3000, ge=16, description="a graph with more nodes is first cut at its narrowest places"
+        4000, ge=16, description="a graph with more nodes is first cut at its narrowest places"
     )
     halve: bool = Field(True, description="look for two clusters inside each cluster again")
     halve_eigenvalue: float = Field(0.7, gt=0, lt=1, description="its second one that halves it")

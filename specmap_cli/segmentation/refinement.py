@@ -27,9 +27,13 @@ def regions_of(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> 
     found = segment(grid, config).labels
     if (found < 0).all():
         return np.zeros(len(poses), dtype=np.int64)
-    nearest = ndimage.distance_transform_edt(found < 0, return_distances=False, return_indices=True)
     rows, columns = np.clip(grid.cells_of(poses[:, :2]), 0, np.array(found.shape) - 1).T
-    labels = found[nearest[0, rows, columns], nearest[1, rows, columns]].astype(np.int64)
+    if (found[rows, columns] < 0).any():
+        nearest = ndimage.distance_transform_edt(
+            found < 0, return_distances=False, return_indices=True
+        )
+        rows, columns = nearest[:, rows, columns]
+    labels = found[rows, columns].astype(np.int64)
     return _without_grazed(labels, poses, config.region_min_m)
 
 
