@@ -188,7 +188,8 @@ class RegistrationConfig(_Section):
     quick_kernel_voxels: tuple[Annotated[float, Field(gt=0)], ...] = Field(
         (1.5, 0.25),
         min_length=1,
-        description="kernels tried first; kernel_voxels follow only if their result is in doubt",
+        description="kernels tried first, planar scans leave out those above half a voxel; "
+        "kernel_voxels follow only if their result is in doubt",
     )
     max_shift_m: float = Field(
         1.5, gt=0, description="an alignment that ends farther from its guess is refused"

@@ -77,16 +77,15 @@ def locate(scene: Scene, prospect: Prospect) -> Located:
 
 
 def _first_fit(scene: Scene, prospect: Prospect, bounds: Bounds) -> Fit:
-    """The alignment from the guess: by few kernels where that leaves no doubt, else by all.
+    """The alignment from the guess: a quick one where that leaves no doubt, else by all kernels.
 
-    A motion carried on may err by more than few kernels mend, and streets look alike.
+    A motion carried on may err by more than a quick one mends, and streets look alike.
     """
     config, guess = scene.config, prospect.guess
-    if prospect.expected.measured:
-        quick = scene.align(guess, config.quick_kernel_voxels, bounds)
+    if prospect.expected.measured and config.quick_kernel_voxels != config.kernel_voxels:
+        quick = scene.align_quickly(guess, bounds)
         sure = quick.score >= BEYOND_DOUBT and not quick.refused
-        same = config.quick_kernel_voxels == config.kernel_voxels
-        if same or (sure and not _is_far(guess, quick, config)):
+        if sure and not _is_far(guess, quick, config):
             return quick
     return scene.align(guess, config.kernel_voxels, bounds)
 

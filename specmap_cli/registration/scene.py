@@ -10,6 +10,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.grids.gauss_newton import approach
 from specmap_cli.grids.matching import Window, search
 from specmap_cli.registration.local_map import LocalMap
 from specmap_cli.registration.sweep_view import SweepView
@@ -131,6 +132,20 @@ class Scene:
                 break
             pose = found
         return Fit(pose=pose, score=self.score(Pose2.from_matrix(pose)), refused=refused)
+
+    def align_quickly(self, guess: FloatArray, bounds: Bounds) -> Fit:
+        """The registration method from near by: by few kernels, in the plane by the narrow ones.
+
+        Its steps shorten by a share each, those on the score field much faster: so in the plane
+        these lead to where the narrow kernels begin.
+        """
+        kernels = self.config.quick_kernel_voxels
+        if self.local.sensor.in_space:
+            return self.align(guess, kernels, bounds)
+        planar, sigma_m = Pose2.from_matrix(guess), self.local.sensor.voxel_m
+        near = approach(self.local.field, self.view.probe, planar, sigma_m)
+        start = product((near @ planar.inverse()).matrix(), guess)
+        return self.align(start, [k for k in kernels if k <= _COARSE_VOXELS], bounds)
 
     def search(
         self,

@@ -66,11 +66,11 @@ def test_a_good_result_near_its_guess_calls_for_no_search(world: GridMap) -> Non
     located = locate(scene, np.eye(4), expecting(), IDENTITY)
     assert not located.searched
     assert not located.wide_searched
-    assert np.array_equal(located.fit.pose, np.eye(4))
-    assert kernels_m(scene) == pytest.approx([0.15, 0.025])
+    np.testing.assert_allclose(located.fit.pose, np.eye(4), atol=0.02)
+    assert kernels_m(scene) == pytest.approx([0.025])
 
 
-QUICK, ALL = [0.15, 0.025], [0.2, 0.1, 0.05, 0.025]
+QUICK, ALL = [0.025], [0.2, 0.1, 0.05, 0.025]
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ QUICK, ALL = [0.15, 0.025], [0.2, 0.1, 0.05, 0.025]
         (expecting(measured=False), np.eye(4), ALL),
         (expecting(), turned(0.0, 0.05, 0.0), [*QUICK, *ALL]),
         (expecting(), turned(0.16, 0.0, 0.0), [*QUICK, *ALL]),
-        (expecting(), turned(2.0, 0.0, 0.0), [0.15, 0.2]),  # refused, and so are all others
+        (expecting(), turned(2.0, 0.0, 0.0), [0.025, 0.2]),  # refused, and so are all others
     ],
 )
 def test_few_kernels_are_enough_where_they_leave_no_doubt(
@@ -335,7 +335,7 @@ def test_along_a_bare_corridor_the_way_is_odometry_s(
     """Registration stays behind at the guess; heading and offset are as it found them."""
     found = locate(bare, np.eye(4), expecting(), Pose2(ahead_m, offset_m, turn)).fit.planar
     assert found.x == pytest.approx(ahead_m if abs(ahead_m) >= 0.08 else 0.0, abs=1e-9)
-    assert (found.y, found.theta) == (0.0, 0.0)
+    assert (found.y, found.theta) == pytest.approx((0.0, 0.0), abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -351,7 +351,7 @@ def test_odometry_is_not_followed_along_a_corridor_where_it_is_no_witness(
     scene = scene_in_corridor(end_m, **settings)
     ahead = Pose2(0.3, 0.0, 0.0)
     located = locate(scene, np.eye(4), expecting(), ahead)
-    assert located.fit.planar == IDENTITY
+    np.testing.assert_allclose(located.fit.planar, IDENTITY, atol=0.02)
 
 
 def with_beams(scene: Scene) -> Scene:

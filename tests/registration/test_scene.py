@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -16,7 +17,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.matching import Window
 from specmap_cli.registration.aligner import SensorKind
 from specmap_cli.registration.local_map import LocalMap
-from specmap_cli.registration.scene import Fit
+from specmap_cli.registration.scene import Bounds, Fit
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import scene_in, scene_of, turned, view_of_points
 from tests.strategies import seeds
@@ -49,6 +50,24 @@ def test_every_alignment_starts_where_the_one_before_ended(world: GridMap) -> No
     )
     assert fit.planar.x == pytest.approx(0.4)
     assert fit.refused == 0
+
+
+def test_near_by_few_kernels_begin_where_steps_on_the_score_field_end(world: GridMap) -> None:
+    guess, aligner = turned(0.06, 0.04, 0.0), ToldAligner()
+    scene = scene_in(world, aligner)
+    scene.align_quickly(guess, Bounds.around(guess, scene.config))
+    (asked,) = aligner.asked
+    assert asked.kernel_m == pytest.approx(0.025)
+    assert asked.guess == pytest.approx(np.eye(4), abs=0.01)
+
+
+def test_in_space_few_kernels_begin_at_the_guess(world: GridMap) -> None:
+    guess, aligner = turned(0.06, 0.04, 0.0), ToldAligner()
+    scene = scene_in(world, aligner)
+    scene.local.sensor = dataclasses.replace(scene.local.sensor, in_space=True)
+    scene.align_quickly(guess, Bounds.around(guess, scene.config))
+    assert [asked.kernel_m for asked in aligner.asked] == pytest.approx([0.15, 0.025])
+    assert np.array_equal(aligner.asked[0].guess, guess)
 
 
 def broken(guess: FloatArray) -> FloatArray:
