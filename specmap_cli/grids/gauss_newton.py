@@ -29,7 +29,7 @@ _TINY = 1e-12  # keeps a step of nothing from dividing by zero
 # Of the way to a match. A point on a slope adds some 20 a square metre to the normal matrix: so one
 # that is damped by 0.2 a point stays where it is guessed along what a hundredth of the points fix.
 _WAY_DAMPING = 0.2
-_WAY_STEPS = 8
+_WAY_STEPS = 6
 _NEAR_STEP = 1e-3  # metres and radians: what follows mends as much
 
 

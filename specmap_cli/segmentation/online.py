@@ -15,6 +15,9 @@ from specmap_cli.segmentation.splitting import SplitTest, examine
 
 Observer = Callable[[SplitTest, bool], None]
 
+# Of the least part that a test can split off a long way: so much later may a test find it.
+_LATER = 0.25
+
 
 @dataclass(frozen=True, slots=True)
 class Region:
@@ -47,6 +50,7 @@ class OnlineSegmenter:
         self._store, self._grid_config = store, grid_config
         self._current = CoarseSubmap(config, grid_config, store)
         self._since_test = 0.0  # metres or keyframes, as `test_every` says
+        self._way_m = 0.0  # driven in the current submap
         # the last two that were left; none from before a loss of track
         self._recent: list[tuple[Region, CoarseSubmap]] = []
         self._finished = 0
@@ -66,17 +70,23 @@ class OnlineSegmenter:
         region = self._finish(last)
         self._current = CoarseSubmap(self.config, self._grid_config, self._store)
         self._recent = []
-        self._since_test = 0.0
+        self._since_test = self._way_m = 0.0
         return [region]
 
     def _test_is_due(self, keyframe: int) -> bool:
-        """Add `keyframe` and tell whether the way since the last test is long enough."""
+        """Add `keyframe` and tell whether the way since the last test is long enough.
+
+        A test costs what the submap has grown to. In a long one, where only a part of many metres
+        can be split off, it is made more seldom.
+        """
         driven = self._current.add(keyframe)
         if self.config.test_every == "keyframes":
             self._since_test += 1
             return self._since_test >= self.config.test_keyframes
         self._since_test += driven
-        return self._since_test >= self.config.test_metres
+        self._way_m += driven
+        least_m = self.config.split_share * self._way_m
+        return self._since_test >= max(self.config.test_metres, _LATER * least_m)
 
     def _test(self) -> list[Region]:
         """Test the current submap; the regions that were split off, oldest first."""
@@ -92,8 +102,13 @@ class OnlineSegmenter:
             self.observer(test, split)
         if not split:
             return lost
+        return [*lost, self._finish(self._split(stays))]
+
+    def _split(self, stays: BoolArray) -> CoarseSubmap:
+        """Keep the keyframes (p,) that stay in the current submap; the others, which were left."""
         self._current, left = self._current.split(stays)
-        return [*lost, self._finish(left)]
+        self._way_m = way_driven(self._store, self._current.keyframes)
+        return left
 
     def _without(self, apart: BoolArray) -> list[Region]:
         """Take keyframes (p,) out of the current submap: a region that the robot is long gone from.
@@ -102,8 +117,7 @@ class OnlineSegmenter:
         """
         if not apart.any():
             return []
-        self._current, left = self._current.split(~apart)
-        region = Region(self._finished, left.keyframes, None)
+        region = Region(self._finished, self._split(~apart).keyframes, None)
         self._finished += 1
         return [region]
 

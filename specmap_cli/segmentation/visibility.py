@@ -18,6 +18,7 @@ from specmap_cli.grids.gridmap import BoolArray
 IndexArray = NDArray[np.intp]
 
 _CHUNK = 1 << 16  # pairs traced at once: bounds the memory
+_STEPS = 8  # of all lines before those that have ended are cleared out
 _SLACK = 1e-9  # lengths that are equal on paper stay equal in floating point
 
 
@@ -91,7 +92,10 @@ def visible(clearance: FloatArray, nodes: IndexArray, pairs: IndexArray, least: 
 
 
 def _walk(clearance: FloatArray, start: IndexArray, end: IndexArray, least: float) -> BoolArray:
-    """(m,) whether the lines start -> end (m, 2) stay clear."""
+    """(m,) whether the lines start -> end (m, 2) stay clear.
+
+    Lines that have ended wait at their end, which is clear, until the next clearing out.
+    """
     width = clearance.shape[1]
     flat = clearance.ravel()
     delta = (end - start).astype(np.float64)
@@ -102,12 +106,16 @@ def _walk(clearance: FloatArray, start: IndexArray, end: IndexArray, least: floa
     clear = np.ones(len(length), dtype=bool)
     alive = np.arange(len(length))
     while len(alive):
-        at = np.rint(row + row_step * gone).astype(np.intp) * width
-        at += np.rint(column + column_step * gone).astype(np.intp)
-        room = flat[at] - least
-        blocked = room <= _SLACK
+        blocked = np.zeros(len(alive), dtype=bool)
+        for _ in range(_STEPS):
+            at = np.rint(row_step * gone + row)
+            at *= width
+            at += np.rint(column_step * gone + column)
+            room = flat.take(at.astype(np.intp)) - least
+            blocked |= room <= _SLACK
+            gone += np.maximum(room - 1.0, 1.0)
+            np.minimum(gone, length, out=gone)
         clear[alive[blocked]] = False
-        gone += np.maximum(room - 1.0, 1.0)
         on = np.flatnonzero(~blocked & (gone < length))
         alive, gone, length = alive[on], gone[on], length[on]
         row, column, row_step, column_step = row[on], column[on], row_step[on], column_step[on]

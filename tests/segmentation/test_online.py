@@ -12,6 +12,7 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
+from specmap_cli.core.tracks import step_lengths
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.split_tests import draw_test
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
@@ -171,6 +172,29 @@ def test_tests_come_by_the_way_travelled_or_by_keyframes(two_room_tour: Keyframe
     tests.clear()
     run(OnlineSegmenter(PAPER, GridConfig(), two_room_tour, lambda t, _: tests.append(t)), count)
     assert len(tests) == count // PAPER.test_keyframes
+
+
+def test_the_longer_the_way_in_one_submap_the_rarer_the_tests(
+    plan: Callable[..., GridMap],
+) -> None:
+    """With a share of 0.4, nothing shorter than 4 m is split off a way of 10 m."""
+    grid = plan(30.6, 2.6, (0.3, 0.3, 30.3, 2.3))
+    poses = waypoints_to_poses((1.0, 1.0), (29.0, 1.0), (1.0, 1.6))
+    ways: dict[float, list[float]] = {0.1: [], 0.4: []}
+    with record(grid, poses) as store:
+        for share, tested in ways.items():
+            config = DEFAULT.model_copy(update={"split_share": share})
+            segmenter = OnlineSegmenter(
+                config,
+                GridConfig(),
+                store,
+                lambda test, _, tested=tested: tested.append(float(step_lengths(test.poses).sum())),
+            )
+            assert len(run(segmenter, len(store))) == 1
+    assert len(ways[0.1]) == pytest.approx(50, abs=8)  # one a metre, as few metres are split off
+    gaps = np.diff(ways[0.4])
+    assert gaps[:4] == pytest.approx(1.0, abs=0.3)
+    assert gaps[-1] == pytest.approx(0.1 * ways[0.4][-1], rel=0.15)
 
 
 def test_the_paper_compares_the_second_eigenvalue(two_room_tour: KeyframeStore) -> None:
