@@ -316,7 +316,7 @@ class RecognitionConfig(_Section):
         16, ge=1, description="visits of a submap that are remembered, those that saw most"
     )
     match_cell_m: float = Field(
-        0.2, ge=0.02, description="two grids are first matched on cells of about this side"
+        0.3, ge=0.02, description="two grids are first matched on cells of about this side"
     )
     hopeless_score: float = Field(0.3, le=1, description="a match below this is given up")
     sure_score: float = Field(0.8, le=1, description="a match above this needs no other rotation")
