@@ -162,7 +162,7 @@ def _explored(name: str, config: Config, store: KeyframeStore) -> Explored:
         exploration = Exploration(config, store, Stopwatch(), None)
         accepts = KeyframeSelector(config.keyframes).accepts
         stream = SweepStream(log, config.log)
-        return explore_log(stream, config, exploration, accepts, Silent())[0]
+        return explore_log(stream, config, lambda: exploration, accepts, Silent())[0]
 
 
 def tours(quick: bool) -> None:

@@ -32,8 +32,9 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.pipelines.build import explore, finish
+from specmap_cli.pipelines.build import explore
 from specmap_cli.pipelines.exploration import Exploration, Explored, in_own_frame, online_labels
+from specmap_cli.pipelines.finishing import finish
 from specmap_cli.pipelines.learning import submaps_of
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.tracking import Tracking, track

@@ -9,34 +9,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.records import Labels, PosedScan
+from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
-from specmap_cli.maps.writing import write_map
-from specmap_cli.pipelines.assessment import assess, tell
-from specmap_cli.pipelines.exploration import Exploration, Explored
-from specmap_cli.pipelines.finished_map import FinishedMap, recording
-from specmap_cli.pipelines.laying_out import lay_out
-from specmap_cli.pipelines.learning import divide, learn, linked, whole_grid
-from specmap_cli.pipelines.run_record import BuildReport, run_record
-from specmap_cli.pipelines.split_test_pictures import split_test_pictures
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.tracking import Tracking, track
 from specmap_cli.pipelines.trajectory import TrajectoryRecorder
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import check_feature_sets
-from specmap_cli.segmentation.online import Observer
-from specmap_cli.topology.regions import divide as divide_cells
+
+if TYPE_CHECKING:  # slow to load: it is, while the other process reads and registers
+    from specmap_cli.pipelines.exploration import Exploration, Explored
+    from specmap_cli.pipelines.finished_map import FinishedMap
+    from specmap_cli.pipelines.run_record import BuildReport
+    from specmap_cli.segmentation.online import Observer
 
 Accepts = Callable[[PosedScan], bool]
 
@@ -66,14 +61,26 @@ def build_map(
         OutputDirectory(target, overwrite, progress) as partial,
         KeyframeStore() as store,
     ):
-        observer = split_test_pictures(pictures, config.segmentation, overwrite=overwrite)
+        observer = None if pictures is None else _pictures(pictures, config, overwrite=overwrite)
         stream = SweepStream(log, config.log)
         finished = map_log(stream, config, store, progress, observer=observer)
+        from specmap_cli.maps.writing import write_map
+        from specmap_cli.pipelines.assessment import tell
+        from specmap_cli.pipelines.finished_map import recording
+        from specmap_cli.pipelines.run_record import BuildReport, run_record
+
         run = run_record(log.given, stream.selection, config, finished)
         tell(finished.quality, progress)
         given_log = recording(log.name, finished.trajectory, len(store))
         write_map(partial, finished.result((given_log,), run), store)
     return BuildReport(out=target, run=run, quality=finished.quality)
+
+
+def _pictures(directory: Path, config: Config, *, overwrite: bool) -> Observer:
+    """An observer that draws every test that may split a submap."""
+    from specmap_cli.pipelines.split_test_pictures import split_test_pictures
+
+    return split_test_pictures(directory, config.segmentation, overwrite=overwrite)
 
 
 def map_log(
@@ -94,10 +101,17 @@ def map_log(
     check_feature_sets(config)
     clock = Stopwatch()
     accepts = accepts or KeyframeSelector(config.keyframes).accepts
-    explored, tracking = explore_log(  # what only the exploration knew is gone after it
-        stream, config, Exploration(config, store, clock, observer), accepts, progress
-    )
+
+    def begin() -> Exploration:
+        from specmap_cli.pipelines.exploration import Exploration
+
+        return Exploration(config, store, clock, observer)
+
+    # what only the exploration knew is gone after it
+    explored, tracking = explore_log(stream, config, begin, accepts, progress)
     refuse_empty(store, stream, tracking)
+    from specmap_cli.pipelines.finishing import finish
+
     return finish(explored, tracking, config, store, progress, clock)
 
 
@@ -114,14 +128,18 @@ def refuse_empty(store: KeyframeStore, stream: SweepStream, tracking: Tracking) 
 def explore_log(
     stream: SweepStream,
     config: Config,
-    exploration: Exploration,
+    begin: Callable[[], Exploration],
     accepts: Accepts,
     progress: Progress,
 ) -> tuple[Explored, Tracking]:
-    """Track and explore a log: registration runs ahead where there is a second processor."""
+    """Track and explore a log: registration runs ahead where there is a second processor.
+
+    What `begin` takes to load is loaded meanwhile.
+    """
     progress.note(stream.selection.note)
     progress.start("mapping", stream.expected)
     with ahead(lambda: track(stream, config.registration)) as scans:
+        exploration = begin()
         explored = explore(scans, exploration, accepts, progress)
         tracking = scans.result
     exploration.clock.seconds["registration"] = tracking.seconds
@@ -147,39 +165,3 @@ def explore(
     exploration.recognise(exploration.end_submap())
     exploration.recognise_leftovers()
     return exploration.explored(trajectory.trajectory())
-
-
-def finish(
-    explored: Explored,
-    tracking: Tracking,
-    config: Config,
-    store: KeyframeStore,
-    progress: Progress,
-    clock: Stopwatch,
-) -> FinishedMap:
-    """What follows Algorithm 1: relax the layout, heal it, refute, divide, assess, learn."""
-    laid = lay_out(explored, config, store, progress, clock)
-    layout, closures = laid.layout, laid.closures
-    with clock.stage("grids"):
-        whole, beyond = whole_grid(store, layout, config)
-    with clock.stage("segmentation"):
-        submaps = divide(whole, layout, explored, closures, config)
-    with clock.stage("audit"):
-        quality = assess(store, explored, laid, beyond, tracking.warnings, config)
-    grids, classifiers = learn(
-        store, explored.features, submaps, layout.poses, config, progress, clock
-    )
-    stamps = np.array(store.stamps_ns, dtype=np.int64)
-    labels = Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps)
-    return FinishedMap(
-        topology=linked(labels, explored.regions, explored.breaks, closures, grids),
-        labels=labels,
-        trajectory=laid.trajectory,
-        regions=divide_cells(whole, labels),
-        classifiers=classifiers,
-        layout=layout,
-        counts=tracking.counts,
-        limits={**layout.limits, "max_extent_m": beyond},
-        quality=quality,
-        seconds=dict(clock.seconds),
-    )

@@ -16,15 +16,13 @@ _NAMES = "test_*.png"
 
 
 def split_test_pictures(
-    directory: Path | str | None, config: SegmentationConfig, *, overwrite: bool = False
-) -> Observer | None:
+    directory: Path | str, config: SegmentationConfig, *, overwrite: bool = False
+) -> Observer:
     """An observer that writes test_0001.png, test_0002.png, ... as the tests happen.
 
-    None when there is no directory to write to. Raises UsageError when the directory cannot be
-    made, or holds pictures of an earlier run that are not to be overwritten.
+    Raises UsageError when the directory cannot be made, or holds pictures of an earlier run that
+    are not to be overwritten.
     """
-    if directory is None:
-        return None
     folder = Path(directory)
     _make_room(folder, overwrite)
     numbers = count(1)

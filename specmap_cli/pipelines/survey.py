@@ -37,9 +37,12 @@ def survey(
 
     Raises NoResultError when it left no keyframe, or none that fits the grid.
     """
-    exploration = Exploration(config, store, clock, None)
+
+    def begin() -> Exploration:
+        return Exploration(config, store, clock, None)
+
     accepts = KeyframeSelector(config.keyframes).accepts
-    explored, tracking = explore_log(stream, config, exploration, accepts, progress)
+    explored, tracking = explore_log(stream, config, begin, accepts, progress)
     refuse_empty(store, stream, tracking)
     laid = lay_out(explored, config, store, progress, clock)
     with clock.stage("grids"):

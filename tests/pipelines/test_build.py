@@ -5,6 +5,8 @@ from __future__ import annotations
 import gc
 import json
 import math
+import subprocess
+import sys
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import FrozenInstanceError, dataclass, replace
@@ -29,9 +31,10 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines import learning
-from specmap_cli.pipelines.build import explore, finish, map_log
+from specmap_cli.pipelines.build import explore, map_log
 from specmap_cli.pipelines.exploration import Exploration, Explored, online_labels
 from specmap_cli.pipelines.finished_map import FinishedMap, recording
+from specmap_cli.pipelines.finishing import finish
 from specmap_cli.pipelines.refutation import REFUTED, constraints_of, refute
 from specmap_cli.pipelines.simulate import SimulationResult
 from specmap_cli.pipelines.stopwatch import Stopwatch
@@ -341,3 +344,12 @@ class TestBuildMap:
             assert len(finished.labels.stamps_ns) == len(store)
             assert finished.counts["scans"] == flat_log.scans
             assert finished.labels.stamps_ns.tolist() == list(store.stamps_ns)
+
+
+def test_what_is_slow_to_load_waits_until_registration_runs() -> None:
+    program = (
+        "import sys, specmap_cli.pipelines.build; "
+        "print([name for name in ('scipy.sparse', 'specmap_cli.layout') if name in sys.modules])"
+    )
+    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
+    assert loaded.stdout.strip() == b"[]"

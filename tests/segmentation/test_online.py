@@ -180,21 +180,26 @@ def test_the_longer_the_way_in_one_submap_the_rarer_the_tests(
     """With a share of 0.4, nothing shorter than 4 m is split off a way of 10 m."""
     grid = plan(30.6, 2.6, (0.3, 0.3, 30.3, 2.3))
     poses = waypoints_to_poses((1.0, 1.0), (29.0, 1.0), (1.0, 1.6))
-    ways: dict[float, list[float]] = {0.1: [], 0.4: []}
-    with record(grid, poses) as store:
-        for share, tested in ways.items():
-            config = DEFAULT.model_copy(update={"split_share": share})
+
+    def ways_at_tests(share: float) -> list[float]:
+        ways: list[float] = []
+        config = DEFAULT.model_copy(update={"split_share": share})
+        with record(grid, poses) as store:
             segmenter = OnlineSegmenter(
                 config,
                 GridConfig(),
                 store,
-                lambda test, _, tested=tested: tested.append(float(step_lengths(test.poses).sum())),
+                lambda test, _: ways.append(float(step_lengths(test.poses).sum())),
             )
             assert len(run(segmenter, len(store))) == 1
-    assert len(ways[0.1]) == pytest.approx(50, abs=8)  # one a metre, as few metres are split off
-    gaps = np.diff(ways[0.4])
+        return ways
+
+    # one a metre, as few metres are split off
+    assert len(ways_at_tests(0.1)) == pytest.approx(50, abs=8)
+    rare = ways_at_tests(0.4)
+    gaps = np.diff(rare)
     assert gaps[:4] == pytest.approx(1.0, abs=0.3)
-    assert gaps[-1] == pytest.approx(0.1 * ways[0.4][-1], rel=0.15)
+    assert gaps[-1] == pytest.approx(0.1 * rare[-1], rel=0.15)
 
 
 def test_the_paper_compares_the_second_eigenvalue(two_room_tour: KeyframeStore) -> None:
