@@ -347,6 +347,9 @@ class RelaxationConfig(_Section):
     """The layout of the submaps: a pose graph over the keyframes."""
 
     enabled: bool = True
+    follow_walls: bool = Field(
+        True, description="the map's axes lie along the walls; else along the robot's first pose"
+    )
     node_m: float = Field(0.3, gt=0, description="motion between nodes of the pose graph")
     node_rad: float = Field(0.25, gt=0, description="turn between them")
     step_share: float = Field(0.03, gt=0, description="error of a motion, metres per metre driven")

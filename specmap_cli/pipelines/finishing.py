@@ -26,7 +26,7 @@ def finish(
     progress: Progress,
     clock: Stopwatch,
 ) -> FinishedMap:
-    """Relax the layout, heal it, refute, divide, assess, learn."""
+    """Relax the layout, turn it, heal it, refute, divide, assess, learn."""
     laid = lay_out(explored, config, store, progress, clock)
     layout, closures = laid.layout, laid.closures
     with clock.stage("grids"):

@@ -1,4 +1,4 @@
-"""The layout of what was explored: relaxed, healed, and the closures that it refutes."""
+"""The layout of what was explored: relaxed, turned, healed, and the closures that it refutes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from specmap_cli.core.records import Closure, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.healing import Audited, healed
+from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.relaxation import Layout, corrected, relax
 from specmap_cli.pipelines.exploration import Explored
 from specmap_cli.pipelines.refutation import constraints_of, refute
@@ -32,11 +33,12 @@ class LaidOut:
 def lay_out(
     explored: Explored, config: Config, store: KeyframeStore, progress: Progress, clock: Stopwatch
 ) -> LaidOut:
-    """Relax what was tracked by the closures, heal what the audit finds, refute the rest."""
+    """Relax what was tracked by the closures, turn it along the walls, heal, refute the rest."""
     progress.start("layout", None)
     with clock.stage("layout"):
         constraints = constraints_of(explored.closures, explored.regions, store, config.relaxation)
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
+        layout = along_walls(layout, store, config.relaxation)
     with clock.stage("audit"):
         audited = healed(store, layout, explored.breaks, config.relaxation, config.audit)
         trajectory = corrected(explored.trajectory, store, audited.layout)
