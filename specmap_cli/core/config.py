@@ -23,6 +23,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "default": {},
     "paper": {
         "segmentation": {
+            "cell_m": 0.1,
             "obstacle_m": 0.0,
             "furniture_m": 0.0,
             "fill": False,
@@ -36,6 +37,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "halve": False,
             "labels": "nearest",
             "merge": False,
+            "placements": 1,
             "test_every": "keyframes",
             "split_eigenvalue": 0.8,
             "split_share": 0.0,

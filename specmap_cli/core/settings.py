@@ -245,7 +245,7 @@ class SegmentationConfig(_Section):
     """Section II of the paper. docs/segmentation.md says what each choice is for."""
 
     cell_m: float = Field(
-        0.1, ge=0.01, le=1.0, description="cells of the working grid; finer is only slower"
+        0.05, ge=0.01, le=1.0, description="cells of the working grid; coarser ones tip borders"
     )
     obstacle_m: float = Field(1.5, ge=0, description="isolated obstacles up to this size are free")
     furniture_m: float = Field(2.5, ge=0, description="and up to this size when they are thick")
@@ -265,6 +265,9 @@ class SegmentationConfig(_Section):
     labels: Literal["flood", "nearest"] = Field("flood", description="how cells get their label")
     merge: bool = Field(True, description="join clusters whose border is as wide as they are")
     merge_ratio: float = Field(0.8, gt=0, description="border width over room width that joins")
+    placements: int = Field(
+        3, ge=1, le=16, description="divisions with other nodes; what most of them say counts"
+    )
     width_percentile: float = Field(60.0, ge=0, le=100, description="of local widths: a room's")
     door_min_m: float = Field(0.3, ge=0, description="narrower contacts of regions are no doorway")
     test_every: Literal["metres", "keyframes"] = Field("metres", description="pace of the tests")
@@ -273,6 +276,9 @@ class SegmentationConfig(_Section):
     split_eigenvalue: float = Field(0.6, gt=0, lt=1, description="a second region is entered above")
     split_share: float = Field(0.1, ge=0, lt=0.5, description="least share of the way on each side")
     split_scale: float = Field(3.0, gt=0, description="sigma of eq. 1 in a test, times its median")
+    split_cell_m: float = Field(
+        0.1, ge=0.01, le=1.0, description="as cell_m, in a test; finer is only slower"
+    )
     split_obstacle_m: float = Field(1.0, ge=0, description="as obstacle_m, in a test")
     split_clearance_m: float = Field(0.3, ge=0, description="as clearance_m, in a test")
     split_sight_m: float = Field(1000.0, gt=0, description="as sight_m, in a test")

@@ -32,7 +32,7 @@ def finish(
     with clock.stage("grids"):
         whole, beyond = whole_grid(store, layout, config)
     with clock.stage("segmentation"):
-        submaps = divide(whole, layout, explored, closures, config)
+        submaps = divide(whole, layout, explored.regions, closures, config)
     with clock.stage("audit"):
         quality = assess(store, explored, laid, beyond, tracking.warnings, config)
     grids, classifiers = learn(

@@ -127,7 +127,7 @@ def seen_of_log(
     `name` is that of its file, `warnings` are those of reading and registration.
     """
     whole, beyond = whole_grid(store, laid.layout, config)
-    submaps = divide(whole, laid.layout, explored, laid.closures, config)
+    submaps = divide(whole, laid.layout, explored.regions, laid.closures, config)
     labels = Labels(
         stamps_ns=np.array(store.stamps_ns, dtype=np.int64),
         poses=laid.layout.poses,

@@ -17,7 +17,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.layout.relaxation import Layout
-from specmap_cli.pipelines.exploration import Explored, Regions, online_labels
+from specmap_cli.pipelines.exploration import Regions, online_labels
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures
@@ -56,7 +56,7 @@ def whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[Gr
 def divide(
     whole: GridMap,
     layout: Layout,
-    explored: Explored,
+    regions: Regions,
     closures: Sequence[Closure],
     config: Config,
 ) -> IntArray:
@@ -69,7 +69,7 @@ def divide(
     if consistent and config.segmentation.final_regions:
         labels = regions_of(whole, layout.poses, config.segmentation)
     else:
-        labels = online_labels(explored.regions, closures, len(layout.poses))
+        labels = online_labels(regions, closures, len(layout.poses))
     settled = settle_labels(labels, layout.poses, config.segmentation.region_min_m)
     order = order_of_appearance(settled.tolist())
     return np.array([order[int(label)] for label in settled], dtype=np.int64)

@@ -66,9 +66,14 @@ class WorkingGrid:
         return fine[: shape[0], : shape[1]]
 
 
+def coarse_step(resolution: float, cell_m: float) -> int:
+    """How many cells of a grid a coarse cell of about `cell_m` is wide."""
+    return max(1, round(cell_m / resolution))
+
+
 def working_grid(free: BoolArray, resolution: float, cell_m: float) -> WorkingGrid:
     """Reduce `free` (H, W) to cells of about `cell_m`: coarse cells are free when wholly free."""
-    step = max(1, round(cell_m / resolution))
+    step = coarse_step(resolution, cell_m)
     height, width = (-(-side // step) for side in free.shape)
     framed = np.zeros((height + 2, width + 2), dtype=np.uint8)
     if step == 1:

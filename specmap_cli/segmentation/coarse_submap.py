@@ -20,16 +20,16 @@ from specmap_cli.grids.occupancy import OccupancyGrid
 class CoarseSubmap:
     """Keyframes of a submap in order, and a grid of them that is just good enough to find doors.
 
-    Its cells are no finer than `cell_m`, the working grid's. A keyframe enters the grid when the
-    robot moved `split_step_m` or turned `split_step_rad` since the last that did, and does so once:
-    what a split leaves of a grid is counted by taking out the rest.
+    Its cells are no finer than `split_cell_m`, the working grid's. A keyframe enters the grid when
+    the robot moved `split_step_m` or turned `split_step_rad` since the last that did, and does so
+    once: what a split leaves of a grid is counted by taking out the rest.
     """
 
     def __init__(
         self, config: SegmentationConfig, grid_config: GridConfig, store: KeyframeStore
     ) -> None:
         self.config = config
-        coarse = max(config.cell_m, grid_config.resolution_m)
+        coarse = max(config.split_cell_m, grid_config.resolution_m)
         self.grid_config = grid_config.model_copy(update={"resolution_m": coarse})
         self._store = store
         self._keyframes: list[int] = []

@@ -13,7 +13,13 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import BoolArray, GridMap
-from specmap_cli.segmentation.clutter import WorkingGrid, small_obstacles, working_grid
+from specmap_cli.segmentation.clutter import (
+    WorkingGrid,
+    coarse_step,
+    small_obstacles,
+    working_grid,
+)
+from specmap_cli.segmentation.consensus import consensus
 from specmap_cli.segmentation.flood import RINGS, flood_labels, nearest_labels, spread_labels
 from specmap_cli.segmentation.halving import split_again
 from specmap_cli.segmentation.kmeans import LabelArray
@@ -55,18 +61,15 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     The result does not depend on where the map lies on its grid nor on which of the four ways it is
     turned: the work is done on the map cropped and turned to one canonical orientation.
     """
-    upright = canonical(grid.free)
+    step = coarse_step(grid.resolution, config.cell_m)
+    upright = canonical(grid.free, step * _block(step * grid.resolution, config))
     free = upright.apply(grid.free)
     opened = free | _furniture(free, grid.resolution, config)
     work = working_grid(opened, grid.resolution, config.cell_m)
-    graph = build_graph(work, config)
-    spectrum = spectral_clusters(graph, config)
-    clusters = spectrum.labels
-    if config.halve:
-        clusters = split_again(graph, clusters, config.neighbours, config.halve_eigenvalue)
-    cells = _label_cells(work, graph, clusters, config)
-    if config.merge and len(clusters):
-        cells, clusters = _merged(work, graph, cells, clusters, config)
+    found = [_placement(work, config, number) for number in range(config.placements)]
+    cells = consensus([one.cells for one in found])
+    graph, spectrum = found[0].graph, found[0].spectrum
+    clusters = cells[graph.nodes[:, 0], graph.nodes[:, 1]]
     rings = max(RINGS, work.step + 1)  # across a coarse cell that is not wholly free
     fine = spread_labels(work.refine(cells, opened.shape), opened, rings)
     named, names = _by_area(fine if config.fill else np.where(free, fine, np.int32(-1)))
@@ -79,12 +82,46 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     )
 
 
-def build_graph(work: WorkingGrid, config: SegmentationConfig) -> VisibilityGraph:
-    """The visibility graph of section II-B; lengths in coarse cells."""
+@dataclass(frozen=True, slots=True)
+class _Placement:
+    """The working grid divided by one placement of the nodes: labels (h, w) of its `cells`."""
+
+    graph: VisibilityGraph
+    spectrum: Spectrum
+    cells: LabelArray
+
+
+def _placement(work: WorkingGrid, config: SegmentationConfig, number: int) -> _Placement:
+    """Divide the working grid; placements differ in where the blocks of the nodes begin."""
+    graph = build_graph(work, config, number / config.placements)
+    spectrum = spectral_clusters(graph, config)
+    clusters = spectrum.labels
+    if config.halve:
+        clusters = split_again(graph, clusters, config.neighbours, config.halve_eigenvalue)
+    cells = _label_cells(work, graph, clusters, config)
+    if config.merge and len(clusters):
+        cells = _merged(work, graph, cells, clusters, config)
+    return _Placement(graph, spectrum, cells)
+
+
+def build_graph(
+    work: WorkingGrid, config: SegmentationConfig, before: float = 0.0
+) -> VisibilityGraph:
+    """The visibility graph of section II-B; lengths in coarse cells.
+
+    The blocks of the nodes begin this part of a block `before` the grid.
+    """
     least = config.clearance_m / work.cell_m
-    block = max(1, round(config.node_step_m / work.cell_m))
-    nodes = sample_nodes(work.clearance, block, least, config.nodes)
+    block = _block(work.cell_m, config)
+    skipped = round(before * block)
+    shifted = np.pad(work.clearance, ((skipped, 0), (skipped, 0)))
+    nodes = sample_nodes(shifted, block, least, config.nodes) - skipped
     return visibility_graph(work.clearance, nodes, config.sight_m / work.cell_m, least)
+
+
+def _block(cell_m: float, config: SegmentationConfig) -> int:
+    """The side of a block with one node, in coarse cells of `cell_m`."""
+    return max(1, round(config.node_step_m / cell_m))
 
 
 def _furniture(free: BoolArray, resolution: float, config: SegmentationConfig) -> BoolArray:
@@ -108,8 +145,8 @@ def _merged(
     cells: LabelArray,
     clusters: LabelArray,
     config: SegmentationConfig,
-) -> tuple[LabelArray, LabelArray]:
-    """Labels of cells (h, w) and nodes (n,) after joining clusters that no narrowing separates."""
+) -> LabelArray:
+    """Labels of cells (h, w) after joining clusters that no narrowing separates."""
     own = work.clearance[graph.nodes[:, 0], graph.nodes[:, 1]]
     widest = 0.5 * config.sight_m / work.cell_m  # the disc that the longest sight line spans
     widths = local_widths(own, graph.lengths, graph.pairs, widest)
@@ -118,7 +155,7 @@ def _merged(
     joined = np.array(
         join_wide(borders, groups, config.merge_ratio, config.width_percentile), dtype=np.int32
     )
-    return np.where(cells < 0, np.int32(-1), joined[np.maximum(cells, 0)]), joined[clusters]
+    return np.where(cells < 0, np.int32(-1), joined[np.maximum(cells, 0)])
 
 
 def _by_area(labels: LabelArray) -> tuple[LabelArray, LabelArray]:

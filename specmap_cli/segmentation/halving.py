@@ -63,11 +63,11 @@ def _second_half(part: VisibilityGraph, neighbours: int, least: float) -> BoolAr
     i, j = part.pairs[:, 0], part.pairs[:, 1]
     scales = local_scales(part.lengths, part.pairs, nodes, neighbours)
     S = dense_similarity(part.lengths, part.pairs, scales, nodes)  # Algorithm 2, line 1
+    values, vectors = two_largest(dense_normalised(S))  # Algorithm 2, lines 2 and 4
+    if values[1] <= least and S.any(axis=1).all():
+        return None  # of a graph in pieces the second eigenvalue is 1, or a node sees no other
     pieces, piece = connected_components(coo_array((S[i, j], (i, j)), S.shape), directed=False)
     if pieces > 1:
         return np.asarray(piece > 0)
-    values, vectors = two_largest(dense_normalised(S))  # Algorithm 2, lines 2 and 4
-    if values[1] <= least:
-        return None
     other = bisect(vectors[:, 0], vectors[:, 1]) == 1
     return other if other.any() and not other.all() else None

@@ -61,7 +61,7 @@ def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> Spl
     if not window.cells.size:  # the way leaves a grid that may not grow any more
         return _undivided(window, poses, np.empty((0, 2)))
     opened = window.free | small_obstacles(window.free, config.split_obstacle_m / window.resolution)
-    work = working_grid(opened, window.resolution, config.cell_m)
+    work = working_grid(opened, window.resolution, config.split_cell_m)
     way = np.clip(window.cells_of(poses[:, :2]) // work.step, 0, np.array(work.clearance.shape) - 1)
     nodes = _nodes_along(work, way, config)
     places = window.centres_of(work.fine_cells(nodes))

@@ -60,7 +60,7 @@ def test_keyframes_enter_the_grid_when_the_robot_moved_or_turned(drive: Keyframe
     assert submap.keyframes == tuple(range(26))
     np.testing.assert_array_equal(submap.poses, drive.poses)
     mapped = [0, 2, 4, 6, 8, 10, 13, 16, 19, 22, 25]  # every 0.25 m, then every 0.6 rad
-    config = GRID.model_copy(update={"resolution_m": CONFIG.cell_m})
+    config = GRID.model_copy(update={"resolution_m": CONFIG.split_cell_m})
     expected = integrate_keyframes(drive, mapped, drive.poses_of(mapped), config)
     assert same(submap.grid(), near_the_way(submap, expected.snapshot()))
 
@@ -92,7 +92,7 @@ def test_where_nodes_lie_anywhere_the_grid_is_whole(drive: KeyframeStore) -> Non
 def test_cells_are_no_finer_than_the_working_grid_s(
     drive: KeyframeStore, cell: float, fine: float, expected: float
 ) -> None:
-    config = SegmentationConfig(cell_m=cell)
+    config = SegmentationConfig(split_cell_m=cell)
     submap = CoarseSubmap(config, GridConfig(resolution_m=fine), drive)
     submap.add(0)
     assert submap.grid().resolution == expected
@@ -109,7 +109,7 @@ def test_a_keyframe_says_how_far_the_robot_drove_to_it(drive: KeyframeStore) -> 
 
 
 EVERYWHERE = CONFIG.model_copy(update={"path_band_m": 0.0, "split_step_m": 0.0})
-ONE_GRID = GRID.model_copy(update={"resolution_m": CONFIG.cell_m})
+ONE_GRID = GRID.model_copy(update={"resolution_m": CONFIG.split_cell_m})
 
 
 def submap_of(drive: KeyframeStore, numbers: Iterable[int]) -> CoarseSubmap:

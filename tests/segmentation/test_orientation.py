@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.segmentation.orientation import canonical
@@ -30,13 +31,29 @@ def test_every_copy_of_a_map_looks_the_same(
     np.testing.assert_array_equal(canonical(copy).apply(copy), canonical(free).apply(free))
 
 
-@given(seeds)
-def test_no_other_turn_has_a_smaller_picture(seed: int) -> None:
-    free = blotch(seed)
-    chosen = canonical(free).apply(free)
-    for turned in range(4):
-        other = np.rot90(chosen, turned)
-        assert (chosen.shape, chosen.tobytes()) <= (other.shape, other.tobytes())
+@given(turns)
+def test_the_free_space_lies_and_leans_whatever_single_cells_say(turned: int) -> None:
+    free = np.zeros((40, 90), dtype=bool)
+    free[5:35, 5:35] = free[15:24, 35:81] = True  # a room, and a corridor to the right of it
+    ray = free.copy()
+    ray[20, 81:90] = ray[0:5, 10] = True  # glimpses through a door and a window
+    plain, seen = (canonical(np.rot90(picture, turned)).turns for picture in (free, ray))
+    assert plain == seen == -turned % 4
+
+
+@given(seeds, st.integers(1, 9))
+def test_the_middle_of_the_free_space_is_the_corner_of_a_block(seed: int, block: int) -> None:
+    free = np.kron(blotch(seed), np.ones((6, 6), dtype=bool))
+    upright = canonical(free, block)
+    rows, columns = upright.before
+    assert 0 <= rows < block
+    assert 0 <= columns < block
+    turned = upright.apply(free)
+    assert not turned[:rows].any()
+    assert not turned[:, :columns].any()
+    inner = ndimage.binary_erosion(turned, np.ones((5, 5)))
+    middle = np.argwhere(inner if inner.any() else turned).mean(axis=0)
+    assert (middle.astype(int) % block).tolist() == [0, 0]
 
 
 @given(seeds)

@@ -1,0 +1,98 @@
+"""One division from several: what most of them agree on."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.settings import SegmentationConfig
+from specmap_cli.grids.gridmap import FREE, GridMap
+from specmap_cli.segmentation.consensus import consensus
+from specmap_cli.segmentation.division import segment
+from specmap_cli.segmentation.kmeans import LabelArray
+
+seeds = st.integers(0, 10_000)
+
+
+def labels(text: str) -> LabelArray:
+    """Labels (1, w) from letters, '.' is no label."""
+    return np.array([[-1 if c == "." else ord(c) - ord("a") for c in text]], dtype=np.int32)
+
+
+def same_partition(one: LabelArray, other: LabelArray) -> bool:
+    pairs = set(zip(one.ravel().tolist(), other.ravel().tolist(), strict=True))
+    return len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs})
+
+
+def test_one_division_is_its_own_consensus() -> None:
+    only = labels("aab.b")
+    assert consensus([only]) is only
+
+
+@pytest.mark.parametrize(
+    ("divisions", "expected"),
+    [
+        (("aaabbb", "bbbaaa", "cccddd"), "aaabbb"),  # names do not matter
+        (("aaabbb", "aaabbb", "aaaaaa"), "aaabbb"),  # two of three divide
+        (("aaabbb", "aaaaaa", "aaaaaa"), "aaaaaa"),  # two of three do not
+        (("aabbbb", "aaabbb", "aaaabb"), "aaabbb"),  # the border in the middle
+        (("aa..bb", "aa..bb", "aa..bb"), "aa..bb"),  # what has no label gets none
+        (("aa..", "aabb", "aabb"), "aabb"),  # a piece that one of them has no node in
+    ],
+)
+def test_cells_are_together_where_most_say_so(divisions: tuple[str, ...], expected: str) -> None:
+    assert same_partition(consensus([labels(text) for text in divisions]), labels(expected))
+
+
+def test_a_region_that_hardly_any_division_has_joins_a_neighbour() -> None:
+    found = consensus([labels("aaaabcccc"), labels("aaaaacccc"), labels("aaaaccccc")])
+    assert found.max() == 1
+    assert same_partition(found[:, :4], labels("aaaa"))
+    assert same_partition(found[:, 5:], labels("cccc"))
+
+
+@given(seeds)
+def test_the_consensus_of_equal_divisions_is_theirs(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    blocks = rng.permutation(6).reshape(2, 3).astype(np.int32)
+    division = np.kron(blocks, np.ones((4, 5), dtype=np.int32))
+    renamed = [rng.permutation(9).astype(np.int32)[division] for _ in range(3)]
+    assert same_partition(consensus(renamed), division)
+
+
+@given(seeds)
+def test_the_order_of_rare_and_common_names_changes_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cuts = np.sort(rng.integers(3, 27, (3, 2)), axis=1)
+    divisions = [np.digitize(np.arange(30), cut)[None].astype(np.int32) for cut in cuts]
+    first = consensus(divisions)
+    for names in itertools.permutations(range(3)):
+        again = consensus([np.array(names, dtype=np.int32)[division] for division in divisions])
+        assert same_partition(again, first)
+
+
+@pytest.mark.parametrize("placements", [1, 3])
+def test_every_placement_finds_the_rooms_of_an_office(office: GridMap, placements: int) -> None:
+    config = SegmentationConfig(placements=placements)
+    assert segment(office, config).count == 7
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_few_ragged_cells_move_no_border(office: GridMap, seed: int) -> None:
+    """Cells beside walls flip, as they do from one recording to the next."""
+    config = SegmentationConfig()
+    cells = office.cells.copy()
+    rng = np.random.default_rng(seed)
+    near = np.argwhere(office.free & (office.clearance() < 1.5 * office.resolution))
+    flipped = near[rng.random(len(near)) < 0.1]
+    cells[tuple(flipped.T)] = 1
+    before, after = segment(office, config), segment(GridMap(cells, office.resolution), config)
+    common = (before.labels >= 0) & (after.labels >= 0) & (cells == FREE)
+    shared = np.zeros((before.count, after.count))
+    np.add.at(shared, (before.labels[common], after.labels[common]), 1.0)
+    assert before.count == after.count
+    assert shared.max(axis=1).sum() > 0.97 * shared.sum()
