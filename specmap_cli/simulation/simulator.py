@@ -172,10 +172,21 @@ def simulated_tour(plan: GridMap, options: SimulationOptions) -> SimulatedTour:
     The route, the odometry's errors and the laser's are drawn from seeds of their own: another
     noise leaves the route as it is.
     """
-    route, wheels, noise = np.random.SeedSequence(options.seed).spawn(3)
+    route = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(1)[0])
     world = World.of(plan)
     space = reachable_space(world, options.robot_radius_m, options.comfort_m)
-    path = plan_tour(world, space, options.spacing_m, options.laps, np.random.default_rng(route))
+    path = plan_tour(world, space, options.spacing_m, options.laps, route)
+    return tour_along(path, world, options, space.area_m2)
+
+
+def tour_along(
+    path: FloatArray, world: World, options: SimulationOptions, area_m2: float
+) -> SimulatedTour:
+    """The tour along a path (N, 2) in the world, of which the robot can reach `area_m2`.
+
+    Its errors are those that `options.seed` draws for a tour of its own.
+    """
+    _, wheels, noise = np.random.SeedSequence(options.seed).spawn(3)
     limits = Limits(
         options.speed_mps, math.radians(options.turn_rate_degps), options.acceleration_mps2
     )
@@ -190,7 +201,7 @@ def simulated_tour(plan: GridMap, options: SimulationOptions) -> SimulatedTour:
         truth=truth,
         odometry=_odometry(truth, float(scan_times[-1]), options, np.random.default_rng(wheels)),
         scan_times_s=scan_times,
-        area_m2=space.area_m2,
+        area_m2=area_m2,
         noise=noise,
     )
 
