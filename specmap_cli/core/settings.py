@@ -269,7 +269,6 @@ class SegmentationConfig(_Section):
         3, ge=1, le=16, description="divisions with other nodes; what most of them say counts"
     )
     width_percentile: float = Field(60.0, ge=0, le=100, description="of local widths: a room's")
-    door_min_m: float = Field(0.3, ge=0, description="narrower contacts of regions are no doorway")
     test_every: Literal["metres", "keyframes"] = Field("metres", description="pace of the tests")
     test_metres: float = Field(1.0, gt=0, description="travelled between two tests")
     test_keyframes: int = Field(50, ge=1, description="keyframes between two tests")
@@ -453,6 +452,18 @@ class RelaxationConfig(_Section):
         if self.loop_search_m > self.loop_search_max_m:
             raise ValueError("loop_search_m must not be above loop_search_max_m")
         return self
+
+
+class WaysConfig(_Section):
+    """Doors between submaps, places to stand, and ways for a robot from one to another."""
+
+    robot_radius_m: float = Field(
+        0.2, gt=0, le=5, description="ways keep this off walls and off what nobody saw"
+    )
+    margin_m: float = Field(0.1, ge=0, description="and a place to stand so much more")
+    door_min_m: float = Field(
+        0.5, gt=0, description="narrower gaps are no doors: those of buildings are 0.6 m and more"
+    )
 
 
 class AuditConfig(_Section):
@@ -664,6 +675,7 @@ class Config(_Section):
     segmentation: SegmentationConfig = SegmentationConfig()
     recognition: RecognitionConfig = RecognitionConfig()
     relaxation: RelaxationConfig = RelaxationConfig()
+    ways: WaysConfig = WaysConfig()
     audit: AuditConfig = AuditConfig()
     quality: QualityConfig = QualityConfig()
     localization: LocalizationConfig = LocalizationConfig()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.drawing.canvas import Canvas, Image, text_width
-from specmap_cli.drawing.palette import INK, PAPER, QUIET, SHADE, TRAVERSED, Colour, paler
+from specmap_cli.drawing.palette import INK, PAPER, QUIET, RIGHT, SHADE, Colour, paler
 
 # Pixels, chosen by eye for a page as wide as a screen.
 _SIDE = 1400  # of all cells of the longer side together, while they are of a size to be seen
@@ -18,7 +18,7 @@ _SMALLEST_CELL, _LARGEST_CELL = 14, 72
 _SMALLEST_LETTERS, _LARGEST_LETTERS = 8.0, 15.0
 _FIGURES_FROM = 26  # a smaller cell has no room for its percent
 _MARGIN, _TITLE, _GAP, _COUNTS, _NARROWEST = 48, 96, 12, 110, 700
-_RIGHT: Colour = TRAVERSED
+_RIGHT: Colour = RIGHT
 _WRONG: Colour = (40, 24, 200)
 _PALEST = 0.12  # weight of the hue in the cell of a single scan: it must be seen
 _DARK = 0.45  # share from which letters are white

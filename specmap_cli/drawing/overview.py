@@ -17,7 +17,7 @@ from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import Sheet, extent_of
 from specmap_cli.drawing.strokes import strokes
 from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
+from specmap_cli.topology.topological_map import Edge, LogInfo, TopologicalMap
 
 _STRAY_M = 2.0  # a centroid farther from the robot's way lies behind glass, not in the room
 _UNREACHED = 0.005  # share of the free cells that must be nobody's to be worth a word
@@ -39,11 +39,12 @@ def render_overview(
     """
     fills = colours_of(topology, regions)
     places = trajectory.poses[:, :2]
-    kinds = {edge.kind for edge in topology.edges.values()}
+    kinds = {drawn_as(topology, edge) for edge in topology.edges.values()}
     low, high = _extent_with(regions, places)
     doubts = [finding.place for finding in quality.worst if finding.place is not None]
+    driven = {door.driven for door in topology.doors}
     legend = symbols.overview_legend(
-        kinds, with_unreached=_much_unreached(regions), with_doubts=bool(doubts)
+        kinds, driven, with_unreached=_much_unreached(regions), with_doubts=bool(doubts)
     )
     sheet = Sheet(low, high, legend)
     sheet.ground(regions, fills)
@@ -69,9 +70,9 @@ def render_overview(
 def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo) -> Image:
     """A finished map cut into regions, with their ids and the doorways between them."""
     fills = colours_of(topology, regions)
-    kinds = {edge.kind for edge in topology.edges.values()}
+    kinds = {drawn_as(topology, edge) for edge in topology.edges.values()}
     low, high = extent_of(regions)
-    sheet = Sheet(low, high, symbols.regions_legend(kinds))
+    sheet = Sheet(low, high, symbols.regions_legend(kinds, bool(topology.doors)))
     sheet.ground(regions, fills)
     _draw_graph(sheet, topology, _nodes(topology, regions), fills)
     area = np.count_nonzero(regions.grid.free) * regions.grid.resolution**2
@@ -104,11 +105,12 @@ def _draw_path(sheet: Sheet, places: FloatArray) -> None:
 
 
 def _nodes(topology: TopologicalMap, regions: Regions) -> dict[int, FloatArray]:
-    """The places of the submaps' badges: their centroids, or the origins of their frames."""
+    """The places of the submaps' badges: their anchors, else their centroids or their frames."""
     nodes = {}
     for id_, submap in topology.submaps.items():
         centroid = regions.outline(id_).centroid
-        nodes[id_] = np.array(submap.map_from_submap[:2]) if centroid is None else centroid
+        place = submap.map_from_submap[:2] if centroid is None else centroid
+        nodes[id_] = np.array(place if submap.anchor is None else submap.anchor)
     return nodes
 
 
@@ -129,19 +131,35 @@ def _draw_graph(
     nodes: Mapping[int, FloatArray],
     fills: Mapping[int, Colour],
 ) -> None:
-    """Links through their crossings, then a badge on each submap."""
+    """Doors, links along their ways or through their crossings, then a badge on each submap."""
     if not nodes:
         return
+    driven = any(door.driven for door in topology.doors)  # nobody drove through a finished map
     ids = sorted(nodes)
     centres = spread(sheet.pixels(np.array([nodes[id_] for id_ in ids])), symbols.BADGE_GAP)
     at = dict(zip(ids, centres, strict=True))
     for pair in sorted(topology.edges):
         edge = topology.edges[pair]
-        crossing = [] if edge.crossing is None else list(sheet.pixels(np.array([edge.crossing])))
-        points = np.array([at[edge.source], *crossing, at[edge.target]])
-        symbols.edge(sheet.canvas, points, edge.kind)
+        crossing = [] if edge.crossing is None else [edge.crossing]
+        between = sheet.pixels(
+            np.array(crossing if edge.path is None else edge.path).reshape(-1, 2)
+        )
+        points = np.array([at[edge.source], *between, at[edge.target]])
+        symbols.edge(sheet.canvas, points, drawn_as(topology, edge))
+    for door in topology.doors:
+        symbols.door(sheet.canvas, sheet.pixels(np.array(door.sides)), door.driven or not driven)
     for id_ in ids:
         symbols.badge(sheet.canvas, at[id_], str(id_), fills[id_])
+
+
+def drawn_as(topology: TopologicalMap, edge: Edge) -> symbols.LinkKind:
+    """The kind of an edge, or `narrow` where a way was looked for and none is wide enough."""
+    looked_for = topology.robot_radius_m is not None and edge.kind in (
+        "traversed",
+        "seen",
+        "doorway",
+    )
+    return "narrow" if looked_for and edge.path is None else edge.kind
 
 
 def spread(centres: FloatArray, gap: float) -> FloatArray:

@@ -19,10 +19,12 @@ INK: Colour = (46, 42, 38)
 PAPER: Colour = (255, 255, 255)
 SHADE: Colour = (236, 236, 236)
 QUIET: Colour = (130, 124, 118)
-TRAVERSED: Colour = (92, 52, 20)
+TRAVERSED: Colour = (160, 88, 24)
+RIGHT: Colour = (92, 52, 20)
 CLOSURE: Colour = (48, 30, 196)
 WRONG: Colour = (40, 24, 214)
 LOOSE: Colour = (0, 110, 214)
+DOOR: Colour = (36, 74, 122)
 
 _FILLS = (
     "8fc7ea", "f9c06a", "92d3a2", "f3a0a0", "c6b1ee", "f1e37a",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.drawing.canvas import Canvas
 from specmap_cli.drawing.palette import (
     CLOSURE,
+    DOOR,
     FILLS,
     INK,
     LOOSE,
@@ -25,6 +26,7 @@ from specmap_cli.drawing.palette import (
 )
 from specmap_cli.topology.topological_map import EdgeKind
 
+LinkKind = EdgeKind | Literal["narrow"]  # narrow: the robot fits through no way
 Symbol = Callable[[Canvas, float, float], None]
 Legend = tuple[tuple[str, Symbol], ...]
 
@@ -34,28 +36,49 @@ BADGE_RADIUS = 17.0
 _DOUBT_RADIUS = 14.0
 BADGE_GAP = 2.0 * BADGE_RADIUS + 6.0
 PREDICTED = 6  # width of the line of predictions; the mark of wrong ones shows on both sides
-_LINK, _LINK_HALO = 4, 7  # width of a link, and of the paper under it
+_LINK, _LINK_HALO = 3, 7  # width of a link, and of the paper under it
 _DASH, _DASH_GAP = 16.0, 10.0  # of a closure
 _DOT, _DOT_GAP = 5, 12.0  # of a guess
+_SEEN_DASH, _SEEN_GAP = 6.0, 7.0  # of a way that was only seen
+_DOOR, _DOOR_HALO = 5, 9  # width of the line of a door, and of its rim
+_SHORTEST_DOOR = 14.0  # on a sheet of a large building
 _REACH = 20  # half the width of a line in the legend
-_EDGE_WORDS: dict[EdgeKind, str] = {
+_EDGE_WORDS: dict[LinkKind, str] = {
     "traversed": "crossed by the robot",
     "closure": "loop closure",
     "loose": "joined by a guess",
-    "doorway": "doorway",
+    "seen": "seen, not driven",
+    "narrow": "too narrow for the robot",
+    "doorway": "way",
 }
 
 
-def edge(canvas: Canvas, points: NDArray[Any], kind: EdgeKind) -> None:
-    """A link of the graph: solid when driven or open, dashed for a closure, dotted for a guess."""
+def edge(canvas: Canvas, points: NDArray[Any], kind: LinkKind) -> None:
+    """A link of the graph: solid when driven or open, dashed for a closure, dotted for a guess.
+
+    What was only seen has short dashes, what is too narrow has dots.
+    """
     if kind == "closure":
         canvas.dashes(points, PAPER, _LINK_HALO, _DASH, _DASH_GAP)
         canvas.dashes(points, CLOSURE, _LINK, _DASH, _DASH_GAP)
     elif kind == "loose":
         canvas.dashes(points, LOOSE, _DOT, 0.0, _DOT_GAP)
+    elif kind == "narrow":
+        canvas.dashes(points, TRAVERSED, _DOT - 1, 0.0, _DOT_GAP)
+    elif kind == "seen":
+        canvas.dashes(points, TRAVERSED, _LINK, _SEEN_DASH, _SEEN_GAP)
     else:
         canvas.line(points, PAPER, _LINK_HALO)
         canvas.line(points, TRAVERSED, _LINK)
+
+
+def door(canvas: Canvas, sides: NDArray[Any], driven: bool) -> None:
+    """A door from wall to wall (2, 2): filled if the robot drove through it, else hollow."""
+    middle, half = sides.mean(axis=0), (sides[1] - sides[0]) / 2.0
+    half *= max(1.0, _SHORTEST_DOOR / 2.0 / max(1.0, float(np.linalg.norm(half))))
+    line = np.array([middle - half, middle + half])
+    canvas.line(line, DOOR, _DOOR_HALO)
+    canvas.line(line, DOOR if driven else PAPER, _DOOR)
 
 
 def badge(canvas: Canvas, centre: NDArray[Any], name: str, fill: Colour) -> None:
@@ -84,9 +107,16 @@ def doubt(canvas: Canvas, centre: NDArray[Any]) -> None:
 
 
 def overview_legend(
-    kinds: Collection[EdgeKind], *, with_unreached: bool, with_doubts: bool
+    kinds: Collection[LinkKind],
+    doors: Collection[bool] = (),
+    *,
+    with_unreached: bool,
+    with_doubts: bool,
 ) -> Legend:
-    """What the overview of a build shows; of the links only the kinds that occur."""
+    """What the overview of a build shows; of links and doors only the kinds that occur.
+
+    `doors` say of each whether it was driven through.
+    """
     unreached: Legend = (("seen, not reached", _unreached),) if with_unreached else ()
     doubts: Legend = (("the map may be wrong here", _doubt),) if with_doubts else ()
     return (
@@ -97,6 +127,7 @@ def overview_legend(
         ("start", _start),
         ("end", lambda c, x, y: end(c, np.array([x, y]))),
         *links_legend(kinds),
+        *doors_legend(doors),
         *doubts,
     )
 
@@ -118,20 +149,34 @@ def labels_legend(with_map: bool, with_unknown: bool, with_truth: bool) -> Legen
     return (*legend, ("start", _start))
 
 
-def regions_legend(kinds: Collection[EdgeKind]) -> Legend:
+def regions_legend(kinds: Collection[LinkKind], with_doors: bool = False) -> Legend:
     """What the picture of a finished map shows."""
-    return (("submap", _badge), ("wall", _wall), *links_legend(kinds))
+    doors: Legend = (("door", _door(True)),) if with_doors else ()
+    return (("submap", _badge), ("wall", _wall), *links_legend(kinds), *doors)
 
 
-def links_legend(kinds: Collection[EdgeKind]) -> Legend:
+def doors_legend(doors: Collection[bool]) -> Legend:
+    """The kinds of doors that occur: driven through, only seen."""
+    words = {True: "door", False: "door, only seen"}
+    return tuple((words[driven], _door(driven)) for driven in words if driven in doors)
+
+
+def links_legend(kinds: Collection[LinkKind]) -> Legend:
     """The kinds of links that occur."""
     return tuple((words, _link(kind)) for kind, words in _EDGE_WORDS.items() if kind in kinds)
 
 
-def _link(kind: EdgeKind) -> Symbol:
+def _link(kind: LinkKind) -> Symbol:
     def draw(canvas: Canvas, x: float, y: float) -> None:
         # two dashes of a closure with the gap between them
         edge(canvas, np.array([[x - 21, y], [x + 21, y]]), kind)
+
+    return draw
+
+
+def _door(driven: bool) -> Symbol:
+    def draw(canvas: Canvas, x: float, y: float) -> None:
+        door(canvas, _level(x, y), driven)
 
     return draw
 

@@ -220,7 +220,7 @@ def _filtered_labels(
 ) -> list[int | None]:
     """Filtered labels of the held-out scans in turn, started afresh after every gap."""
     classifiers = finished.classifiers
-    adjacency = neighbours(classifiers.ids, finished.topology.edges)
+    adjacency = neighbours(classifiers.ids, finished.topology.joined)
     submaps = finished.topology.submaps
     grids = {i: submap.grid for i, submap in submaps.items()}
     frames = {i: submap.map_from_submap for i, submap in submaps.items()}

@@ -144,7 +144,7 @@ def room_hallway(
         finished = map_log(SweepStream(log, config.log), config, store, progress)
         predicted = model.predict(store.scan(k) for k in range(len(store)))
         truth = asked.kinds(np.array(store.stamps_ns, dtype=np.int64))
-    return semantic_scores(predicted, truth, finished.labels.submaps, finished.topology.edges)
+    return semantic_scores(predicted, truth, finished.labels.submaps, finished.topology.joined)
 
 
 def _trained(learned: Labelled, config: Config, progress: Progress) -> RoomHallway:

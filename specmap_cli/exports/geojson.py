@@ -1,4 +1,4 @@
-"""GeoJSON, the outlines and the links: for QGIS and other tools that show shapes.
+"""GeoJSON, the outlines, the doors and the ways: for QGIS and other tools that show shapes.
 
 Coordinates are metres in the frame of the map, not degrees: load the file into a project without a
 coordinate reference system, or place it by hand.
@@ -11,22 +11,31 @@ from typing import IO, Any
 
 from specmap_cli.core.text import to_json
 from specmap_cli.maps.schema import EdgeRecord, NodeRecord
+from specmap_cli.maps.schema_graph import DoorRecord
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.way_conversion import door_of
 
 Place = tuple[float, float]
 
 
 class GeoJson:
-    """A polygon for each submap that owns space, a line for each link (RFC 7946)."""
+    """A polygon for each submap that owns space, a line for each link and each door (RFC 7946).
 
-    description = "GeoJSON: outlines and links in metres of the map, for QGIS"
+    The line of a door leads from wall to wall. A point is an anchor: where a robot can stand.
+    """
+
+    description = "GeoJSON: outlines, doors and ways in metres of the map, for QGIS"
 
     def write(self, stored: StoredMap, target: IO[bytes]) -> None:
         """Write the features of a map, submaps first."""
         nodes = {node.id: node for node in stored.record.nodes}
-        places = {id_: node.centroid or (node.x, node.y) for id_, node in nodes.items()}
+        places = {
+            id_: node.anchor or node.centroid or (node.x, node.y) for id_, node in nodes.items()
+        }
         features = [
             *(_submap(node) for node in nodes.values() if node.polygon),
+            *(_anchor(node) for node in nodes.values() if node.anchor),
+            *(_door(door) for door in stored.record.graph.doors),
             *(_link(edge, places) for edge in stored.record.edges),
         ]
         target.write(to_json({"type": "FeatureCollection", "features": features}).encode())
@@ -51,10 +60,36 @@ def _submap(node: NodeRecord) -> dict[str, Any]:
     )
 
 
+def _anchor(node: NodeRecord) -> dict[str, Any]:
+    """The place where a robot can stand in a submap."""
+    return _feature(
+        "Point",
+        list(node.anchor or ()),
+        {"kind": "anchor", "submap": node.id, "clearance_m": node.anchor_clearance_m},
+    )
+
+
+def _door(record: DoorRecord) -> dict[str, Any]:
+    """The line of a door."""
+    return _feature(
+        "LineString",
+        [[round(value, 6) for value in side] for side in door_of(record).sides],
+        {
+            "kind": "door",
+            "id": record.id,
+            "between": list(record.between),
+            "width_m": record.width_m,
+            "theta": record.theta,
+            "driven": record.driven,
+            "crossings": len(record.crossings),
+        },
+    )
+
+
 def _link(edge: EdgeRecord, places: Mapping[int, Place]) -> dict[str, Any]:
-    """A link from centroid to centroid, through its crossing where one is known."""
+    """A link along its way; without one from anchor to anchor through its crossing."""
     crossing = [] if edge.x is None or edge.y is None else [(edge.x, edge.y)]
-    line = [places[edge.source], *crossing, places[edge.target]]
+    line = edge.path or [places[edge.source], *crossing, places[edge.target]]
     return _feature(
         "LineString",
         line,
@@ -65,6 +100,10 @@ def _link(edge: EdgeRecord, places: Mapping[int, Place]) -> dict[str, Any]:
             "distance_m": edge.distance_m,
             "traversals": len(edge.traversals),
             "width_m": edge.width_m,
+            "doors": edge.doors,
+            "passable": edge.path is not None,
+            "length_m": edge.length_m,
+            "clearance_m": edge.clearance_m,
         },
     )
 

@@ -31,6 +31,7 @@ def _of_node(node: NodeRecord) -> dict[str, Any]:
     return {
         **{f"property.{key}": value for key, value in node.properties.items()},
         **({} if node.kind is None else {"kind": node.kind}),
+        **_of_anchor(node),
         "name": node.name,
         "x": x,
         "y": y,
@@ -38,6 +39,14 @@ def _of_node(node: NodeRecord) -> dict[str, Any]:
         "scans": node.scans,
         "visits": len(node.visits),
     }
+
+
+def _of_anchor(node: NodeRecord) -> dict[str, Any]:
+    """Where a robot can stand in a submap, if it can."""
+    if node.anchor is None:
+        return {}
+    x, y = node.anchor
+    return {"anchor_x": x, "anchor_y": y, "anchor_clearance_m": node.anchor_clearance_m}
 
 
 def _of_edge(edge: EdgeRecord) -> dict[str, Any]:
@@ -49,5 +58,9 @@ def _of_edge(edge: EdgeRecord) -> dict[str, Any]:
         "x": edge.x,
         "y": edge.y,
         "width_m": edge.width_m,
+        "doors": " ".join(map(str, edge.doors)),
+        "passable": edge.path is not None,
+        "length_m": edge.length_m,
+        "clearance_m": edge.clearance_m,
     }
     return {key: value for key, value in found.items() if value is not None}

@@ -22,10 +22,17 @@ from specmap_cli.maps.schema import (
     EdgeRecord,
     NodeRecord,
     TopologyRecord,
-    TraversalRecord,
     VisitRecord,
 )
 from specmap_cli.maps.schema_values import point, transform
+from specmap_cli.maps.way_conversion import (
+    door_of,
+    path_of,
+    traversal_of,
+    traversal_record,
+    way_fields,
+    written,
+)
 from specmap_cli.topology.kinds import kind_of
 from specmap_cli.topology.outlines import Outline
 from specmap_cli.topology.regions import Regions
@@ -34,7 +41,6 @@ from specmap_cli.topology.topological_map import (
     LogInfo,
     Submap,
     TopologicalMap,
-    Traversal,
     Visit,
     default_name,
 )
@@ -83,6 +89,8 @@ def from_record(
         stays=tuple(stay_of(stay) for stay in record.graph.stays),
         breaks=tuple(break_of(each) for each in record.graph.breaks),
         next_id=record.graph.next_id,
+        doors=tuple(door_of(door) for door in record.graph.doors),
+        robot_radius_m=record.graph.robot_radius_m,
     )
 
 
@@ -97,6 +105,8 @@ def _node_record(submap: Submap, shape: Outline) -> NodeRecord:
         y=y,
         theta=theta,
         centroid=None if shape.centroid is None else point(shape.centroid),
+        anchor=None if submap.anchor is None else point(submap.anchor),
+        anchor_clearance_m=written(submap.anchor_clearance_m),
         polygon=[point(corner) for corner in shape.polygon],
         area_m2=rounded(shape.area_m2) or 0.0,
         scans=len(submap.keyframes),
@@ -120,24 +130,13 @@ def _edge_record(edge: Edge, topology: TopologicalMap, regions: Regions) -> Edge
         source=edge.source,
         target=edge.target,
         kind=edge.kind,
-        traversals=[_traversal_record(traversal) for traversal in edge.traversals],
+        traversals=[traversal_record(traversal) for traversal in edge.traversals],
         x=None if crossing is None else rounded(crossing[0]),
         y=None if crossing is None else rounded(crossing[1]),
         distance_m=rounded(way) or 0.0,
-        width_m=None if edge.width_m is None else rounded(edge.width_m),
+        width_m=written(edge.width_m),
         transform=transform(edge.source_from_target),
-    )
-
-
-def _traversal_record(traversal: Traversal) -> TraversalRecord:
-    x, y, theta = transform(traversal.pose)
-    return TraversalRecord(
-        stamp=seconds(traversal.stamp_ns),
-        from_=traversal.source,
-        to=traversal.target,
-        x=x,
-        y=y,
-        theta=theta,
+        **way_fields(edge),
     )
 
 
@@ -154,6 +153,8 @@ def _submap(node: NodeRecord, grid: GridMap, keyframes: Iterable[int]) -> Submap
         name=node.name,
         kind=node.kind,
         properties=node.properties,
+        anchor=node.anchor,
+        anchor_clearance_m=node.anchor_clearance_m,
     )
 
 
@@ -163,11 +164,12 @@ def _edge(edge: EdgeRecord) -> Edge:
         source=edge.source,
         target=edge.target,
         kind=edge.kind,
-        traversals=tuple(
-            Traversal(nanoseconds(t.stamp), t.from_, t.to, Pose2(t.x, t.y, t.theta))
-            for t in edge.traversals
-        ),
+        traversals=tuple(traversal_of(traversal) for traversal in edge.traversals),
         source_from_target=Pose2(*edge.transform),
-        doorway=None if edge.traversals else place,
+        doorway=None if edge.traversals and not edge.doors else place,
         width_m=edge.width_m,
+        doors=tuple(edge.doors),
+        path=path_of(edge.path),
+        length_m=edge.length_m,
+        clearance_m=edge.clearance_m,
     )

@@ -22,6 +22,7 @@ from specmap_cli.maps.schema_graph import (
     StayRecord,
 )
 from specmap_cli.maps.schema_values import transform
+from specmap_cli.maps.way_conversion import door_record
 from specmap_cli.topology.topological_map import Break, LogInfo, Stay, TopologicalMap
 
 
@@ -38,6 +39,8 @@ def graph_record(
         stays=[_stay_record(stay) for stay in topology.stays],
         breaks=[_break_record(each) for each in topology.breaks],
         closures=[_closure_record(closure, submap_of) for closure in topology.closures],
+        doors=[door_record(door) for door in topology.doors],
+        robot_radius_m=topology.robot_radius_m,
         quality=None if quality is None else _quality_record(quality),
     )
 

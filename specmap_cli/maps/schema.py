@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
-from specmap_cli.maps.schema_graph import SCHEMA_VERSION, GraphRecord
+from specmap_cli.maps.schema_graph import SCHEMA_VERSION, GraphRecord, TraversalRecord
 from specmap_cli.maps.schema_values import (
     Amount,
     Count,
@@ -56,6 +56,13 @@ class NodeRecord(Record):
     centroid: Point | None = Field(
         description="free cell of the submap nearest to the mean of its cells; null without a cell"
     )
+    anchor: Point | None = Field(
+        description="a place in it where a robot can stand: near its middle, with clearance; null "
+        "without a cell"
+    )
+    anchor_clearance_m: Amount | None = Field(
+        description="from the anchor to the nearest thing that is not free, metres"
+    )
     polygon: list[Point] = Field(
         description="border of its largest connected part, counter-clockwise, not closed"
     )
@@ -65,19 +72,6 @@ class NodeRecord(Record):
     image: InnerPath = Field(description="picture of its grid in this directory; a YAML beside it")
 
 
-class TraversalRecord(Record):
-    """One crossing of an edge, and the pose of the robot at that moment."""
-
-    model_config = ConfigDict(populate_by_name=True)
-
-    stamp: Stamp = Field(description="seconds")
-    from_: Count = Field(alias="from", description="id of the node that the robot left")
-    to: Count = Field(description="id of the node that it came to")
-    x: Number = Field(description="of the robot, metres")
-    y: Number = Field(description="of the robot, metres")
-    theta: Number = Field(description="of the robot, radians")
-
-
 class EdgeRecord(Record):
     """An undirected link between two submaps."""
 
@@ -85,10 +79,26 @@ class EdgeRecord(Record):
     target: Count = Field(description="id of a node")
     kind: EdgeKind = Field(description="how the two are known to be joined")
     traversals: list[TraversalRecord] = Field(description="each crossing, in order")
-    x: Number | None = Field(description="where it is crossed; null when that is not known")
-    y: Number | None = Field(description="where it is crossed; null when that is not known")
+    doors: list[Count] = Field(
+        description="ids of the doors that `path` goes through, in order; none: it crosses an open "
+        "border. Without a path: of all doors between the two"
+    )
+    path: list[Point] | None = Field(
+        description="from the anchor of `source` to that of `target`, inside the two submaps, "
+        "through free cells that the robot can pass; null where it is too wide for every way"
+    )
+    length_m: Amount | None = Field(description="along the path, metres; null without one")
+    clearance_m: Amount | None = Field(
+        description="the least on the path; without one that of the widest way, smaller than "
+        "graph.robot_radius_m; null where no free cells join the two"
+    )
+    x: Number | None = Field(
+        description="of the first door on the path; in the open the mean of the traversals; null "
+        "without them"
+    )
+    y: Number | None = Field(description="as x")
     distance_m: Amount = Field(description="from centroid to centroid, through the crossing")
-    width_m: Amount | None = Field(description="of a doorway; null where it is not known")
+    width_m: Amount | None = Field(description="of the first door on the path; null in the open")
     transform: Transform = Field(
         description="[x, y, theta] of the frame of `target` in the frame of `source`"
     )

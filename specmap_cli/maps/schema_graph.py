@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from specmap_cli.core.findings import Severity, Verdict
-from specmap_cli.maps.schema_values import Count, Number, Record, Span, Stamp, Transform
+from specmap_cli.maps.schema_values import (
+    Amount,
+    Count,
+    Number,
+    Record,
+    Span,
+    Stamp,
+    Transform,
+)
 
 SCHEMA_VERSION = 2
 
@@ -106,6 +114,35 @@ class QualityRecord(Record):
     findings: list[FindingRecord] = Field(description="all findings")
 
 
+class TraversalRecord(Record):
+    """The robot went from one submap to another, and its pose at that moment."""
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    stamp: Stamp = Field(description="seconds")
+    from_: Count = Field(alias="from", description="id of the node that the robot left")
+    to: Count = Field(description="id of the node that it came to")
+    x: Number = Field(description="of the robot, metres")
+    y: Number = Field(description="of the robot, metres")
+    theta: Number = Field(description="of the robot, radians")
+
+
+class DoorRecord(Record):
+    """A narrow passage between two submaps: narrower than the space on both sides of it."""
+
+    id: Count = Field(description="what edges call it by; given afresh whenever a map is made")
+    x: Number = Field(description="of its middle, metres")
+    y: Number = Field(description="of its middle, metres")
+    width_m: Amount = Field(description="clear width from wall to wall, metres")
+    theta: Number = Field(
+        description="direction of who goes through it from the first of `between` to the second, "
+        "radians; its line stands across that"
+    )
+    between: tuple[Count, Count] = Field(description="ids of two nodes, the smaller one first")
+    crossings: list[TraversalRecord] = Field(description="when the robot went through, in order")
+    driven: bool = Field(description="whether it ever did; false: the door was only seen")
+
+
 class GraphRecord(Record):
     """What holds for the whole map."""
 
@@ -119,5 +156,10 @@ class GraphRecord(Record):
     breaks: list[BreakRecord] = Field(description="where tracking restarted, in order")
     closures: list[ClosureRecord] = Field(
         description="all pairs of stays that were compared, in the order of the comparisons"
+    )
+    doors: list[DoorRecord] = Field(description="every door between two submaps, by id")
+    robot_radius_m: Amount | None = Field(
+        description="what the paths of edges keep off walls and off what nobody saw, metres; null "
+        "where nobody looked for paths"
     )
     quality: QualityRecord | None = Field(description="null where the map was not judged")

@@ -48,6 +48,7 @@ def _faults(record: TopologyRecord) -> Iterator[str]:
     for where, id_ in _named_submaps(record):
         if id_ is not None and id_ not in ids:
             yield f"{where}: submap {id_} is not among the nodes"
+    yield from _door_faults(record)
     yield from _stay_faults(record)
 
 
@@ -56,11 +57,25 @@ def _named_submaps(record: TopologyRecord) -> Iterator[tuple[str, int | None]]:
     for number, edge in enumerate(record.edges):
         yield f"edges.{number}", edge.source
         yield f"edges.{number}", edge.target
+    for number, door in enumerate(record.graph.doors):
+        yield f"graph.doors.{number}", door.between[0]
+        yield f"graph.doors.{number}", door.between[1]
     for number, stay in enumerate(record.graph.stays):
         yield f"graph.stays.{number}", stay.submap
     for number, closure in enumerate(record.graph.closures):
         yield f"graph.closures.{number}", closure.new_submap
         yield f"graph.closures.{number}", closure.old_submap
+
+
+def _door_faults(record: TopologyRecord) -> Iterator[str]:
+    """Doors of one number, and edges through doors that are none."""
+    ids = {door.id for door in record.graph.doors}
+    if len(ids) != len(record.graph.doors):
+        yield "graph.doors: an id occurs twice"
+    for number, edge in enumerate(record.edges):
+        for door in edge.doors:
+            if door not in ids:
+                yield f"edges.{number}: door {door} is not among graph.doors"
 
 
 def _stay_faults(record: TopologyRecord) -> Iterator[str]:

@@ -12,9 +12,17 @@ from typing import Any
 from specmap_cli.maps.schema_graph import SCHEMA_VERSION
 
 MISSING = (
-    "a map of an earlier version (schema 1): it keeps no keyframes, stays or kinds of submaps, and "
-    "cannot be updated, merged or edited; build it again to have these"
+    "a map of an earlier version (schema 1): it keeps no keyframes, stays, kinds of submaps, doors "
+    "or ways, and cannot be updated, merged or edited; build it again to have these"
 )
+
+_NODE: dict[str, Any] = {
+    "kind": None,
+    "properties": {},
+    "anchor": None,
+    "anchor_clearance_m": None,
+}
+_EDGE: dict[str, Any] = {"doors": [], "path": None, "length_m": None, "clearance_m": None}
 
 
 def version_of(document: Any) -> Any:
@@ -29,7 +37,8 @@ def upgraded(document: dict[str, Any]) -> dict[str, Any]:
     return {
         **document,
         "graph": _graph(document["graph"], nodes),
-        "nodes": _each(nodes, lambda node: {"kind": None, "properties": {}, **node}),
+        "nodes": _each(nodes, lambda node: {**_NODE, **node}),
+        "edges": _each(document.get("edges"), lambda edge: {**_EDGE, **edge}),
     }
 
 
@@ -43,6 +52,8 @@ def _graph(graph: dict[str, Any], nodes: Any) -> dict[str, Any]:
         "logs": _each([graph.get("log")], lambda log: {"keyframes": None, **log}),
         "stays": [],
         "breaks": [],
+        "doors": [],
+        "robot_radius_m": None,
         "closures": _each(
             graph.get("closures"),
             lambda closure: {"new_submap": None, "old_submap": None, **closure},

@@ -15,6 +15,7 @@ from specmap_cli.pipelines.laying_out import lay_out
 from specmap_cli.pipelines.learning import divide, learn, linked, whole_grid
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.tracking import Tracking
+from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import divide as divide_cells
 
 
@@ -26,7 +27,7 @@ def finish(
     progress: Progress,
     clock: Stopwatch,
 ) -> FinishedMap:
-    """Relax the layout, turn it, heal it, refute, divide, assess, learn."""
+    """Relax the layout, turn it, heal it, refute, divide, assess, learn, find the ways."""
     laid = lay_out(explored, config, store, progress, clock)
     layout, closures = laid.layout, laid.closures
     with clock.stage("grids"):
@@ -40,11 +41,15 @@ def finish(
     )
     stamps = np.array(store.stamps_ns, dtype=np.int64)
     labels = Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps)
+    with clock.stage("ways"):
+        regions = divide_cells(whole, labels)
+        joined = linked(labels, explored.regions, explored.breaks, closures, grids)
+        topology = with_ways(joined, regions, config.ways, layout.poses)
     return FinishedMap(
-        topology=linked(labels, explored.regions, explored.breaks, closures, grids),
+        topology=topology,
         labels=labels,
         trajectory=laid.trajectory,
-        regions=divide_cells(whole, labels),
+        regions=regions,
         classifiers=classifiers,
         layout=layout,
         counts=tracking.counts,

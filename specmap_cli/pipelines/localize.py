@@ -166,7 +166,7 @@ def settings_for(
 def localizer_of(stored: StoredMap, config: Config) -> Localizer:
     """The localizer of a stored map: its classifiers, the neighbours of its submaps, its grids."""
     classifiers = classifiers_of(stored)
-    adjacency = neighbours(stored.ids, ((e.source, e.target) for e in stored.record.edges))
+    adjacency = neighbours(stored.ids, stored.topology.joined)
     frames = {i: submap.map_from_submap for i, submap in stored.topology.submaps.items()}
     return Localizer(classifiers, adjacency, stored.grids, config.localization, frames)
 

@@ -62,6 +62,7 @@ def run_record(
         "keyframes": len(finished.labels.stamps_ns),
         "submaps": len(topology.submaps),
         "edges": len(topology.edges),
+        "doors": len(topology.doors),
         "merges": sum(closure.merged for closure in topology.closures),
         "path_m": round(finished.path_m, 3),
         **finished.counts,

@@ -20,13 +20,13 @@ from specmap_cli.grids.map_server import read_grid, write_png
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_segmentation
 from specmap_cli.segmentation.floorplan import (
-    FloorplanEdge,
     FloorplanResult,
     segment_floorplan,
     submap_grid,
 )
+from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import Regions
-from specmap_cli.topology.topological_map import Edge, LogInfo, Submap, TopologicalMap
+from specmap_cli.topology.topological_map import LogInfo, Submap, TopologicalMap
 
 _COARSEST_M = 0.5  # a door of 0.8 m is then one cell or two: walls and doors look the same
 
@@ -37,13 +37,15 @@ class SegmentReport:
 
     out: Path
     result: FloorplanResult
+    topology: TopologicalMap
 
     def as_dict(self) -> dict[str, Any]:
         """Counts and areas."""
         return {
             "out": str(self.out),
             "submaps": len(self.result.submaps),
-            "edges": len(self.result.edges),
+            "edges": len(self.topology.edges),
+            "doors": len(self.topology.doors),
             "area_m2": round(sum(submap.area_m2 for submap in self.result.submaps), 3),
         }
 
@@ -52,7 +54,7 @@ class SegmentReport:
         counts = self.as_dict()
         return [
             f"{self.out}: {counted(counts['submaps'], 'submap')}, "
-            f"{counted(counts['edges'], 'edge')}, "
+            f"{counted(counts['edges'], 'edge')}, {counted(counts['doors'], 'door')}, "
             f"{counts['area_m2']:.0f} m2",
             f"look at {self.out / 'overview.png'}",
         ]
@@ -81,13 +83,14 @@ def segment_map(
     result = segment_floorplan(whole, config.segmentation)
     regions = Regions.of(whole, np.asarray(result.segmentation.labels, dtype=np.int64))
     with OutputDirectory(target, overwrite) as partial:
-        topology, info = _topology(result), LogInfo(name=legible(path.name))
+        topology = with_ways(_topology(result), regions, config.ways, kind="doorway")
+        info = LogInfo(name=legible(path.name))
         overview = render_segmentation(topology, regions, info)
         write_segmentation(partial, topology, regions, info, overview)
         if picture is not None:
             least = config.segmentation.eigenvalue_min
             write_png(picture, draw_segmentation(whole, result.segmentation, least))
-    return SegmentReport(out=target, result=result)
+    return SegmentReport(out=target, result=result, topology=topology)
 
 
 def _fine_enough(path: Path, grid: GridMap) -> GridMap:
@@ -102,7 +105,7 @@ def _fine_enough(path: Path, grid: GridMap) -> GridMap:
 
 
 def _topology(result: FloorplanResult) -> TopologicalMap:
-    """The regions as submaps, all in the frame of the map, with an edge for each doorway."""
+    """The regions as submaps, all in the frame of the map."""
     return TopologicalMap(
         submaps={
             region.id: Submap(
@@ -112,18 +115,5 @@ def _topology(result: FloorplanResult) -> TopologicalMap:
                 polygon=region.polygon,
             )
             for region in result.submaps
-        },
-        edges={(found.source, found.target): _edge(found) for found in result.edges},
-    )
-
-
-def _edge(found: FloorplanEdge) -> Edge:
-    """The edge at the widest doorway between two regions."""
-    door = found.doorways[0]
-    return Edge(
-        source=found.source,
-        target=found.target,
-        kind="doorway",
-        doorway=(door.x, door.y),
-        width_m=door.width_m,
+        }
     )

@@ -1,4 +1,4 @@
-"""An existing occupancy grid divided into submaps: regions, and the doorways where they touch."""
+"""An existing occupancy grid divided into submaps."""
 
 from __future__ import annotations
 
@@ -13,13 +13,9 @@ from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
-from specmap_cli.segmentation.borders import contacts
 from specmap_cli.segmentation.division import Segmentation, segment
-from specmap_cli.segmentation.kmeans import LabelArray
 
 __all__ = [
-    "Doorway",
-    "FloorplanEdge",
     "FloorplanResult",
     "FloorplanSubmap",
     "label_image",
@@ -29,7 +25,6 @@ __all__ = [
 
 _WALL_CELLS = 2  # obstacles this near belong to the picture of a region: a wall drawn in cells
 _OUTLINE_CELLS = 1.5  # how far a polygon may stray from the outline: the steps of a slanted wall
-_JOINED_HALF_CELLS = 2  # border points this near are one doorway: a diagonal border has such gaps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,32 +37,13 @@ class FloorplanSubmap:
     centroid: tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Doorway:
-    """A stretch of common border: its middle in metres of the map, and its width."""
-
-    x: float
-    y: float
-    width_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class FloorplanEdge:
-    """Two regions that touch, `source` < `target`, and where: the widest doorway first."""
-
-    source: int
-    target: int
-    doorways: tuple[Doorway, ...]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FloorplanResult:
-    """A divided map: submaps by id 0, 1, ... (falling area) and the edges in order."""
+    """A divided map: submaps by id 0, 1, ... (falling area)."""
 
     grid: GridMap
     segmentation: Segmentation
     submaps: tuple[FloorplanSubmap, ...]
-    edges: tuple[FloorplanEdge, ...]
 
 
 def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> FloorplanResult:
@@ -82,7 +58,6 @@ def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> FloorplanRes
         grid=grid,
         segmentation=found,
         submaps=tuple(_submap(grid, found.labels == id_, id_) for id_ in range(found.count)),
-        edges=_edges(grid, found.labels, config.door_min_m),
     )
 
 
@@ -137,35 +112,3 @@ def _submap(grid: GridMap, region: BoolArray, number: int) -> FloorplanSubmap:
         area_m2=area,
         centroid=(float(x), float(y)),
     )
-
-
-def _edges(grid: GridMap, labels: LabelArray, narrowest: float) -> tuple[FloorplanEdge, ...]:
-    """An edge for each two labels side by side along `narrowest` metres at the least."""
-    touching = contacts(labels)
-    middles = (touching.one + touching.other) / 2.0
-    edges = []
-    for source, target in np.unique(touching.labels, axis=0).tolist():
-        border = middles[(touching.labels == (source, target)).all(axis=1)]
-        doorways = tuple(door for door in _doorways(grid, border) if door.width_m >= narrowest)
-        if doorways:
-            edges.append(FloorplanEdge(source, target, doorways))
-    return tuple(edges)
-
-
-def _doorways(grid: GridMap, points: FloatArray) -> list[Doorway]:
-    """The connected stretches of a border given by points (m, 2) between cells, widest first."""
-    spots = np.rint(points * 2.0).astype(np.intp)
-    low = spots.min(axis=0)
-    picture = np.zeros(spots.max(axis=0) - low + 1, dtype=np.uint8)
-    picture[tuple((spots - low).T)] = 1
-    side = 2 * _JOINED_HALF_CELLS + 1
-    joined = cv2.dilate(picture, np.ones((side, side), dtype=np.uint8))
-    count, pieces = cv2.connectedComponents(joined, connectivity=8)
-    piece = pieces[tuple((spots - low).T)]
-    found = []
-    for number in range(1, count):
-        stretch = points[piece == number]
-        x, y = grid.centres_of(stretch).mean(axis=0)
-        sides = cv2.minAreaRect(stretch.astype(np.float32))[1]
-        found.append(Doorway(float(x), float(y), (max(sides) + 1.0) * grid.resolution))
-    return sorted(found, key=lambda door: (-door.width_m, door.x, door.y))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.segmentation.borders import contacts
+from specmap_cli.grids.borders import contacts
 from specmap_cli.segmentation.kmeans import LabelArray
 from specmap_cli.segmentation.visibility import IndexArray
 

@@ -31,7 +31,7 @@ from specmap_cli.topology.topological_map import (
 
 # A robot keeps its own radius off both sides of a wall: tracks this near are in one room.
 _MEETING_M = 0.5
-_STRENGTH: Mapping[EdgeKind, int] = {"loose": 0, "closure": 1, "doorway": 2, "traversed": 3}
+_STRENGTH: Mapping[EdgeKind, int] = {"loose": 0, "closure": 1, "traversed": 2}
 
 Pair = tuple[int, int]
 Span = tuple[int, int]

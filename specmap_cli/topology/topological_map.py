@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -11,8 +12,9 @@ from specmap_cli.core.records import Closure
 from specmap_cli.grids.gridmap import GridMap
 
 # traversed: the robot drove across; closure: joined by matching grids only; loose: joined by a
-# guess across scans that could not be registered; doorway: regions of a finished map that touch.
-EdgeKind = Literal["traversed", "closure", "loose", "doorway"]
+# guess across scans that could not be registered; seen: they touch, but the robot never went from
+# one to the other; doorway: regions of a finished map that touch.
+EdgeKind = Literal["traversed", "closure", "loose", "seen", "doorway"]
 # What a submap is by its shape (`topology.kinds`), or by a person's word.
 SubmapKind = Literal["room", "corridor", "hall"]
 Property = str | float | bool  # of a submap, by a person's word
@@ -32,7 +34,8 @@ class Submap:
 
     `keyframes` are numbers in the keyframe store, ascending; `visits` are in order of time; `grid`
     and `polygon` (N, 2), metres, are in the submap's frame. One cut from a finished map has neither
-    keyframes nor visits. `kind` is None where nobody has said it: then its shape says it.
+    keyframes nor visits. `kind` is None where nobody has said it: then its shape says it. `anchor`
+    (map frame) is a place in it where a robot can stand, with its clearance.
     """
 
     id: int
@@ -44,6 +47,8 @@ class Submap:
     name: str = ""
     kind: SubmapKind | None = None
     properties: Mapping[str, Property] = field(default_factory=dict)
+    anchor: tuple[float, float] | None = None
+    anchor_clearance_m: float | None = None
 
 
 def default_name(submap: int) -> str:
@@ -62,11 +67,42 @@ class Traversal:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Door:
+    """A narrow passage between two submaps, `between` the smaller id and the larger.
+
+    `x`, `y` are its middle in the map, `width_m` the clear width from wall to wall, `theta` the
+    direction of who goes through it from the first submap to the second. `crossings` are the
+    traversals that went through it, in order of time: none for a door that was only seen.
+    """
+
+    id: int
+    x: float
+    y: float
+    width_m: float
+    theta: float
+    between: tuple[int, int]
+    crossings: tuple[Traversal, ...] = ()
+
+    @property
+    def driven(self) -> bool:
+        """Whether the robot went through it."""
+        return bool(self.crossings)
+
+    @property
+    def sides(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The two ends of its line, in the map: the wall on the right, and that on the left."""
+        across = -math.sin(self.theta) * self.width_m / 2, math.cos(self.theta) * self.width_m / 2
+        return (self.x - across[0], self.y - across[1]), (self.x + across[0], self.y + across[1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Edge:
     """An undirected link between two submaps, `source` < `target`.
 
-    `traversals` are in order of time. `doorway` (map frame) and `width_m` are known where the
-    submaps were cut from a finished map.
+    `traversals` are in order of time. `path` (N, 2), metres of the map, leads from anchor to anchor
+    through `doors` (their ids; none in the open) at a clearance of `clearance_m`. It is None when
+    the robot is too wide for every way: then `clearance_m` is that of the widest, or None.
+    `doorway` (map frame) and `width_m` are of the first of the doors.
     """
 
     source: int
@@ -76,11 +112,15 @@ class Edge:
     source_from_target: Pose2 = IDENTITY
     doorway: tuple[float, float] | None = None
     width_m: float | None = None
+    doors: tuple[int, ...] = ()
+    path: FloatArray | None = None
+    length_m: float | None = None
+    clearance_m: float | None = None
 
     @property
     def crossing(self) -> tuple[float, float] | None:
-        """Mean place of the traversals in the map; the doorway, or None, for an edge not driven."""
-        if not self.traversals:
+        """Its door; in the open the mean place of the traversals, or None if it was not driven."""
+        if self.doorway is not None or not self.traversals:
             return self.doorway
         n = len(self.traversals)
         return (
@@ -124,10 +164,11 @@ class Break:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopologicalMap:
-    """Submaps by id, edges by (smaller id, larger id), and every closure considered.
+    """Submaps by id, edges by (smaller id, larger id), every closure considered, and the doors.
 
     `stays` are in the order of their numbers, which `closures` use; `breaks` are ascending.
-    `next_id` is beyond all ids that were ever given. The mappings are not to be changed;
+    `next_id` is beyond all ids that were ever given. `doors` are by id; ways keep `robot_radius_m`
+    off what is not free, None where nobody looked for ways. The mappings are not to be changed;
     `dataclasses.replace` makes another map.
     """
 
@@ -137,6 +178,13 @@ class TopologicalMap:
     stays: tuple[Stay, ...] = ()
     breaks: tuple[Break, ...] = ()
     next_id: int = 0
+    doors: tuple[Door, ...] = ()
+    robot_radius_m: float | None = None
+
+    @property
+    def joined(self) -> list[tuple[int, int]]:
+        """The pairs of submaps that the robot's way or a closure joins, not only what it saw."""
+        return [pair for pair, edge in self.edges.items() if edge.kind != "seen"]
 
 
 @dataclass(frozen=True, slots=True)

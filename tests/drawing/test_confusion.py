@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.confusion import render_confusion
-from specmap_cli.drawing.palette import PAPER, SHADE, TRAVERSED, paler
+from specmap_cli.drawing.palette import PAPER, RIGHT, SHADE, paler
 from tests.drawing.looking import bounds, inked, is_framed, near, of_colour
 
 LARGEST = 72  # pixels of a cell while there are few
@@ -41,8 +41,8 @@ def test_right_is_blue_wrong_is_red_and_nothing_is_grey() -> None:
     at = centres(image, 2, 3)
     assert np.diff(at[0, :, 0]).tolist() == [LARGEST, LARGEST]
     assert np.diff(at[:, 0, 1]).tolist() == [LARGEST]
-    assert colour_at(image, at[1, 1]) == list(TRAVERSED)
-    assert colour_at(image, at[0, 0]) == list(paler(TRAVERSED, 0.088))
+    assert colour_at(image, at[1, 1]) == list(RIGHT)
+    assert colour_at(image, at[0, 0]) == list(paler(RIGHT, 0.088))
     for row, column in ((0, 2), (1, 0), (1, 2)):
         assert colour_at(image, at[row, column]) == list(SHADE)
     blue, green, red = colour_at(image, at[0, 1])
@@ -102,7 +102,7 @@ def test_any_number_of_classes_and_any_names_fit(size: int, name: str) -> None:
     assert min(image.shape[:2]) > 90
     assert is_framed(image)
     if size:
-        assert near(image, TRAVERSED) > 150 * size
+        assert near(image, RIGHT) > 150 * size
 
 
 @pytest.mark.parametrize(
@@ -110,10 +110,10 @@ def test_any_number_of_classes_and_any_names_fit(size: int, name: str) -> None:
 )
 def test_small_cells_have_no_figures(size: int, cell: int, figures: bool) -> None:
     image = render_confusion(np.eye(size), [""] * size)
-    left, right, top, bottom = bounds(of_colour(image, TRAVERSED, 0))
+    left, right, top, bottom = bounds(of_colour(image, RIGHT, 0))
     assert right - left == bottom - top == size * cell - 2
     first = image[top : top + cell - 1, left : left + cell - 1]
-    assert bool(inked(first, TRAVERSED).any()) is figures
+    assert bool(inked(first, RIGHT).any()) is figures
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,19 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.drawing import palette, symbols
 from specmap_cli.drawing.canvas import Image
-from specmap_cli.drawing.overview import render_overview, render_segmentation, spread
+from specmap_cli.drawing.overview import drawn_as, render_overview, render_segmentation, spread
 from specmap_cli.drawing.sheet import TITLE, Sheet, extent_of
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.maps.writing import MapResult
 from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.topological_map import Edge, EdgeKind, LogInfo, Submap, TopologicalMap
+from specmap_cli.topology.topological_map import (
+    Door,
+    Edge,
+    EdgeKind,
+    LogInfo,
+    Submap,
+    TopologicalMap,
+)
 from tests.drawing.looking import inked, is_framed, near, of_colour, one_room, pixel
 from tests.strategies import seeds
 
@@ -173,6 +180,31 @@ def test_a_link_leads_through_its_crossing(kind: EdgeKind, colour: palette.Colou
     assert near(image[y - 14 : y + 15, x - 14 : x + 15], colour) > 4
     bare = render_segmentation(dataclasses.replace(topology, edges={}), regions, LogInfo("plan"))
     assert near(bare[TITLE:-120], colour) == 0
+
+
+def test_a_link_with_a_way_follows_it_and_its_door_is_drawn() -> None:
+    regions, submaps = two_rooms()
+    path = np.array([[2.0, 2.0], [2.0, 3.5], [3.5, 2.0], [6.0, 2.0]])
+    edge = Edge(source=0, target=1, kind="traversed", path=path, length_m=6.1, clearance_m=0.4)
+    door = Door(id=0, x=4.0, y=2.0, width_m=1.0, theta=0.0, between=(0, 1))
+    anchored = {i: dataclasses.replace(s, anchor=(2.0 + 4.0 * i, 2.0)) for i, s in submaps.items()}
+    bare = TopologicalMap(submaps=anchored, robot_radius_m=0.2)
+    topology = dataclasses.replace(bare, edges={(0, 1): edge}, doors=(door,))
+    image = render_segmentation(topology, regions, LogInfo("plan"))
+    for place, colour in (((2.0, 3.0), palette.TRAVERSED), ((4.0, 1.7), palette.DOOR)):
+        x, y = places_on(regions, [place]).astype(int)[0].tolist()
+        assert near(image[y - 9 : y + 10, x - 9 : x + 10], colour) > 4
+    without = render_segmentation(bare, regions, LogInfo("plan"))
+    assert near(without[TITLE:-120], palette.DOOR) == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "drawn"), [("traversed", "narrow"), ("seen", "narrow"), ("closure", "closure")]
+)
+def test_a_link_without_a_way_is_no_line_that_one_could_take(kind: EdgeKind, drawn: str) -> None:
+    edge = Edge(source=0, target=1, kind=kind)
+    assert drawn_as(TopologicalMap(robot_radius_m=0.2), edge) == drawn
+    assert drawn_as(TopologicalMap(), edge) == kind
 
 
 def test_the_headline_counts_and_the_figures_measure(result: MapResult) -> None:

@@ -81,9 +81,15 @@ def test_shades_of_a_fill(fill: Colour) -> None:
 def test_what_is_drawn_on_a_fill_can_be_read(fill: Colour) -> None:
     assert contrast(palette.INK, fill) > 4.5
     assert contrast(palette.TRAVERSED, fill) > 3.0
+    assert contrast(palette.DOOR, fill) > 3.0
     assert contrast(palette.darker(fill), palette.PAPER) > 3.0
     pale = np.array(palette.paler(fill)) - palette.vivid(fill)
     assert np.abs(pale).max() > 80  # a line of predictions over its own region
+
+
+def test_the_graph_is_lighter_than_the_walls() -> None:
+    walls = contrast(palette.INK, palette.PAPER)
+    assert contrast(palette.TRAVERSED, palette.PAPER) < walls / 1.5
 
 
 def test_links_that_mean_different_things_differ() -> None:

@@ -11,6 +11,7 @@ from specmap_cli.drawing import symbols
 from specmap_cli.drawing.canvas import Canvas
 from specmap_cli.drawing.palette import (
     CLOSURE,
+    DOOR,
     FILLS,
     INK,
     LOOSE,
@@ -38,9 +39,13 @@ def words_of(legend: symbols.Legend) -> list[str]:
         ("doorway", TRAVERSED, 1),
         ("closure", CLOSURE, 8),
         ("loose", LOOSE, 17),
+        ("seen", TRAVERSED, 16),
+        ("narrow", TRAVERSED, 17),
     ],
 )
-def test_links_are_solid_dashed_or_dotted(kind: EdgeKind, colour: Colour, strokes: int) -> None:
+def test_links_are_solid_dashed_or_dotted(
+    kind: symbols.LinkKind, colour: Colour, strokes: int
+) -> None:
     canvas = Canvas(240, 40, SHADE)
     symbols.edge(canvas, np.array([[20.0, 20.0], [220.0, 20.0]]), kind)
     along = of_colour(canvas.image, colour, 60)[20]
@@ -58,6 +63,31 @@ def test_links_are_set_off_from_the_ground_by_paper(kind: EdgeKind) -> None:
     rows = np.flatnonzero((np.abs(across.astype(int) - PAPER) < 30).all(axis=-1))
     assert rows.min() < 19
     assert rows.max() > 21
+
+
+@pytest.mark.parametrize("driven", [True, False])
+def test_a_door_lies_from_wall_to_wall_filled_when_driven(driven: bool) -> None:
+    canvas = Canvas(120, 80, SHADE)
+    symbols.door(canvas, np.array([[30.0, 40.0], [90.0, 40.0]]), driven)
+    left, right, top, bottom = bounds(of_colour(canvas.image, DOOR, 60))
+    assert (left, right) == pytest.approx((26, 94), abs=4)
+    assert bottom - top < 14
+    assert pixel(canvas.image, np.array([60, 40])) == pytest.approx(
+        DOOR if driven else PAPER, abs=30
+    )
+
+
+def test_a_door_of_a_large_building_can_still_be_seen() -> None:
+    canvas = Canvas(120, 80, SHADE)
+    symbols.door(canvas, np.array([[60.0, 39.0], [60.0, 41.0]]), True)
+    _, _, top, bottom = bounds(of_colour(canvas.image, DOOR, 60))
+    assert bottom - top >= 14
+
+
+def test_the_legend_tells_doors_apart() -> None:
+    assert words_of(symbols.doors_legend([])) == []
+    assert words_of(symbols.doors_legend([False, True])) == ["door", "door, only seen"]
+    assert "door" in words_of(symbols.regions_legend([], with_doors=True))
 
 
 @pytest.mark.parametrize("name", ["0", "12", "347"])

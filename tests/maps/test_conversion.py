@@ -19,6 +19,7 @@ from specmap_cli.maps.writing import MapResult
 from specmap_cli.topology.outlines import Outline
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import (
+    Door,
     Edge,
     LogInfo,
     Stay,
@@ -114,6 +115,47 @@ def test_all_that_was_read_cannot_be_changed_and_is_written_the_same(result: Map
     again = to_record(read, result.regions, result.logs)
     assert again.graph == record.graph
     assert again.edges == record.edges
+
+
+def test_doors_anchors_and_ways_there_and_back() -> None:
+    crossing = Traversal(5_000_000_000, 3, 7, Pose2(1.0, 2.0, 0.5))
+    doors = (
+        Door(id=0, x=1.0, y=2.0, width_m=0.9, theta=0.25, between=(3, 7), crossings=(crossing,)),
+        Door(id=1, x=1.5, y=-2.0, width_m=0.8, theta=-3.0, between=(3, 7)),
+    )
+    path = np.array([[0.0, 0.5], [1.0, 2.0], [3.0, 2.5]])
+    way = Edge(
+        source=3,
+        target=7,
+        kind="traversed",
+        traversals=(crossing,),
+        doorway=(1.0, 2.0),
+        width_m=0.9,
+        doors=(0,),
+        path=path,
+        length_m=3.7,
+        clearance_m=0.25,
+    )
+    narrow = Edge(source=3, target=9, kind="seen", doors=(), clearance_m=0.1)
+    standing = replace(submap(3), anchor=(0.0, 0.5), anchor_clearance_m=0.3)
+    written = TopologicalMap(
+        submaps={3: standing, 7: submap(7), 9: submap(9)},
+        edges={(3, 7): way, (3, 9): narrow},
+        doors=doors,
+        robot_radius_m=0.2,
+    )
+    record = record_of(written)
+    assert [door.driven for door in record.graph.doors] == [True, False]
+    assert (record.edges[1].path, record.edges[1].length_m) == (None, None)
+    read = back(record)
+    assert (read.doors, read.robot_radius_m) == (doors, 0.2)
+    assert (read.submaps[3].anchor, read.submaps[3].anchor_clearance_m) == ((0.0, 0.5), 0.3)
+    assert read.submaps[7].anchor is None
+    found = read.edges[3, 7].path
+    assert found is not None
+    np.testing.assert_array_equal(found, path)
+    assert replace(read.edges[3, 7], path=None) == replace(way, path=None)
+    assert read.edges[3, 9] == narrow
 
 
 def test_nodes_and_edges_are_by_id_and_closures_as_considered() -> None:

@@ -31,6 +31,12 @@ def edit(path: Path, **changes: Any) -> None:
     path.write_text(json.dumps(document))
 
 
+def door(id_: int, other: int) -> dict[str, Any]:
+    """A door between submap 0 and another."""
+    place = {"x": 0.0, "y": 0.0, "theta": 0.0, "width_m": 0.9}
+    return {"id": id_, "between": [0, other], "crossings": [], "driven": False, **place}
+
+
 def test_there_and_back(stored: Path, result: MapResult) -> None:
     read = read_map(stored)
     topology, written = read.topology, result.topology
@@ -162,6 +168,12 @@ class TestDamage:
             ({"nodes__0__visits__0__start": 1e300}, r"nodes\.0\.visits\.0\.start"),
             ({"edges__0__distance_m": 1e300}, r"edges\.0\.distance_m"),
             ({"nodes__0__id": 10**30}, r"nodes\.0\.id"),
+            ({"graph__doors": [door(0, 9)]}, r"graph\.doors\.0: submap 9 is not among"),
+            ({"graph__doors": [door(0, 1), door(0, 2)]}, r"graph\.doors: an id occurs twice"),
+            ({"graph__doors": [{**door(0, 1), "width_m": -1}]}, r"graph\.doors\.0\.width_m"),
+            ({"edges__0__doors": [4]}, r"edges\.0: door 4 is not among graph\.doors"),
+            ({"edges__0__path": [[0.0, 1e300]]}, r"edges\.0\.path\.0\.1"),
+            ({"nodes__0__anchor": [0.0]}, r"nodes\.0\.anchor\.1"),
         ],
     )
     def test_topology(self, stored: Path, changes: dict[str, Any], complaint: str) -> None:

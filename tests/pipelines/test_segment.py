@@ -37,8 +37,11 @@ def test_the_rooms_of_the_flat_are_found(plan: Path, tmp_path: Path, flat: GridM
     assert stored.ids == [0, 1, 2, 3]
     for edge in stored.record.edges:
         assert edge.kind == "doorway"
-        assert edge.width_m == pytest.approx(0.9, abs=0.15)
-    assert report.lines()[0].startswith(f"{tmp_path / 'rooms'}: 4 submaps, 3 edges, ")
+        assert edge.width_m == pytest.approx(0.9, abs=0.1)
+        assert edge.path is not None
+    assert found["doors"] == len(stored.record.graph.doors) == 3
+    assert all((node.anchor_clearance_m or 0.0) >= 0.3 for node in stored.record.nodes)
+    assert report.lines()[0].startswith(f"{tmp_path / 'rooms'}: 4 submaps, 3 edges, 3 doors, ")
     assert sum(node.area_m2 for node in stored.record.nodes) == pytest.approx(found["area_m2"])
 
 

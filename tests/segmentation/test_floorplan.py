@@ -1,4 +1,4 @@
-"""Submaps and doorways of finished maps, and what is drawn of them."""
+"""Submaps of finished maps, and what is drawn of them."""
 
 from __future__ import annotations
 
@@ -26,44 +26,17 @@ CONFIG = SegmentationConfig()
 PlanBuilder = Callable[..., GridMap]
 
 
-def test_two_rooms_touch_at_their_door(two_rooms: GridMap) -> None:
+def test_two_rooms_are_two_submaps(two_rooms: GridMap) -> None:
     result = segment_floorplan(two_rooms, CONFIG)
     assert [submap.id for submap in result.submaps] == [0, 1]
     assert result.submaps[0].area_m2 == pytest.approx(20.1, abs=0.2)
     assert result.submaps[0].centroid == pytest.approx((2.8, 2.3), abs=0.1)
-    (edge,) = result.edges
-    assert (edge.source, edge.target) == (0, 1)
-    (door,) = edge.doorways
-    assert (door.x, door.y) == pytest.approx((5.4, 1.95), abs=0.15)
-    assert door.width_m == pytest.approx(0.9, abs=0.1)
 
 
 def test_polygons_enclose_their_regions(office: GridMap) -> None:
     for submap in segment_floorplan(office, CONFIG).submaps:
         area = cv2.contourArea(submap.polygon.astype(np.float32))
         assert area == pytest.approx(submap.area_m2, rel=0.06)
-
-
-def test_every_room_of_an_office_touches_the_corridor_once(office: GridMap) -> None:
-    result = segment_floorplan(office, CONFIG)
-    corridor = int(result.segmentation.labels[round(5.5 / 0.05), round(7.0 / 0.05)])
-    assert len(result.edges) == 6
-    for edge in result.edges:
-        assert corridor in (edge.source, edge.target)
-        assert [door.width_m for door in edge.doorways] == [pytest.approx(0.9, abs=0.11)]
-
-
-def test_two_doors_between_two_rooms_are_one_edge(plan: PlanBuilder) -> None:
-    rooms = (0.3, 0.3, 5.3, 6.3), (5.5, 0.3, 9.5, 6.3)
-    doors = (5.3, 0.8, 5.5, 1.7), (5.3, 4.4, 5.5, 5.1)
-    (edge,) = segment_floorplan(plan(9.8, 6.6, *rooms, *doors), CONFIG).edges
-    assert [door.width_m for door in edge.doorways] == pytest.approx([0.9, 0.7], abs=0.11)
-    assert [door.y for door in edge.doorways] == pytest.approx([1.25, 4.75], abs=0.11)
-
-
-def test_contacts_too_narrow_for_a_door_make_no_edge(two_rooms: GridMap) -> None:
-    wide_only = CONFIG.model_copy(update={"door_min_m": 1.5})
-    assert segment_floorplan(two_rooms, wide_only).edges == ()
 
 
 def test_the_label_picture_is_upright_and_counts_from_one(office: GridMap) -> None:
@@ -107,15 +80,6 @@ def test_a_divided_map_is_drawn(office: GridMap, tmp_path: Path) -> None:
     assert len(np.unique(coloured)) >= found.count
 
 
-@pytest.mark.parametrize("width", [0.7, 1.0, 1.4])
-def test_a_door_is_as_wide_as_its_opening(plan: PlanBuilder, width: float) -> None:
-    door = (5.3, 1.5, 5.5, 1.5 + width)
-    grid = plan(9.8, 4.6, (0.3, 0.3, 5.3, 4.3), (5.5, 0.3, 9.5, 4.3), door)
-    (edge,) = segment_floorplan(grid, CONFIG).edges
-    assert [found.width_m for found in edge.doorways] == [pytest.approx(width, abs=0.11)]
-    assert edge.doorways[0].y == pytest.approx(1.5 + width / 2, abs=0.06)
-
-
 def test_the_parts_of_a_result_agree(office: GridMap) -> None:
     result = segment_floorplan(office, CONFIG)
     labels = result.segmentation.labels
@@ -128,23 +92,6 @@ def test_the_parts_of_a_result_agree(office: GridMap) -> None:
         cells = office.cells_of(submap.polygon)
         near = ndimage.binary_dilation(region, np.ones((3, 3)))
         assert near[cells[:, 0], cells[:, 1]].all()
-    pairs = [(edge.source, edge.target) for edge in result.edges]
-    assert pairs == sorted(set(pairs))
-    assert all(source < target for source, target in pairs)
-    for edge in result.edges:
-        widths = [door.width_m for door in edge.doorways]
-        assert widths == sorted(widths, reverse=True)
-        assert min(widths) >= CONFIG.door_min_m
-
-
-def test_every_doorway_lies_where_its_two_regions_touch(office: GridMap) -> None:
-    result = segment_floorplan(office, CONFIG)
-    labels = result.segmentation.labels
-    for edge in result.edges:
-        for door in edge.doorways:
-            row, column = office.cells_of(np.array([[door.x, door.y]]))[0]
-            around = labels[row - 2 : row + 3, column - 2 : column + 3]
-            assert {edge.source, edge.target} <= set(np.unique(around))
 
 
 def test_the_grids_of_all_submaps_show_all_that_is_labelled(office: GridMap) -> None:

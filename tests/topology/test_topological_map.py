@@ -32,10 +32,10 @@ CROSSINGS = tuple(
         ({}, None),
         ({"doorway": (5.0, 6.0)}, (5.0, 6.0)),
         ({"traversals": CROSSINGS}, (1.0, 3.5)),
-        ({"traversals": CROSSINGS[:1], "doorway": (5.0, 6.0)}, (0.0, 3.0)),
+        ({"traversals": CROSSINGS[:1], "doorway": (5.0, 6.0)}, (5.0, 6.0)),
     ],
 )
-def test_an_edge_is_crossed_where_it_was_driven(
+def test_an_edge_is_crossed_at_its_door_or_where_it_was_driven(
     known: dict[str, Any], crossing: tuple[float, float] | None
 ) -> None:
     assert Edge(source=0, target=1, kind="traversed", **known).crossing == crossing

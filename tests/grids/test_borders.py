@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.segmentation.borders import contacts
+from specmap_cli.grids.borders import contacts
 from specmap_cli.segmentation.kmeans import LabelArray
 from specmap_cli.segmentation.merging import border_widths, join_wide, local_widths
 

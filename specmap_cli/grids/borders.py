@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.records import IntArray
-from specmap_cli.segmentation.kmeans import LabelArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Contacts:
     other: IntArray
 
 
-def contacts(labels: LabelArray) -> Contacts:
+def contacts(labels: NDArray[np.signedinteger[Any]]) -> Contacts:
     """All contacts between regions of `labels` (H, W), where -1 is no region."""
     one, other = [], []
     for here, there, step in (

@@ -1,0 +1,122 @@
+"""A topological map with its doors, anchors and ways."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.settings import WaysConfig
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.topology.navigation import with_ways
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.topological_map import Edge, Submap, TopologicalMap, Traversal
+from tests.topology.rooms import regions_of, two_rooms
+
+CONFIG = WaysConfig()
+GRID = GridMap(np.zeros((2, 2), dtype=np.uint8), 0.1)
+NORTH, SOUTH = (5.3, 4.4, 5.5, 5.3), (5.3, 1.5, 5.5, 2.2)
+
+
+def map_of(regions: Regions, *edges: Edge) -> TopologicalMap:
+    """The submaps of some regions, one a metre from the other, and edges."""
+    submaps = {
+        id_: Submap(id=id_, map_from_submap=Pose2(float(id_), 0.0, 0.0), grid=GRID)
+        for id_ in regions.outlines
+    }
+    return TopologicalMap(submaps=submaps, edges={(e.source, e.target): e for e in edges})
+
+
+def driven(y: float) -> Edge:
+    crossing = Traversal(7, 0, 1, Pose2(5.4, y, 0.0))
+    return Edge(source=0, target=1, kind="traversed", traversals=(crossing,))
+
+
+def test_a_driven_edge_gets_its_way_and_its_door() -> None:
+    regions = two_rooms(NORTH)
+    found = with_ways(map_of(regions, driven(4.8)), regions, CONFIG)
+    (door,) = found.doors
+    edge = found.edges[0, 1]
+    assert (edge.kind, edge.doors, len(edge.traversals)) == ("traversed", (0,), 1)
+    assert (edge.doorway, edge.width_m) == ((door.x, door.y), door.width_m)
+    assert edge.crossing == edge.doorway
+    assert door.crossings == edge.traversals
+    assert edge.path is not None
+    assert edge.path[0].tolist() == list(found.submaps[0].anchor or ())
+    assert edge.path[-1].tolist() == list(found.submaps[1].anchor or ())
+    assert edge.clearance_m is not None
+    assert edge.clearance_m >= CONFIG.robot_radius_m
+    assert found.robot_radius_m == 0.2
+    assert found.joined == [(0, 1)]
+
+
+@pytest.mark.parametrize("kind", ["seen", "doorway"])
+def test_submaps_that_only_touch_are_joined(kind: str) -> None:
+    regions = two_rooms(NORTH)
+    found = with_ways(map_of(regions), regions, CONFIG, kind=kind)  # type: ignore[arg-type]
+    edge = found.edges[0, 1]
+    assert (edge.kind, edge.traversals, edge.doors) == (kind, (), (0,))
+    assert edge.source_from_target == Pose2(1.0, 0.0, 0.0)
+    assert not found.doors[0].driven
+    assert found.joined == ([] if kind == "seen" else [(0, 1)])
+
+
+def test_of_two_doors_the_way_names_the_one_it_goes_through() -> None:
+    regions = two_rooms(NORTH, SOUTH)
+    found = with_ways(map_of(regions, driven(1.8)), regions, CONFIG)
+    assert [door.driven for door in found.doors] == [True, False]
+    edge = found.edges[0, 1]
+    assert len(edge.doors) == 1
+    assert edge.path is not None
+    door = found.doors[edge.doors[0]]
+    nearest = np.abs(edge.path[:, 0] - door.x).argmin()
+    assert abs(edge.path[nearest, 1] - door.y) < 0.4
+
+
+def test_an_edge_in_the_open_has_a_way_and_no_door() -> None:
+    regions = regions_of((9.8, 2.6), {0: [(0.3, 0.3, 5.0, 2.3)], 1: [(5.0, 0.3, 9.5, 2.3)]})
+    edge = with_ways(map_of(regions), regions, CONFIG).edges[0, 1]
+    assert (edge.doors, edge.doorway, edge.width_m) == ((), None, None)
+    assert edge.length_m == pytest.approx(4.4, abs=0.1)
+
+
+def test_an_edge_without_a_way_names_all_doors_and_the_widest_clearance() -> None:
+    regions = two_rooms(NORTH, SOUTH)
+    wide = WaysConfig(robot_radius_m=0.6)
+    edge = with_ways(map_of(regions), regions, wide).edges[0, 1]
+    assert (edge.path, edge.length_m, edge.doors) == (None, None, (0, 1))
+    assert edge.clearance_m == pytest.approx(0.45, abs=0.03)
+
+
+def test_submaps_without_cells_have_no_anchor_and_their_edges_no_way() -> None:
+    regions = two_rooms()
+    lone = Submap(id=5, map_from_submap=Pose2(0.0, 0.0, 0.0), grid=GRID)
+    topology = map_of(regions, Edge(source=0, target=5, kind="loose"))
+    topology = dataclasses.replace(topology, submaps={**topology.submaps, 5: lone})
+    found = with_ways(topology, regions, CONFIG)
+    assert found.submaps[5].anchor is None
+    edge = found.edges[0, 5]
+    assert (edge.kind, edge.path, edge.clearance_m) == ("loose", None, None)
+
+
+def test_the_places_where_the_robot_stood_may_lie_off_the_grid() -> None:
+    regions = two_rooms(NORTH)
+    stood = np.array([[2.0, 2.0, 0.0], [-50.0, 3.0, 0.0]])
+    found = with_ways(map_of(regions), regions, CONFIG, stood)
+    assert found.submaps[0].anchor is not None
+
+
+def test_where_a_laser_hit_a_wall_its_surface_is_inside_the_cell() -> None:
+    regions = two_rooms(NORTH)
+    drawn = with_ways(map_of(regions), regions, CONFIG).doors[0]
+    scanned = with_ways(map_of(regions), regions, CONFIG, np.array([[2.0, 2.0]])).doors[0]
+    assert drawn.width_m == pytest.approx(0.9)
+    assert scanned.width_m == pytest.approx(0.9 + regions.grid.resolution)
+
+
+def test_a_map_of_nothing_stays_one() -> None:
+    empty = regions_of((1.0, 1.0), {})
+    found = with_ways(TopologicalMap(), empty, CONFIG)
+    assert (found.doors, dict(found.edges), dict(found.submaps)) == ((), {}, {})
