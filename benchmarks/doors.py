@@ -27,9 +27,9 @@ from scipy import ndimage
 from benchmarks.data import TRUTH, data_folder, log_file, plan, rooms_of
 from benchmarks.door_truth import TrueDoor, narrowest, true_doors
 from benchmarks.sample_tour import SAMPLE_LOG, SAMPLE_TRUTH, sample_rooms
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, nearest_motion
 from specmap_cli.core.settings import Config, WaysConfig
-from specmap_cli.evaluation.trajectories import associate, best_motion, read_tum
+from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps.store import StoredMap, read_map
@@ -162,7 +162,7 @@ def map_from_plan(stored: StoredMap, truth: Path) -> Pose2:
     """Where the plan lies in the map: by the true poses of the keyframes."""
     true = read_tum(truth)
     keyframes, rows = associate(true.stamps_ns, stored.labels.stamps_ns)
-    return best_motion(true.poses[rows, :2], stored.labels.poses[keyframes, :2])
+    return nearest_motion(true.poses[rows, :2], stored.labels.poses[keyframes, :2])
 
 
 def scored(regions: Regions, truth: Truth) -> Row:

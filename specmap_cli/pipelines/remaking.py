@@ -19,6 +19,7 @@ from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.verdict import of_layout, quality_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures
+from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import TopologicalMap
 
@@ -50,12 +51,15 @@ def remade(
         beyond=beyond,
         warnings=(),
     )
-    topology = linked(kept.labels, kept.stays, kept.breaks, kept.closures, grids, kept.starts)
+    with clock.stage("ways"):
+        regions = divide(whole, kept.labels)
+        linked_up = linked(kept.labels, kept.stays, kept.breaks, kept.closures, grids, kept.starts)
+        topology = with_ways(linked_up, regions, config.ways, poses)
     return FinishedMap(
         topology=_named(topology, kept),
         labels=kept.labels,
         trajectory=kept.trajectory,
-        regions=divide(whole, kept.labels),
+        regions=regions,
         classifiers=classifiers,
         layout=kept.layout,
         counts=counts,
