@@ -25,6 +25,7 @@ from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config
 from specmap_cli.evaluation.rooms import map_scores
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
+from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.relaxation import relax
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
@@ -144,6 +145,7 @@ def test_a_map_can_be_laid_out_again_from_its_directory_alone(
         assert sorted(k for ks in regions.values() for k in ks) == list(range(len(store)))
         constraints = constraints_of(topology.closures, regions, store, config)
         layout = relax(store, tuple(constraints.values()), {}, config)
+        layout = along_walls(layout, store, config)
     known = flat_map.finished.labels.poses
     assert np.abs(layout.poses[:, :2] - known[:, :2]).max() < 0.001
 
