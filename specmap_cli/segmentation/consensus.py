@@ -17,8 +17,8 @@ from scipy.sparse.csgraph import connected_components
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
+from specmap_cli.grids.borders import contacts
 from specmap_cli.grids.gridmap import BoolArray
-from specmap_cli.segmentation.borders import contacts
 from specmap_cli.segmentation.kmeans import LabelArray
 
 _MAJORITY = 0.5  # share of the divisions, and of two regions that are the same one
