@@ -1,7 +1,9 @@
-"""Real logs written anew: as the clouds that KISS-ICP reads, and played several times over."""
+"""Real logs written anew: as clouds for KISS-ICP, played several times over, cut into pieces."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +58,22 @@ def write_plays(log: Path, out: Path, plays: int) -> int:
                 scans += 1
             behind_ns += end_ns + _PAUSE_NS - start_ns
     return scans
+
+
+def write_pieces(log: Path, outs: Sequence[Path]) -> None:
+    """A planar log cut by time into as many pieces of the same length as there are files."""
+    with open_log([log]) as source:
+        start_ns, end_ns = source.contents.start_ns, source.contents.end_ns
+        bounds = np.linspace(start_ns, end_ns + 1, len(outs) + 1).astype(np.int64).tolist()
+        stream = SweepStream(source, LogConfig())
+        mounting = Pose2.from_matrix(stream.selection.base_from_laser)
+        with ExitStack() as stack:
+            writers = [stack.enter_context(LogWriter(out)) for out in outs]
+            for writer in writers:
+                _write_mounting(writer, mounting)
+            for sweep in stream:
+                piece = int(np.searchsorted(bounds, sweep.stamp_ns, side="right")) - 1
+                _write_scan(writers[min(max(piece, 0), len(outs) - 1)], sweep, 0)
 
 
 def _write_mounting(writer: LogWriter, mounting: Pose2) -> None:

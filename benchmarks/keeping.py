@@ -1,0 +1,165 @@
+"""A map that is kept: what updates and merges leave of ids, borders and accuracy, and their cost.
+
+    SPECMAP_DATA=... python -m benchmarks.keeping [--only second cut tours]
+
+`second`: the sample office and its second log. `cut`: fr079 cut in three by time, each piece added
+to the map of those before, and the three maps merged in all six orders. `tours`: another tour of
+simulated plans added to the map of the first, and five more in turn. A line an update: submaps that
+kept their ids, the least and the mean IoU of their borders over cells that both maps knew, how far
+old keyframes moved, new ids, the error of the layout against that of one build over everything
+(`kept / once`), and processor time against that of building the new log alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.data import log_file, plan, truth_file
+from benchmarks.processes import SCRIPTS, measure
+from benchmarks.replays import write_pieces
+from specmap_cli.evaluation.trajectories import (
+    read_relations,
+    read_tum,
+    reference_errors,
+    relation_errors,
+)
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.simulate import simulate
+from specmap_cli.simulation.simulator import SimulationOptions
+
+SPECMAP = str(SCRIPTS / "specmap")
+SAMPLES = Path("sample_logs")
+PLANS = (("Freiburg79_scan", 360.0), ("office_h_furnitures", 270.0))
+UPDATES = 5
+
+Error = Callable[[Path], float]  # of the trajectory of a map, metres
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    sections = {"second": second_log, "cut": cut_log, "tours": more_tours}
+    parser.add_argument("--only", nargs="*", choices=sections, default=list(sections))
+    arguments = parser.parse_args()
+    for name in arguments.only:
+        with tempfile.TemporaryDirectory() as folder:
+            print(f"\n{name}")
+            sections[name](Path(folder))
+
+
+def second_log(folder: Path) -> None:
+    """The sample office: its second log added to the map of the first."""
+    logs = [SAMPLES.resolve() / f"{name}.mcap" for name in ("office", "office_again")]
+    truths = [log.with_suffix(".tum") for log in logs]
+    build(logs[0], folder / "map0")
+    update(folder, 0, logs[1], partial(tour_error, truths=truths))
+
+
+def cut_log(folder: Path) -> None:
+    """fr079 in three pieces: updates in turn, and merges in every order."""
+    relations = read_relations(truth_file("fr079.relations"))
+
+    def error(path: Path) -> float:
+        return relation_errors(read_tum(path), relations).translation_m.mean
+
+    pieces = [folder / f"piece{k}.mcap" for k in range(3)]
+    write_pieces(log_file("fr079"), pieces)
+    build(log_file("fr079"), folder / "once")
+    once = error(folder / "once" / "trajectory.tum")
+    for k, piece in enumerate(pieces):
+        build(piece, folder / f"part{k}")
+    build(pieces[0], folder / "map0")
+    for k in (0, 1):
+        update(folder, k, pieces[k + 1], error)
+    print(f"fr079 in one build: {once:.4f} m, {len(read_map(folder / 'once').ids)} submaps")
+    results = set()
+    for order in itertools.permutations(range(3)):
+        maps = [str(folder / f"part{k}") for k in order]
+        out = folder / "merged"
+        measure([SPECMAP, "merge", *maps, "-o", str(out), "--overwrite", "-q"], folder)
+        results.add((out / "labels.csv").read_bytes())
+    merged = read_map(folder / "merged")
+    print(
+        f"merged in six orders: {len(results)} different result(s), {len(merged.ids)} submaps, "
+        f"{error(folder / 'merged' / 'trajectory.tum'):.4f} m"
+    )
+
+
+def more_tours(folder: Path) -> None:
+    """Simulated plans: a first tour, then others that begin elsewhere and look closer."""
+    for name, view_deg in PLANS:
+        print(f"{name}, {view_deg:.0f} degrees")
+        tours = []
+        for seed in range(1 + UPDATES):
+            options = SimulationOptions(
+                field_of_view_deg=view_deg, beams=361, seed=seed, spacing_m=2.0 - 0.1 * seed
+            )
+            tours.append(simulate(plan(name), options, folder / f"{name}{seed}.mcap"))
+        truths = [tour.truth for tour in tours]
+        build(tours[0].log, folder / "map0")
+        for k in range(UPDATES):
+            update(folder, k, tours[k + 1].log, partial(tour_error, truths=truths[: k + 2]))
+
+
+def build(log: Path, out: Path) -> float:
+    """Build a map; processor seconds."""
+    command = [SPECMAP, "build", str(log), "-o", str(out), "--overwrite", "-q"]
+    return measure(command, out.parent).processor_s
+
+
+def update(folder: Path, number: int, log: Path, error: Error) -> None:
+    """Add a log to map `number`, and print what it left of it."""
+    old, new = folder / f"map{number}", folder / f"map{number + 1}"
+    command = [SPECMAP, "update", str(old), str(log), "-o", str(new), "--overwrite", "-q"]
+    cost = measure(command, folder).processor_s / build(log, folder / "alone")
+    before, after = read_map(old), read_map(new)
+    kept = [id_ for id_ in before.ids if id_ in after.ids]
+    ious = [border_iou(before, after, id_) for id_ in kept]
+    count = len(before.labels.poses)
+    away = np.hypot(*(after.labels.poses[:count] - before.labels.poses)[:, :2].T)
+    print(
+        f"update {number + 1}: {len(kept)} of {len(before.ids)} ids kept, IoU at least "
+        f"{min(ious):.3f}, mean {np.mean(ious):.3f}; moved {away.mean():.3f} m, at most "
+        f"{away.max():.3f}; new {sorted(set(after.ids) - set(before.ids))}; error "
+        f"{error(new / 'trajectory.tum'):.4f} m (before "
+        f"{error(old / 'trajectory.tum'):.4f}); cost {cost:.2f}",
+        flush=True,
+    )
+
+
+def border_iou(before: StoredMap, after: StoredMap, submap: int) -> float:
+    """Intersection over union of a submap's regions in two maps, over cells that both knew."""
+    old, new = before.regions, after.regions
+    cells = np.argwhere(old.grid.free)
+    places = old.grid.centres_of(cells)
+    there = new.grid.cells_of(places)
+    both = new.grid.inside(there)
+    both[both] = new.grid.free[tuple(there[both].T)]
+    was = old.owner[tuple(cells[both].T)] == submap
+    now = new.owner[tuple(there[both].T)] == submap
+    return float((was & now).sum() / max(1, (was | now).sum()))
+
+
+def tour_error(path: Path, truths: Sequence[Path]) -> float:
+    """The largest absolute error of the tours in a trajectory, one after the other, metres."""
+    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line[:1] != "#"]
+    errors, first = [], 0
+    for truth in truths:
+        true = read_tum(truth)
+        piece = path.with_name("piece.tum")
+        piece.write_text("\n".join(lines[first : first + len(true.stamps_ns)]), encoding="utf-8")
+        first += len(true.stamps_ns)
+        if piece.stat().st_size:
+            errors.append(reference_errors(read_tum(piece), true).ate_m)
+        piece.unlink()
+    return max(errors)
+
+
+if __name__ == "__main__":
+    main()
