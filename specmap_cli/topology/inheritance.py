@@ -1,12 +1,14 @@
 """Submaps that stay: what is known keeps its id and its border, only new space is divided afresh.
 
-A new keyframe in the territory of an old submap belongs to it. Beyond it, the division of the
-joint map says what hangs together: the rest of a room that was half seen goes to the submap of that
-room, anything else becomes a new submap with an id that no other ever had.
+A new keyframe in the territory of an old submap belongs to it. Beyond it, another division says
+what hangs together: the rest of a room that was half seen goes to the submap of that room, anything
+else becomes a new submap with an id that no other ever had. So does a room that the robot had only
+looked into from its door.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,8 +46,10 @@ def inherited(old: Heritage, poses: FloatArray, divided: IntArray, region_min_m:
     """
     count = len(old.poses)
     labels = np.concatenate([old.submaps, _territory(old, poses)])
-    strange = (labels == NOBODY) & (np.arange(len(labels)) >= count)
-    heirs = {**_mostly_in(labels, divided), **_heirs(old.submaps, divided[:count])}
+    known = _driven_in(divided[:count], poses[:count], region_min_m)
+    strange = (labels == NOBODY) | ~np.isin(divided, known)
+    strange[:count] = False
+    heirs = {**_mostly_in(labels, divided, known), **_heirs(old.submaps, divided[:count])}
     names = _names(divided[strange].tolist(), heirs, old.next_id)
     labels[strange] = [names[region] for region in divided[strange].tolist()]
     own = _without_grazed(labels[count:], poses[count:], old.next_id, region_min_m)
@@ -64,10 +68,20 @@ def _territory(old: Heritage, poses: FloatArray) -> IntArray:
     return old.regions.owners(back)
 
 
-def _mostly_in(labels: IntArray, divided: IntArray) -> dict[int, int]:
+def _driven_in(divided: IntArray, poses: FloatArray, way_m: float) -> list[int]:
+    """The regions of the division in which old keyframes drove `way_m` or more.
+
+    What the old robot only looked into through a door is not known, whoever got its cells.
+    """
+    steps = np.append(step_lengths(poses), 0.0)
+    regions = np.unique(divided[divided != NOBODY]).tolist()
+    return [region for region in regions if steps[divided == region].sum() >= way_m]
+
+
+def _mostly_in(labels: IntArray, divided: IntArray, known: Sequence[int]) -> dict[int, int]:
     """For regions of the division whose keyframes lie for the most part in one submap: its id."""
     found = {}
-    for region in np.unique(divided[divided != NOBODY]).tolist():
+    for region in known:
         submap, share = _commonest(labels[divided == region])
         if submap != NOBODY and share > _MOST:
             found[region] = submap

@@ -93,3 +93,13 @@ def test_a_recording_that_lies_wholly_in_new_space_is_a_submap() -> None:
     poses = np.concatenate([first, second])
     labels = inherited(old, poses, room_of(poses), REGION_MIN_M)
     assert set(labels[len(first) :].tolist()) == {2}
+
+
+def test_a_room_that_was_only_looked_into_is_new() -> None:
+    first, second = way(1.0, 3.5), way(2.0, 7.8)
+    old = heritage(rooms(2), first, next_id=1)
+    assert (old.regions.owner[:, 50:80] == 0).any(), "seen through the door, and nobody else's"
+    poses = np.concatenate([first, second])
+    labels = inherited(old, poses, 10 + room_of(poses), REGION_MIN_M)
+    expected = room_of(second)
+    assert (labels[len(first) :] != expected).sum() <= 3
