@@ -62,7 +62,8 @@ def lines_of(record: ComparisonRecord) -> list[str]:
         return [f"{record.new.map}: identical to {record.old.map}"]
     at = record.alignment
     return [
-        f"{record.new.map} against {record.old.map}: {counted(at.votes, 'pair')} of submaps agree, "
+        f"{record.new.map} against {record.old.map}: "
+        f"aligned by {counted(at.votes, 'pair')} of submaps, "
         f"{at.area_m2:.0f} m2 are in both, off by {at.residual_m:.2f} m",
         *_of_submaps(record),
         *_of_doors(record),

@@ -18,7 +18,7 @@ from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import FREE, GridMap
-from specmap_cli.grids.matching import refine
+from specmap_cli.grids.matching import ScoreField, refine
 from specmap_cli.recognition.closure.common_ground import CommonGround, common_ground
 from specmap_cli.recognition.closure.joints import Joint, joints
 from specmap_cli.recognition.closure.kinship import likely_pairs
@@ -31,15 +31,16 @@ from specmap_cli.recognition.closure.votes import Party, parties_of, votes_of
 # Of the refinement of a candidate: from a coarse cell of the search away, then to the centimetre.
 _ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 400, 8, 0.6
 _FINE_STEPS, _FINE_SHIFT_M = 15, 0.2
+_NEAR_SCORE, _FEWEST_NEAR = 0.1, 50  # of a wide field: two sigma of it, some 0.6 m
 _WALLS_PER_M2 = 3.0  # of rooms, with all that stands in them; offices have two
 _FLOOR_POINTS = 5000  # of the free space: its share that both saw to a hundredth
 _LEAST_SCORE = 0.5  # of all that both saw; halls of other buildings that touch reach more
 _MOST_ODD = 0.2  # of the walls: one room of five was rebuilt; more may be another floor
 _LEAST_AREA_M2, _LEAST_WALLS_M = 10.0, 10.0  # a small room: less says nothing about a building
 _MOST_RIVAL = 0.6  # of the walls that the best transform explains: look-alike rows come near it
-_LEAST_PARTY = 2  # submaps that speak for a transform by themselves
-# One submap alone: as much as a large room and its surroundings, and nothing else like it.
-_ALONE_AREA_M2, _ALONE_WALLS_M, _ALONE_RIVAL, _ALONE_SHARED = 40.0, 30.0, 0.4, 0.8
+_LEAST_PARTY = 3  # submaps that speak for a transform by themselves: two offices look alike
+# With fewer: as much as a floor of a house, and nothing else like it.
+_LARGE_M2, _LARGE_WALLS_M, _LARGE_RIVAL = 100.0, 100.0, 0.3
 _MOST_RESIDUAL_M = 0.25  # half of what a submap may lie off: by chance it lies anywhere in there
 
 
@@ -168,11 +169,27 @@ def _refined(
     party: Party | None,
     config: RecognitionConfig,
 ) -> _Candidate:
-    few = evenly(new.walls, _ROUGH_POINTS)
-    near = refine(old.field, few, guess, _ROUGH_STEPS, _ROUGH_SHIFT_M).pose
-    fine = refine(old.field.sharper(), new.walls, near, _FINE_STEPS, _FINE_SHIFT_M).pose
+    few = evenly(_near_walls(old, new, guess), _ROUGH_POINTS)
+    near = _about_their_middle(old.field, few, guess, _ROUGH_STEPS, _ROUGH_SHIFT_M)
+    walls = _near_walls(old, new, near)
+    fine = _about_their_middle(old.field.sharper(), walls, near, _FINE_STEPS, _FINE_SHIFT_M)
     around_m = _WALLS_PER_M2 * floors.common_m2(fine)
     return _Candidate(fine, min(net_walls_m(old, new, fine, config), around_m), party)
+
+
+def _near_walls(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> FloatArray:
+    """(N, 2) the points on the new map's walls that come near walls of the old one; or all."""
+    near = old.wide.at(old_from_new.apply(new.walls)) > _NEAR_SCORE
+    return new.walls[near] if np.count_nonzero(near) >= _FEWEST_NEAR else new.walls
+
+
+def _about_their_middle(
+    field: ScoreField, points: FloatArray, guess: Pose2, steps: int, shift_m: float
+) -> Pose2:
+    """`refine`, by no more than a shift where the points (N, 2) are: the frame may lie far off."""
+    x, y = points.mean(axis=0).tolist()
+    found = refine(field, points - (x, y), guess @ Pose2(x, y, 0.0), steps, shift_m)
+    return found.pose @ Pose2(-x, -y, 0.0)
 
 
 def _doubt(found: Alignment, ranked: Sequence[_Candidate]) -> str:
@@ -196,20 +213,20 @@ def _doubt(found: Alignment, ranked: Sequence[_Candidate]) -> str:
         ).replace("%", " %")
     if found.rival > _MOST_RIVAL:
         return f"ambiguous: the maps fit in more than one way, {_gap(ranked)}"
-    if found.party < _LEAST_PARTY and not _is_sure_alone(found, ground):
+    if found.party < _LEAST_PARTY and not _is_large(found, ground):
         return (
             "too few submaps were recognised: a few rooms that look alike may be of two buildings"
         )
     return ""
 
 
-def _is_sure_alone(found: Alignment, ground: CommonGround) -> bool:
-    """Whether a transform that submaps did not find is large, all of a map, and like no other."""
+def _is_large(found: Alignment, ground: CommonGround) -> bool:
+    """Whether what few submaps found is large, and like nothing else."""
     return (
-        found.area_m2 >= _ALONE_AREA_M2
-        and ground.confirmed_m >= _ALONE_WALLS_M
-        and ground.shared >= _ALONE_SHARED
-        and found.rival <= _ALONE_RIVAL
+        found.votes > 0
+        and found.area_m2 >= _LARGE_M2
+        and ground.confirmed_m >= _LARGE_WALLS_M
+        and found.rival <= _LARGE_RIVAL
     )
 
 
@@ -223,5 +240,6 @@ def _gap(ranked: Sequence[_Candidate]) -> str:
 def _praise(found: Alignment) -> str:
     """What a transform stands on."""
     return (
-        f"{counted(found.votes, 'pair')} of submaps agree, {found.area_m2:.0f} m2 are in both maps"
+        f"aligned by {counted(found.votes, 'pair')} of submaps, "
+        f"{found.area_m2:.0f} m2 are in both maps"
     )

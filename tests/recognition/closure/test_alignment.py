@@ -55,9 +55,28 @@ def test_the_other_way_round_is_the_inverse() -> None:
 
 
 def test_maps_that_share_some_rooms() -> None:
-    plan, frame = random_floor(1, rooms=8), Pose2(5.0, 1.0, 0.4)
-    old, new = seen(plan, [0, 1, 2, 3, 4], IDENTITY), seen(plan, [3, 4, 5, 6, 7], frame)
+    plan, frame = random_floor(1, rooms=9), Pose2(5.0, 1.0, 0.4)
+    old, new = seen(plan, [0, 1, 2, 3, 4, 5], IDENTITY), seen(plan, [3, 4, 5, 6, 7, 8], frame)
     assert_right(aligned(old, new), frame)
+
+
+def test_two_rooms_in_common_may_be_of_two_buildings() -> None:
+    plan, frame = random_floor(1, rooms=7), Pose2(5.0, 1.0, 0.4)
+    old, new = seen(plan, [0, 1, 2, 3], IDENTITY), seen(plan, [2, 3, 4, 5], frame)
+    found = aligned(old, new)
+    assert found.old_from_new is None
+    assert "too few submaps" in found.reason
+
+
+def test_a_large_place_that_was_divided_otherwise_is_found_by_few_submaps() -> None:
+    plan, frame = random_floor(6), Pose2(2.0, 0.0, 0.8)
+    old, new = seen(plan, ALL, IDENTITY), seen(plan, ALL, frame)
+    whole = KnownMap(
+        whole=new.whole, grids={0: new.whole}, frames={0: IDENTITY}, tracks={0: np.zeros((1, 3))}
+    )
+    found = aligned(old, whole)
+    assert found.party == 1
+    assert_right(found, frame)
 
 
 def test_furniture_that_was_moved_does_not_matter() -> None:
