@@ -286,6 +286,7 @@ class TestBuildMap:
             "audit",
             "grids",
             "training",
+            "ways",
         }
         assert all(value >= 0.0 for value in seconds.values())
         assert report.as_dict()["out"] == str(tmp_path / "map")
@@ -294,6 +295,13 @@ class TestBuildMap:
         assert report.as_dict()["quality"] == stored.run["quality"]
         with stored.keyframes() as kept:  # all that a layout needs, without the log
             assert len(kept) == report.run["counts"]["keyframes"]
+        assert report.run["counts"]["doors"] == len(stored.topology.doors) > 0
+        for edge in stored.topology.edges.values():
+            assert edge.path is not None
+            assert edge.path[[0, -1]].tolist() == [
+                list(stored.topology.submaps[id_].anchor or ())
+                for id_ in (edge.source, edge.target)
+            ]
         told = stored.record.graph.quality
         assert told is not None
         assert told.model_dump() == stored.run["quality"]
