@@ -7,7 +7,7 @@ are looked for along the new path only: the cost is that of the new recording.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +39,15 @@ def placed(layout: Layout, map_from_own: Pose2, first: int = 0) -> Layout:
     )
 
 
+def without_guesses(layout: Layout, starts: Collection[int]) -> Layout:
+    """The layout without a word on how far the recordings that begin at `starts` were moved.
+
+    No guess of tracking joined them, of which that would tell.
+    """
+    moves = tuple(move for move in layout.evidence.parts if move.first not in starts)
+    return replace(layout, evidence=replace(layout.evidence, parts=moves))
+
+
 def join_layouts(
     store: KeyframeStore,
     old: Layout,
@@ -67,8 +76,7 @@ def join_layouts(
     draft, dropped = settle(graph, tighten(graph, passes, config), config)
     dropped = (*old.dropped, *new.dropped, *dropped)
     finished = Finished.of("relaxed", draft, dropped, views, config)
-    layout = layout_of(graph, finished, Closed(draft, (), ()), before, config)
-    return _without_guess(layout, len(old.poses))
+    return layout_of(graph, finished, Closed(draft, (), ()), before, config)
 
 
 def _renumbered(links: Sequence[Link], first: int) -> tuple[Link, ...]:
@@ -81,9 +89,3 @@ def _tied(graph: Graph, loose: Sequence[int]) -> frozenset[int]:
     """The parts whose place is known: all but those that begin with a keyframe in `loose`."""
     guessed = {int(graph.parts[graph.row[start]]) for start in loose}
     return frozenset(graph.part_numbers) - guessed
-
-
-def _without_guess(layout: Layout, start: int) -> Layout:
-    """The layout without a word on how far the recordings were moved: no guess joined them."""
-    moves = tuple(move for move in layout.evidence.parts if move.first != start)
-    return replace(layout, evidence=replace(layout.evidence, parts=moves))

@@ -17,7 +17,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.carrying import carried, rows_of
 from specmap_cli.layout.healing import Audited, healed
-from specmap_cli.layout.joining import join_layouts, placed
+from specmap_cli.layout.joining import join_layouts, placed, without_guesses
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.pipelines.kept_map import KeptMap, Said, Seen
 from specmap_cli.pipelines.refutation import constraints_of, refute
@@ -68,7 +68,7 @@ def join(
     layout = join_layouts(store, old.layout, later.layout, ties, breaks, config.relaxation)
     layout = _in_frame_of(old.layout, layout)
     audited = healed(store, layout, breaks, config.relaxation, config.audit)
-    layout = audited.layout
+    layout = without_guesses(audited.layout, (*old.starts, first, *later.starts))
     labels = Labels(
         stamps_ns=np.array(store.stamps_ns, dtype=np.int64),
         poses=layout.poses,
@@ -86,7 +86,7 @@ def join(
         said=said_of_both(old, new.kept, labels.submaps[first:]),
         next_id=max(old.next_id, 1 + int(labels.submaps.max(initial=-1))),
     )
-    return Joined(kept, audited)
+    return Joined(kept, replace(audited, layout=layout))
 
 
 def _in_frame_of(old: Layout, joint: Layout) -> Layout:

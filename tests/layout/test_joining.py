@@ -12,7 +12,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.joining import join_layouts, placed
+from specmap_cli.layout.joining import join_layouts, placed, without_guesses
 from specmap_cli.layout.relaxation import Constraint, Layout, relax
 from tests.layout.driving import STIFF, drifted, stored, worst
 
@@ -61,7 +61,8 @@ def test_the_second_recording_comes_to_lie_where_it_belongs(twice: Twice) -> Non
     across = [link for link in layout.kept if link.source < CUT <= link.target]
     assert len(across) >= 5
     assert layout.evidence.standing.share < 0.02
-    assert layout.evidence.parts == ()
+    assert [move.first for move in layout.evidence.parts] == [CUT]
+    assert without_guesses(layout, (CUT,)).evidence.parts == ()
 
 
 def test_the_links_of_both_pieces_stay(twice: Twice) -> None:
