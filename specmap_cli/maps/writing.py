@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.errors import UsageError
 from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.core.text import to_json
@@ -65,7 +66,10 @@ def write_map(
         from specmap_cli.maps.keyframe_log import write_keyframes  # loads what writes recordings
 
         path = directory / filenames.KEYFRAMES
-        write_keyframes(path, keyframes, result.labels.poses, result.frame)
+        try:
+            write_keyframes(path, keyframes, result.labels.poses, result.frame)
+        except UsageError as error:  # as of the other files: the directory has the word
+            raise error.__context__ or error from None
     record = to_record(result.topology, result.regions, result.logs, result.frame, result.quality)
     _write_topology(directory, result.topology, record)
     write_grid(directory / filenames.MAP_GRID, result.regions.grid)

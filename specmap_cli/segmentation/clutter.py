@@ -35,7 +35,7 @@ def small_obstacles(
         depth = cv2.distanceTransform(blocked, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         thickness = 2.0 * ndimage.maximum(depth, labels, np.arange(count))
         small |= (sides <= bulky_cells + _SLACK) & (np.asarray(thickness) >= thick_cells)
-    small[0] = False
+    small[[0, labels[0, 0]]] = False  # free space, and what the outside is part of
     return np.asarray(small[labels[1:-1, 1:-1]])
 
 
