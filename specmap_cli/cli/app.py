@@ -12,6 +12,7 @@ from specmap_cli.cli import (
     compare,
     config,
     convert,
+    edit,
     evaluate,
     export,
     info,
@@ -22,6 +23,7 @@ from specmap_cli.cli import (
     update,
 )
 from specmap_cli.cli.groups import unfolded
+from specmap_cli.cli.pairs import JoinedCommand
 from specmap_cli.core.errors import UsageError
 
 EXIT_CODES = (
@@ -89,6 +91,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "update": update.update,
     "merge": merge.merge,
     "compare": compare.compare,
+    "edit": edit.edit,
     "segment": segment.segment,
     "evaluate": evaluate.evaluate,
     "simulate": simulate.simulate,
@@ -97,7 +100,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "config": config.config,
 }
 for _name, _command in _COMMANDS.items():
-    app.command(_name, epilog=EXIT_CODES)(unfolded(_command))
+    app.command(_name, epilog=EXIT_CODES, cls=JoinedCommand)(unfolded(_command))
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

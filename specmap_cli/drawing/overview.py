@@ -9,7 +9,7 @@ import numpy as np
 from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import Labels, Trajectory
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, legible
 from specmap_cli.core.tracks import path_length
 from specmap_cli.drawing import symbols
 from specmap_cli.drawing.canvas import Image
@@ -44,7 +44,11 @@ def render_overview(
     doubts = [finding.place for finding in quality.worst if finding.place is not None]
     driven = {door.driven for door in topology.doors}
     legend = symbols.overview_legend(
-        kinds, driven, with_unreached=_much_unreached(regions), with_doubts=bool(doubts)
+        kinds,
+        driven,
+        with_unreached=_much_unreached(regions),
+        with_doubts=bool(doubts),
+        with_forbidden=_forbids(topology),
     )
     sheet = Sheet(low, high, legend)
     sheet.ground(regions, fills)
@@ -72,7 +76,8 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
     fills = colours_of(topology, regions)
     kinds = {drawn_as(topology, edge) for edge in topology.edges.values()}
     low, high = extent_of(regions)
-    sheet = Sheet(low, high, symbols.regions_legend(kinds, bool(topology.doors)))
+    legend = symbols.regions_legend(kinds, bool(topology.doors), with_forbidden=_forbids(topology))
+    sheet = Sheet(low, high, legend)
     sheet.ground(regions, fills)
     _draw_graph(sheet, topology, _nodes(topology, regions), fills)
     area = np.count_nonzero(regions.grid.free) * regions.grid.resolution**2
@@ -95,6 +100,11 @@ def _much_unreached(regions: Regions) -> bool:
     """Whether the free cells that are nobody's are worth a word."""
     free = regions.grid.free
     return bool(np.count_nonzero(free & (regions.owner == NOBODY)) > _UNREACHED * free.sum())
+
+
+def _forbids(topology: TopologicalMap) -> bool:
+    """Whether a person forbade any link."""
+    return any(each.forbidden for each in (*topology.edges.values(), *topology.doors))
 
 
 def _draw_path(sheet: Sheet, places: FloatArray) -> None:
@@ -148,8 +158,30 @@ def _draw_graph(
         symbols.edge(sheet.canvas, points, drawn_as(topology, edge))
     for door in topology.doors:
         symbols.door(sheet.canvas, sheet.pixels(np.array(door.sides)), door.driven or not driven)
+    for place in _forbidden_places(topology, at, sheet):
+        symbols.no_entry(sheet.canvas, place)
     for id_ in ids:
         symbols.badge(sheet.canvas, at[id_], str(id_), fills[id_])
+    for id_ in ids:
+        symbols.name_under(sheet.canvas, at[id_], legible(topology.submaps[id_].given_name))
+
+
+def _forbidden_places(
+    topology: TopologicalMap, at: Mapping[int, FloatArray], sheet: Sheet
+) -> list[FloatArray]:
+    """Where forbidden doors are, and links that are forbidden without one, in pixels."""
+    doors = [door for door in topology.doors if door.forbidden]
+    places = [sheet.pixels(np.array([[door.x, door.y]]))[0] for door in doors]
+    shut = {door.between for door in doors}
+    links = [edge for pair, edge in sorted(topology.edges.items()) if pair not in shut]
+    return [*places, *(_middle(edge, at, sheet) for edge in links if edge.forbidden)]
+
+
+def _middle(edge: Edge, at: Mapping[int, FloatArray], sheet: Sheet) -> FloatArray:
+    """Where a link is crossed, in pixels; else half way between the badges `at` its ends."""
+    if edge.crossing is None:
+        return np.asarray((at[edge.source] + at[edge.target]) / 2.0)
+    return np.asarray(sheet.pixels(np.array([edge.crossing]))[0])
 
 
 def drawn_as(topology: TopologicalMap, edge: Edge) -> symbols.LinkKind:

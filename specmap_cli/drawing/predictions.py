@@ -9,6 +9,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, IntArray
+from specmap_cli.core.text import legible
 from specmap_cli.drawing import symbols
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.palette import (
@@ -61,6 +62,8 @@ def render_labels(
         wrong = (submaps != np.asarray(truth)[known]) & (submaps != NO_SUBMAP)
         _draw_wrong(sheet, places, wrong)
     _draw_predicted(sheet, places, submaps, fills)
+    if map_with_regions is not None:
+        _draw_names(sheet, *map_with_regions)
     sheet.title(title, figures)
     return sheet.canvas.image
 
@@ -97,6 +100,15 @@ def _draw_ground(sheet: Sheet, regions: Regions, fills: Mapping[int, Colour]) ->
             sheet.canvas.text(
                 x, y, str(id_), _ID_LETTERS, darker(fills[id_], 0.8), "centre", bold=True
             )
+
+
+def _draw_names(sheet: Sheet, topology: TopologicalMap, regions: Regions) -> None:
+    """The names that a person gave, under the ids."""
+    for id_, submap in sorted(topology.submaps.items()):
+        centroid = regions.outline(id_).centroid
+        if centroid is not None:
+            place = sheet.pixels(centroid[None])[0]
+            symbols.name_under(sheet.canvas, place, legible(submap.given_name))
 
 
 def _draw_wrong(sheet: Sheet, places: FloatArray, wrong: BoolArray) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.drawing.canvas import Canvas
+from specmap_cli.drawing.canvas import Canvas, text_width
 from specmap_cli.drawing.palette import (
     CLOSURE,
     DOOR,
@@ -34,6 +34,7 @@ PATH: Colour = (88, 82, 76)
 # Pixels, chosen by eye for a sheet of some 1800 pixels.
 BADGE_RADIUS = 17.0
 _DOUBT_RADIUS = 14.0
+_NAME_LETTERS, _LONGEST_NAME = 11.0, 24
 BADGE_GAP = 2.0 * BADGE_RADIUS + 6.0
 PREDICTED = 6  # width of the line of predictions; the mark of wrong ones shows on both sides
 _LINK, _LINK_HALO = 3, 7  # width of a link, and of the paper under it
@@ -88,6 +89,25 @@ def badge(canvas: Canvas, centre: NDArray[Any], name: str, fill: Colour) -> None
     canvas.text(float(centre[0]), float(centre[1]), name, height, INK, "centre", bold=True)
 
 
+def name_under(canvas: Canvas, centre: NDArray[Any], name: str) -> None:
+    """A person's name for a submap under its badge, on paper, so that it can be read anywhere."""
+    if not name:
+        return
+    shown = name if len(name) <= _LONGEST_NAME else name[: _LONGEST_NAME - 3] + "..."
+    x, y = float(centre[0]), float(centre[1]) + BADGE_RADIUS + _NAME_LETTERS + 1.0
+    reach = np.array([text_width(shown, _NAME_LETTERS, bold=True) / 2.0 + 5.0, _NAME_LETTERS])
+    canvas.box(np.array([x, y]) - reach, np.array([x, y]) + reach, PAPER)
+    canvas.text(x, y, shown, _NAME_LETTERS, INK, "centre", bold=True)
+
+
+def no_entry(canvas: Canvas, centre: NDArray[Any]) -> None:
+    """A link that a person forbade: the sign of a road that must not be entered."""
+    canvas.disc(centre, _DOUBT_RADIUS, WRONG, PAPER)
+    middle = np.asarray(centre)
+    bar = np.array([8.0, 2.5])
+    canvas.box(middle - bar, middle + bar, PAPER)
+
+
 def start(canvas: Canvas, centre: NDArray[Any]) -> None:
     """Where the trajectory starts: a square."""
     middle = np.asarray(centre)
@@ -112,6 +132,7 @@ def overview_legend(
     *,
     with_unreached: bool,
     with_doubts: bool,
+    with_forbidden: bool = False,
 ) -> Legend:
     """What the overview of a build shows; of links and doors only the kinds that occur.
 
@@ -128,6 +149,7 @@ def overview_legend(
         ("end", lambda c, x, y: end(c, np.array([x, y]))),
         *links_legend(kinds),
         *doors_legend(doors),
+        *forbidden_legend(with_forbidden),
         *doubts,
     )
 
@@ -149,10 +171,18 @@ def labels_legend(with_map: bool, with_unknown: bool, with_truth: bool) -> Legen
     return (*legend, ("start", _start))
 
 
-def regions_legend(kinds: Collection[LinkKind], with_doors: bool = False) -> Legend:
+def regions_legend(
+    kinds: Collection[LinkKind], with_doors: bool = False, *, with_forbidden: bool = False
+) -> Legend:
     """What the picture of a finished map shows."""
     doors: Legend = (("door", _door(True)),) if with_doors else ()
-    return (("submap", _badge), ("wall", _wall), *links_legend(kinds), *doors)
+    forbidden = forbidden_legend(with_forbidden)
+    return (("submap", _badge), ("wall", _wall), *links_legend(kinds), *doors, *forbidden)
+
+
+def forbidden_legend(wanted: bool) -> Legend:
+    """The sign of a forbidden link, where there is one."""
+    return (("forbidden", lambda c, x, y: no_entry(c, np.array([x, y]))),) if wanted else ()
 
 
 def doors_legend(doors: Collection[bool]) -> Legend:

@@ -76,6 +76,7 @@ def _door(record: DoorRecord) -> dict[str, Any]:
         [[round(value, 6) for value in side] for side in door_of(record).sides],
         {
             "kind": "door",
+            "forbidden": record.forbidden,
             "id": record.id,
             "between": list(record.between),
             "width_m": record.width_m,
@@ -104,6 +105,7 @@ def _link(edge: EdgeRecord, places: Mapping[int, Place]) -> dict[str, Any]:
             "passable": edge.path is not None,
             "length_m": edge.length_m,
             "clearance_m": edge.clearance_m,
+            "forbidden": edge.forbidden,
         },
     )
 

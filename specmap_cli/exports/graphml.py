@@ -62,5 +62,6 @@ def _of_edge(edge: EdgeRecord) -> dict[str, Any]:
         "passable": edge.path is not None,
         "length_m": edge.length_m,
         "clearance_m": edge.clearance_m,
+        "forbidden": edge.forbidden,
     }
     return {key: value for key, value in found.items() if value is not None}

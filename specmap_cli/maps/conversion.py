@@ -12,6 +12,7 @@ from specmap_cli.core.findings import Quality
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.text import nanoseconds, rounded, seconds
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.maps.edit_conversion import borders_of, said_of
 from specmap_cli.maps.graph_conversion import (
     break_of,
     closure_of,
@@ -91,6 +92,8 @@ def from_record(
         next_id=record.graph.next_id,
         doors=tuple(door_of(door) for door in record.graph.doors),
         robot_radius_m=record.graph.robot_radius_m,
+        said=said_of(record.graph.edits),
+        borders=borders_of(record.graph.edits),
     )
 
 
@@ -137,6 +140,7 @@ def _edge_record(edge: Edge, topology: TopologicalMap, regions: Regions) -> Edge
         width_m=written(edge.width_m),
         transform=transform(edge.source_from_target),
         **way_fields(edge),
+        forbidden=edge.forbidden,
     )
 
 
@@ -172,4 +176,5 @@ def _edge(edge: EdgeRecord) -> Edge:
         path=path_of(edge.path),
         length_m=edge.length_m,
         clearance_m=edge.clearance_m,
+        forbidden=edge.forbidden,
     )

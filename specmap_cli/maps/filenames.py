@@ -9,7 +9,26 @@ LABELS = "labels.csv"
 KEYFRAMES = "keyframes.mcap"
 TRAJECTORY = "trajectory.tum"
 POSE_GRAPH = "trajectory.g2o"
+EDITS = "edits.toml"
 OVERVIEW = "overview.png"
 LABELS_IMAGE = "labels.png"
 MAP_GRID = "map"  # with the suffixes .png and .yaml: the grid of the whole map
 SUBMAPS = "submaps"  # the directory of the submaps' grids
+# all of them; whatever else lies in a map directory is a person's own
+OF_A_MAP = frozenset(
+    {
+        TOPOLOGY,
+        CLASSIFIERS,
+        RUN,
+        LABELS,
+        KEYFRAMES,
+        TRAJECTORY,
+        POSE_GRAPH,
+        OVERVIEW,
+        EDITS,
+        LABELS_IMAGE,
+        f"{MAP_GRID}.png",
+        f"{MAP_GRID}.yaml",
+        SUBMAPS,
+    }
+)

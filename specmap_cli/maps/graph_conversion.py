@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from specmap_cli.core.findings import Finding, Quality
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Closure
 from specmap_cli.core.text import nanoseconds, plain, rounded, seconds
+from specmap_cli.maps.edit_conversion import edits_record, numbers_of, runs_of
 from specmap_cli.maps.schema_graph import (
     SCHEMA_VERSION,
     BreakRecord,
@@ -41,6 +40,7 @@ def graph_record(
         closures=[_closure_record(closure, submap_of) for closure in topology.closures],
         doors=[door_record(door) for door in topology.doors],
         robot_radius_m=topology.robot_radius_m,
+        edits=edits_record(topology.said, topology.borders),
         quality=None if quality is None else _quality_record(quality),
     )
 
@@ -74,11 +74,10 @@ def finding_of(record: FindingRecord) -> Finding:
 
 def stay_of(record: StayRecord) -> Stay:
     """A stay as it was written."""
-    runs = (range(first, last + 1) for first, last in record.keyframes)
     return Stay(
         number=record.number,
         submap=record.submap,
-        keyframes=tuple(keyframe for run in runs for keyframe in run),
+        keyframes=numbers_of(record.keyframes),
         origin=record.origin,
         start_ns=nanoseconds(record.start),
         end_ns=nanoseconds(record.end),
@@ -123,15 +122,13 @@ def _log_record(log: LogInfo) -> LogRecord:
 
 
 def _stay_record(stay: Stay) -> StayRecord:
-    keyframes = np.array(stay.keyframes, dtype=np.int64)
-    runs = np.split(keyframes, np.flatnonzero(np.diff(keyframes) > 1) + 1)
     return StayRecord(
         number=stay.number,
         submap=stay.submap,
         start=seconds(stay.start_ns),
         end=seconds(stay.end_ns),
         origin=stay.origin,
-        keyframes=[(int(run[0]), int(run[-1])) for run in runs],
+        keyframes=runs_of(stay.keyframes),
     )
 
 

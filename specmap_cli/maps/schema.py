@@ -102,6 +102,7 @@ class EdgeRecord(Record):
     transform: Transform = Field(
         description="[x, y, theta] of the frame of `target` in the frame of `source`"
     )
+    forbidden: bool = Field(description="whether a person said that robots must not go there")
 
 
 class TopologyRecord(Record):

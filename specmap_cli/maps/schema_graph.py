@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import ConfigDict, Field
 
 from specmap_cli.core.findings import Severity, Verdict
+from specmap_cli.maps.schema_edits import EditsRecord
 from specmap_cli.maps.schema_values import (
     Amount,
     Count,
@@ -141,6 +142,7 @@ class DoorRecord(Record):
     between: tuple[Count, Count] = Field(description="ids of two nodes, the smaller one first")
     crossings: list[TraversalRecord] = Field(description="when the robot went through, in order")
     driven: bool = Field(description="whether it ever did; false: the door was only seen")
+    forbidden: bool = Field(description="whether a person said that robots must not go through")
 
 
 class GraphRecord(Record):
@@ -162,4 +164,5 @@ class GraphRecord(Record):
         description="what the paths of edges keep off walls and off what nobody saw, metres; null "
         "where nobody looked for paths"
     )
+    edits: EditsRecord = Field(description="what of edits.toml the map shows")
     quality: QualityRecord | None = Field(description="null where the map was not judged")

@@ -24,12 +24,13 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps import filenames
 from specmap_cli.maps.conversion import from_record
+from specmap_cli.maps.edit_conversion import fences_in
 from specmap_cli.maps.json_files import first_finding, map_json, map_text
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.tables import read_labels
 from specmap_cli.maps.topology_file import read_topology
 from specmap_cli.topology.regions import Regions, divide
-from specmap_cli.topology.topological_map import TopologicalMap
+from specmap_cli.topology.topological_map import TopologicalMap, default_name
 
 _FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell of a map; matching scans in finer ones takes forever
 
@@ -57,6 +58,12 @@ class StoredMap:
     def ids(self) -> list[int]:
         """Submap ids, ascending."""
         return sorted(node.id for node in self.record.nodes)
+
+    @property
+    def names(self) -> dict[int, str]:
+        """The names that a person gave, by submap id."""
+        named = {node.id: node.name for node in self.record.nodes}
+        return {id_: name for id_, name in sorted(named.items()) if name != default_name(id_)}
 
     def grid(self, submap: int) -> GridMap:
         """The grid of one submap, in its own frame. Raises KeyError for an id that is none."""
@@ -86,23 +93,26 @@ class StoredMap:
         )
 
     def _check_keyframes(self) -> None:
-        """Refuse stays and breaks of keyframes that are none, and a keyframe in two stays."""
+        """Refuse stays, breaks and merges of keyframes that are none, and one in two stays."""
         graph = self.record.graph
         runs = [run for stay in graph.stays for run in stay.keyframes]
-        if not runs and not graph.breaks:
+        merged = [run for each in graph.edits.borders for run in getattr(each, "keyframes", ())]
+        last = max(
+            [end for _, end in runs + merged] + [each.keyframe for each in graph.breaks], default=-1
+        )
+        if last < 0:
             return
         known = len(self.labels.stamps_ns)
-        last = max([end for _, end in runs] + [each.keyframe for each in graph.breaks])
         if last >= known or sum(end - start + 1 for start, end in runs) > known:
             raise MapError(
-                f"{self.path / filenames.TOPOLOGY}: graph.stays and graph.breaks do not fit to the "
-                f"{counted(known, 'keyframe')} of {filenames.LABELS}: build the map again"
+                f"{self.path / filenames.TOPOLOGY}: graph.stays, breaks or edits do not fit to "
+                f"the {counted(known, 'keyframe')} of {filenames.LABELS}: build the map again"
             )
 
     @cached_property
     def regions(self) -> Regions:
         """The whole map divided among the submaps, as in overview.png."""
-        return divide(self.map_grid, self.labels)
+        return divide(self.map_grid, self.labels, fences_in(self.record.graph.edits))
 
     @cached_property
     def labels(self) -> Labels:

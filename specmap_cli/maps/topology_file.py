@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -11,7 +11,9 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.maps.json_files import first_finding, map_json
 from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.maps.schema_edits import EditsRecord, SplitRecord
 from specmap_cli.maps.schema_graph import SCHEMA_VERSION
+from specmap_cli.maps.schema_values import Span
 from specmap_cli.maps.upgrading import MISSING, upgraded, version_of
 
 
@@ -50,6 +52,7 @@ def _faults(record: TopologyRecord) -> Iterator[str]:
             yield f"{where}: submap {id_} is not among the nodes"
     yield from _door_faults(record)
     yield from _stay_faults(record)
+    yield from _edit_faults(record.graph.edits)
 
 
 def _named_submaps(record: TopologyRecord) -> Iterator[tuple[str, int | None]]:
@@ -65,6 +68,8 @@ def _named_submaps(record: TopologyRecord) -> Iterator[tuple[str, int | None]]:
     for number, closure in enumerate(record.graph.closures):
         yield f"graph.closures.{number}", closure.new_submap
         yield f"graph.closures.{number}", closure.old_submap
+    for number, said in enumerate(record.graph.edits.submaps):
+        yield f"graph.edits.submaps.{number}", said.id
 
 
 def _door_faults(record: TopologyRecord) -> Iterator[str]:
@@ -85,12 +90,29 @@ def _stay_faults(record: TopologyRecord) -> Iterator[str]:
     if len(numbers) != len(stays):
         yield "graph.stays: a number occurs twice"
     for place, stay in enumerate(stays):
-        ends = [-1, *(last for _, last in stay.keyframes)]
-        runs = zip(ends, stay.keyframes, strict=False)
-        if not all(before < first <= last for before, (first, last) in runs):
+        if not _are_ascending(stay.keyframes):
             yield f"graph.stays.{place}: its keyframes are out of order"
         if not any(first <= stay.origin <= last for first, last in stay.keyframes):
             yield f"graph.stays.{place}: its origin is none of its keyframes"
     for place, closure in enumerate(record.graph.closures if stays else ()):
         if not {closure.new, closure.old} <= numbers:
             yield f"graph.closures.{place}: its stays are not among graph.stays"
+
+
+def _edit_faults(record: EditsRecord) -> Iterator[str]:
+    """Merges of keyframes out of order or beyond those known, and lines without a length."""
+    for place, border in enumerate(record.borders):
+        where = f"graph.edits.borders.{place}"
+        if isinstance(border, SplitRecord):
+            if border.line[0] == border.line[1] or border.fence[0] == border.fence[1]:
+                yield f"{where}: a line without a length"
+        elif not _are_ascending(border.keyframes):
+            yield f"{where}: its keyframes are out of order"
+        elif any(last >= border.known for _, last in border.keyframes):
+            yield f"{where}: more keyframes than the map had"
+
+
+def _are_ascending(runs: Sequence[Span]) -> bool:
+    """Whether the numbers in runs [first, last] rise."""
+    ends = [-1, *(last for _, last in runs)]
+    return all(before < first <= last for before, (first, last) in zip(ends, runs, strict=False))

@@ -13,7 +13,7 @@ from specmap_cli.maps.schema_graph import SCHEMA_VERSION
 
 MISSING = (
     "a map of an earlier version (schema 1): it keeps no keyframes, stays, kinds of submaps, doors "
-    "or ways, and cannot be updated, merged or edited; build it again to have these"
+    "or ways, and cannot be updated, merged or divided anew; build it again to have these"
 )
 
 _NODE: dict[str, Any] = {
@@ -22,7 +22,13 @@ _NODE: dict[str, Any] = {
     "anchor": None,
     "anchor_clearance_m": None,
 }
-_EDGE: dict[str, Any] = {"doors": [], "path": None, "length_m": None, "clearance_m": None}
+_EDGE: dict[str, Any] = {
+    "doors": [],
+    "path": None,
+    "length_m": None,
+    "clearance_m": None,
+    "forbidden": False,
+}
 
 
 def version_of(document: Any) -> Any:
@@ -54,6 +60,7 @@ def _graph(graph: dict[str, Any], nodes: Any) -> dict[str, Any]:
         "breaks": [],
         "doors": [],
         "robot_radius_m": None,
+        "edits": {"submaps": [], "borders": []},
         "closures": _each(
             graph.get("closures"),
             lambda closure: {"new_submap": None, "old_submap": None, **closure},

@@ -45,6 +45,7 @@ def door_record(door: Door) -> DoorRecord:
         between=door.between,
         crossings=[traversal_record(crossing) for crossing in door.crossings],
         driven=door.driven,
+        forbidden=door.forbidden,
     )
 
 
@@ -58,6 +59,7 @@ def door_of(record: DoorRecord) -> Door:
         theta=record.theta,
         between=record.between,
         crossings=tuple(traversal_of(crossing) for crossing in record.crossings),
+        forbidden=record.forbidden,
     )
 
 

@@ -38,7 +38,7 @@ class MapResult:
     `labels` are all keyframes, row i being keyframe number i, and `logs` the recordings that they
     came from, in order; `classifiers` is JSON text; `run` the contents of run.json; `quality` what
     is thought of the map; `pose_graph` text in g2o's format;
-    `overview` a BGR picture (H, W, 3).
+    `overview` a BGR picture (H, W, 3); `edits` the text of edits.toml, empty for no such file.
     """
 
     topology: TopologicalMap
@@ -52,6 +52,7 @@ class MapResult:
     overview: PictureArray
     quality: Quality = UNDOUBTED
     frame: str = "map"
+    edits: str = ""
 
 
 def write_map(
@@ -82,6 +83,8 @@ def write_map(
         (filenames.RUN, to_json(dict(result.run))),
     ):
         (directory / name).write_text(text, encoding="utf-8")
+    if result.edits:
+        (directory / filenames.EDITS).write_text(result.edits, encoding="utf-8")
 
 
 def write_segmentation(

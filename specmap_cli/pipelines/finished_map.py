@@ -29,7 +29,8 @@ class FinishedMap:
     `regions` divide the grid of the whole map. `counts` are of messages and scans. `limits`
     say how often a setting of that name cut the work short. `quality` is what is thought of the
     map, `seconds` are those of each stage. `starts` are the rows of the trajectory with which
-    further recordings begin.
+    further recordings begin. `edits` is the text of edits.toml, `unapplied` tells what of it does
+    not apply.
     """
 
     topology: TopologicalMap
@@ -43,6 +44,8 @@ class FinishedMap:
     quality: Quality
     seconds: Mapping[str, float]
     starts: tuple[int, ...] = ()
+    edits: str = ""
+    unapplied: tuple[str, ...] = ()
 
     @property
     def path_m(self) -> float:
@@ -69,6 +72,7 @@ class FinishedMap:
             run=run,
             quality=self.quality,
             pose_graph=write_g2o(self.layout),
+            edits=self.edits,
             overview=render_overview(
                 self.topology, self.regions, self.trajectory, self.labels, logs, self.quality
             ),

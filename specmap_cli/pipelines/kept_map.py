@@ -17,11 +17,13 @@ from specmap_cli.layout.g2o import read_g2o
 from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.maps import filenames
+from specmap_cli.maps.edits import Edits, edits_text
 from specmap_cli.maps.graph_conversion import finding_of, log_of
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.tables import read_text
 from specmap_cli.maps.tum import read_trajectory
 from specmap_cli.pipelines.assessment import evidence_of
+from specmap_cli.pipelines.edited import edits_of_stored
 from specmap_cli.pipelines.exploration import Explored
 from specmap_cli.pipelines.finished_map import recording
 from specmap_cli.pipelines.laying_out import LaidOut
@@ -29,27 +31,12 @@ from specmap_cli.pipelines.learning import divide, submap_grids, submaps_of, who
 from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.quality.verdict import LAYOUT_CODES, of_recording
 from specmap_cli.recognition.closure.known_map import KnownMap
+from specmap_cli.topology.borders import Border
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.regions import divide as divide_cells
-from specmap_cli.topology.topological_map import (
-    LogInfo,
-    Property,
-    Submap,
-    SubmapKind,
-    TopologicalMap,
-    default_name,
-)
+from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 
 Stays = Mapping[int, tuple[int, ...]]
-
-
-@dataclass(frozen=True, slots=True)
-class Said:
-    """What a person said of a submap."""
-
-    name: str = ""
-    kind: SubmapKind | None = None
-    properties: Mapping[str, Property] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,8 +45,9 @@ class KeptMap:
 
     `stays` are the keyframes of each piece in which the robot saw the map, by number, that of its
     frame first; `closures` name these. `breaks` are the keyframes at which tracking started afresh
-    or another recording begins. `findings` are those about the recordings, `said` is what a person
-    said. `next_id` and what follows it are ids that no submap ever had.
+    or another recording begins. `findings` are those about the recordings. `edits` are what a
+    person decided, `edits_text` how it was written down, `borders` what of it the labels show.
+    `next_id` and what follows it are ids that no submap ever had.
     """
 
     layout: Layout
@@ -70,8 +58,10 @@ class KeptMap:
     breaks: Mapping[int, Bridge | None]
     logs: tuple[LogInfo, ...]
     findings: tuple[Finding, ...]
-    said: Mapping[int, Said]
     next_id: int
+    edits: Edits = field(default_factory=Edits)
+    edits_text: str = ""
+    borders: tuple[Border, ...] = ()
 
     @property
     def starts(self) -> tuple[int, ...]:
@@ -88,11 +78,11 @@ class Seen:
     known: KnownMap
 
 
-def seen_of_stored(stored: StoredMap) -> Seen:
+def kept_of_stored(stored: StoredMap) -> KeptMap:
     """A map directory. Raises MapError when a file that it takes is missing or damaged."""
     topology, labels = stored.topology, stored.labels
     logs = tuple(log_of(record) for record in stored.record.graph.logs)
-    kept = KeptMap(
+    return KeptMap(
         layout=_layout(stored, labels),
         labels=labels,
         trajectory=read_trajectory(stored.path / filenames.TRAJECTORY, stored.limits),
@@ -101,17 +91,24 @@ def seen_of_stored(stored: StoredMap) -> Seen:
         breaks=_breaks(topology, logs),
         logs=logs,
         findings=_findings(stored),
-        said={id_: _said(submap) for id_, submap in topology.submaps.items()},
         next_id=topology.next_id,
+        edits=edits_of_stored(stored),
+        edits_text=edits_text(stored.path, stored.limits),
+        borders=topology.borders,
     )
+
+
+def seen_of_stored(stored: StoredMap) -> Seen:
+    """A map directory as it looks. Raises MapError as `kept_of_stored` does."""
+    submaps = stored.topology.submaps
     known = KnownMap(
         whole=stored.map_grid,
         grids=stored.grids,
-        frames={id_: submap.map_from_submap for id_, submap in topology.submaps.items()},
-        tracks=_tracks(labels),
+        frames={id_: submap.map_from_submap for id_, submap in submaps.items()},
+        tracks=_tracks(stored.labels),
         classifiers=classifiers_of(stored),
     )
-    return Seen(kept, stored.regions, known)
+    return Seen(kept_of_stored(stored), stored.regions, known)
 
 
 def seen_of_log(
@@ -143,7 +140,6 @@ def seen_of_log(
         breaks=explored.breaks,
         logs=(recording(name, laid.trajectory, len(submaps)),),
         findings=tuple(of_recording(evidence, config.quality)),
-        said={},
         next_id=1 + int(submaps.max()),
     )
     keyframes = submaps_of(submaps)
@@ -186,12 +182,6 @@ def _breaks(topology: TopologicalMap, logs: Sequence[LogInfo]) -> dict[int, Brid
             for each in topology.breaks
         },
     }
-
-
-def _said(submap: Submap) -> Said:
-    """What a person said of a submap; a name that the program gave is none."""
-    name = "" if submap.name == default_name(submap.id) else submap.name
-    return Said(name, None, submap.properties)
 
 
 def _tracks(labels: Labels) -> dict[int, FloatArray]:

@@ -21,13 +21,14 @@ from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, seen_of_stored
-from specmap_cli.pipelines.map_joining import Joined, inherit, moved_finding, said_of_both
+from specmap_cli.pipelines.map_joining import Joined, edits_of_both, inherit, moved_finding
 from specmap_cli.pipelines.remaking import remade
 from specmap_cli.pipelines.run_record import BuildReport, run_record
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.survey import Survey, survey
 from specmap_cli.recognition.closure.alignment import align
 from specmap_cli.recognition.features.sets import check_feature_sets
+from specmap_cli.topology.redrawing import carried
 
 
 def build_like(
@@ -93,7 +94,9 @@ def alike(old: Seen, surveyed: Survey, old_from_new: Pose2, config: Config) -> J
         breaks=kept.breaks,
         logs=kept.logs,
         findings=tuple(moved_finding(one, old_from_new) for one in kept.findings),
-        said=said_of_both(old.kept, kept, submaps),
         next_id=max(old.kept.next_id, 1 + int(submaps.max())),
+        edits=edits_of_both(old.kept, kept, submaps),
+        edits_text=old.kept.edits_text,
+        borders=carried(old.kept.borders, old.kept.labels.poses, layout.poses),
     )
     return Joined(moved, replace(surveyed.audited, layout=layout))

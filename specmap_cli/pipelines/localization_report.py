@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from specmap_cli.core.files import write_together
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import NO_SUBMAP
-from specmap_cli.core.text import counted, stamp_text
+from specmap_cli.core.text import counted, legible, stamp_text
 from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.localization.localizer import Label
+from specmap_cli.topology.topological_map import default_name
 
-HEADER = "stamp,submap,margin,runner_up,filtered_submap,filtered_probability"
+HEADER = "stamp,submap,margin,runner_up,filtered_submap,name,filtered_probability"
 METRIC_HEADER = ",x,y,theta,score"
 _LEAP_M, _STEADY_SCANS = 0.5, 10  # a place that leaps and leaves within so many scans is wrong
 
@@ -38,11 +39,16 @@ class LocalizedScan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalizationReport:
-    """What `localize` found."""
+    """What `localize` found; `names` are those that a person gave to submaps of the map."""
 
     log: str
     scans: tuple[LocalizedScan, ...]
     warnings: tuple[str, ...]
+    names: Mapping[int, str] = field(default_factory=dict)
+
+    def name_of(self, submap: int | None) -> str:
+        """What a submap is called; nothing for unknown."""
+        return "" if submap is None else legible(self.names.get(submap, default_name(submap)))
 
     def as_dict(self) -> dict[str, Any]:
         """Counts of scans by label, raw and filtered; null is unknown."""
@@ -53,6 +59,7 @@ class LocalizationReport:
             "raw": {_name(key): raw[key] for key in sorted(raw, key=_order)},
             "filtered": {_name(key): filtered[key] for key in sorted(filtered, key=_order)},
             "agreement": self._agreement(),
+            "names": {str(id_): name for id_, name in sorted(self.names.items())},
             "warnings": list(self.warnings),
         }
 
@@ -66,7 +73,8 @@ class LocalizationReport:
             f"{'submap':>8} {'raw':>8} {'filtered':>9}",
         ]
         for key in sorted({*raw, *filtered}, key=_order):
-            lines.append(f"{_name(key):>8} {raw[key]:8,} {filtered[key]:9,}")
+            name = f"  {self.name_of(key)}" if key in self.names else ""
+            lines.append(f"{_name(key):>8} {raw[key]:8,} {filtered[key]:9,}{name}")
         return lines
 
     def _counts(self) -> tuple[Counter[int | None], Counter[int | None]]:
@@ -105,7 +113,8 @@ def csv_text(report: LocalizationReport, metric: bool) -> str:
         label = scan.label
         line = (
             f"{stamp_text(label.stamp_ns)},{_id(label.submap)},{label.margin:.6f},"
-            f"{_id(label.runner_up)},{_id(label.filtered_submap)},{label.filtered_probability:.6f}"
+            f"{_id(label.runner_up)},{_id(label.filtered_submap)},"
+            f"{_cell(report.name_of(label.filtered_submap))},{label.filtered_probability:.6f}"
         )
         if metric:
             pose = scan.submap_from_base
@@ -157,6 +166,12 @@ def _place(scan: LocalizedScan, stored: StoredMap) -> FloatArray:
         return np.array([math.nan, math.nan])
     pose = stored.topology.submaps[id_].map_from_submap @ scan.submap_from_base
     return np.array([pose.x, pose.y])
+
+
+def _cell(text: str) -> str:
+    """Text as it stands in a CSV."""
+    quoted = text.replace('"', '""')
+    return f'"{quoted}"' if any(mark in text for mark in ',"') else text
 
 
 def _id(submap: int | None) -> str:

@@ -72,7 +72,7 @@ def localize_log(
         for warning in warnings:
             progress.warn(warning)
         name = legible(Path(log.name).name)
-        return LocalizationReport(log=name, scans=scans, warnings=warnings)
+        return LocalizationReport(log=name, scans=scans, warnings=warnings, names=stored.names)
 
 
 def _opened(map_: StoredMap | Path | str, config: Config | None, progress: Progress) -> StoredMap:

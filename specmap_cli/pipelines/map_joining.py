@@ -19,7 +19,8 @@ from specmap_cli.layout.carrying import carried, rows_of
 from specmap_cli.layout.healing import Audited, healed
 from specmap_cli.layout.joining import join_layouts, placed, without_guesses
 from specmap_cli.layout.relaxation import Layout
-from specmap_cli.pipelines.kept_map import KeptMap, Said, Seen
+from specmap_cli.maps.edits import Edits, SubmapEdit
+from specmap_cli.pipelines.kept_map import KeptMap, Seen
 from specmap_cli.pipelines.refutation import constraints_of, refute
 from specmap_cli.recognition.closure.joints import Joint
 from specmap_cli.topology.inheritance import Heritage, inherited
@@ -83,7 +84,9 @@ def join(
         breaks=breaks,
         logs=(*old.logs, *later.logs),
         findings=(*old.findings, *later.findings),
-        said=said_of_both(old, new.kept, labels.submaps[first:]),
+        edits=edits_of_both(old, new.kept, labels.submaps[first:]),
+        edits_text=old.edits_text,
+        borders=old.borders,
         next_id=max(old.next_id, 1 + int(labels.submaps.max(initial=-1))),
     )
     return Joined(kept, replace(audited, layout=layout))
@@ -196,22 +199,22 @@ def inherit(
     return inherited(heritage, poses, divided, config.segmentation.region_min_m)
 
 
-def said_of_both(old: KeptMap, new: KeptMap, submaps: IntArray) -> dict[int, Said]:
-    """What a person said of the submaps; what was said of the old map counts first.
+def edits_of_both(old: KeptMap, new: KeptMap, submaps: IntArray) -> Edits:
+    """What a person decided; what was said of the old map's submaps counts first.
 
     `submaps` (n,) is where each keyframe of the new map ended.
     """
-    first = {id_: said for id_, said in old.said.items() if said != Said()}
-    return {**_handed_on(new, submaps), **first}
+    said = {**_handed_on(new, submaps), **old.edits.submaps}
+    return old.edits.model_copy(update={"submaps": said})
 
 
-def _handed_on(new: KeptMap, submaps: IntArray) -> dict[int, Said]:
+def _handed_on(new: KeptMap, submaps: IntArray) -> dict[int, SubmapEdit]:
     """What a person said of the new map's submaps, by the id (n,) of each new keyframe's submap."""
     own = new.labels.submaps
     return {
         int(np.bincount(submaps[own == id_]).argmax()): said
-        for id_, said in new.said.items()
-        if said != Said() and (own == id_).any()
+        for id_, said in new.edits.submaps.items()
+        if (own == id_).any()
     }
 
 

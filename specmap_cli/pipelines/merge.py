@@ -41,6 +41,7 @@ from specmap_cli.pipelines.run_record import OF_THE_MAP, run_record
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import check_feature_sets
+from specmap_cli.topology.borders import fences_of
 from specmap_cli.topology.regions import divide
 
 Meetings = Mapping[tuple[int, int], Alignment]  # of maps i < j: where j lies in i
@@ -286,7 +287,7 @@ def _with(
         **merging.firsts,
         child: (len(joint.labels.stamps_ns), 1 + max(joint.stays, default=-1)),
     }
-    regions = divide(merging.whole, joint.labels)
+    regions = divide(merging.whole, joint.labels, fences_of(joint.borders))
     joined = join(store, joint, regions, new, where, found, config)
     return _Merging(joined, whole_grid(store, joined.kept.layout, config)[0], firsts)
 

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from specmap_cli.core.findings import Quality
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.maps.edits_text import written
+from specmap_cli.pipelines.edited import drawn, named, tell_unapplied
 from specmap_cli.pipelines.finished_map import FinishedMap
-from specmap_cli.pipelines.kept_map import KeptMap, Said
+from specmap_cli.pipelines.kept_map import KeptMap
 from specmap_cli.pipelines.learning import learn, linked, whole_grid
 from specmap_cli.pipelines.map_joining import Joined
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.verdict import of_layout, quality_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures
+from specmap_cli.topology.borders import fences_of
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import divide
-from specmap_cli.topology.topological_map import TopologicalMap
+
+Judge = Callable[[int], Quality]
 
 
 def remade(
@@ -32,53 +37,73 @@ def remade(
     clock: Stopwatch,
     counts: Mapping[str, int],
 ) -> FinishedMap:
-    """The finished map of keyframes whose layout and submaps are known.
+    """The finished map of keyframes whose layout and submaps are known, with a person's edits.
 
     `counts` are of the messages and scans that were read for it.
     """
     kept = joined.kept
+
+    def judge(beyond: int) -> Quality:
+        evidence = Evidence(
+            trajectory=kept.trajectory,
+            keyframes_ns=store.stamps_ns,
+            breaks=tuple(kept.breaks),
+            layout=kept.layout,
+            audit=joined.audited.audit,
+            beyond=beyond,
+            warnings=(),
+        )
+        return quality_of([*kept.findings, *of_layout(evidence, config.quality)])
+
+    return divided_anew(store, kept, judge, config, progress, clock, counts)
+
+
+def divided_anew(
+    store: KeyframeStore,
+    kept: KeptMap,
+    judge: Judge,
+    config: Config,
+    progress: Progress,
+    clock: Stopwatch,
+    counts: Mapping[str, int],
+) -> FinishedMap:
+    """The finished map of keyframes, with the borders, names and forbidden links of the edits.
+
+    `judge` tells what is thought of a map that so many keyframes did not fit into. Edits that do
+    not apply are noted.
+    """
     with clock.stage("grids"):
         whole, beyond = whole_grid(store, kept.layout, config)
+    edited = drawn(whole, kept.labels, kept.borders, kept.edits, kept.next_id)
+    labels = replace(kept.labels, submaps=edited.submaps)
     features = KeyframeFeatures(store, config.recognition.feature_set)
-    submaps, poses = kept.labels.submaps, kept.layout.poses
-    grids, classifiers = learn(store, features, submaps, poses, config, progress, clock)
-    evidence = Evidence(
-        trajectory=kept.trajectory,
-        keyframes_ns=store.stamps_ns,
-        breaks=tuple(kept.breaks),
-        layout=kept.layout,
-        audit=joined.audited.audit,
-        beyond=beyond,
-        warnings=(),
+    grids, classifiers = learn(
+        store, features, edited.submaps, kept.layout.poses, config, progress, clock
     )
     with clock.stage("ways"):
-        regions = divide(whole, kept.labels)
-        linked_up = linked(kept.labels, kept.stays, kept.breaks, kept.closures, grids, kept.starts)
-        topology = with_ways(linked_up, regions, config.ways, poses)
+        regions = divide(whole, labels, fences_of(edited.borders))
+        bare = linked(labels, kept.stays, kept.breaks, kept.closures, grids, kept.starts)
+        bordered = replace(bare, borders=edited.borders, next_id=edited.next_id)
+        linked_up = with_ways(bordered, regions, config.ways, kept.layout.poses)
+    topology, unapplied = named(linked_up, edited.edits, edited.skipped)
+    tell_unapplied(unapplied, progress)
     return FinishedMap(
-        topology=_named(topology, kept),
-        labels=kept.labels,
+        topology=topology,
+        labels=labels,
         trajectory=kept.trajectory,
         regions=regions,
         classifiers=classifiers,
         layout=kept.layout,
         counts=counts,
         limits={**kept.layout.limits, "max_extent_m": beyond},
-        quality=quality_of([*kept.findings, *of_layout(evidence, config.quality)]),
+        quality=judge(beyond),
         seconds=dict(clock.seconds),
         starts=tuple(np.cumsum([log.scans for log in kept.logs])[:-1].tolist()),
+        edits=written(edited.edits, kept.edits_text),
+        unapplied=unapplied,
     )
 
 
 def added(before: Mapping[str, Any], counts: Mapping[str, int]) -> dict[str, int]:
     """What was counted for a map and for what is added to it, together."""
     return {name: count + int(before.get(name, 0)) for name, count in counts.items()}
-
-
-def _named(topology: TopologicalMap, kept: KeptMap) -> TopologicalMap:
-    """The submaps with what a person said of them."""
-    submaps = {}
-    for id_, submap in topology.submaps.items():
-        said = kept.said.get(id_, Said())
-        submaps[id_] = replace(submap, name=said.name, kind=said.kind, properties=said.properties)
-    return replace(topology, submaps=submaps, next_id=kept.next_id)

@@ -45,7 +45,8 @@ _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
 class UpdateReport:
     """What `update` did: the map directory, its run.json, and which submaps are new.
 
-    `visited` are the ids of the old map's submaps that the recording came to.
+    `visited` are the ids of the old map's submaps that the recording came to; `unapplied` tells
+    which of a person's edits do not apply.
     """
 
     out: Path
@@ -54,6 +55,7 @@ class UpdateReport:
     alignment: Alignment
     visited: tuple[int, ...]
     new: tuple[int, ...]
+    unapplied: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The same for a machine."""
@@ -65,6 +67,7 @@ class UpdateReport:
             "old_from_new": None if motion is None else list(motion),
             "visited": list(self.visited),
             "new": list(self.new),
+            "unapplied": list(self.unapplied),
             "quality": self.run["quality"],
             "warnings": self.run["warnings"],
         }
@@ -123,14 +126,17 @@ def update_map(
         }
         tell(finished.quality, progress)
         write_map(partial, finished.result(joined.kept.logs, run), store)
-    visits = joined.kept.labels.submaps[len(stored.labels.submaps) :]
+    count = len(stored.labels.submaps)
+    before, visits = finished.labels.submaps[:count], finished.labels.submaps[count:]
+    known = set(before.tolist())
     return UpdateReport(
         out=target,
         run=run,
         quality=finished.quality,
         alignment=updated.alignment,
-        visited=tuple(sorted(set(visits.tolist()) & set(stored.ids))),
-        new=tuple(sorted(set(visits.tolist()) - set(stored.ids))),
+        visited=tuple(sorted(set(visits.tolist()) & known)),
+        new=tuple(sorted(set(visits.tolist()) - known)),
+        unapplied=finished.unapplied,
     )
 
 

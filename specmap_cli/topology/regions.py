@@ -6,7 +6,7 @@ cell belongs to the submap from which the robot would reach it first.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.grids.gridmap import BoolArray, GridMap
+from specmap_cli.topology.borders import Line
+from specmap_cli.topology.flooding import drawn, flood
 from specmap_cli.topology.outlines import NOTHING, Outline, outline_of
 
 OwnerArray = NDArray[np.signedinteger[Any]]
@@ -25,7 +27,6 @@ NOBODY = -1
 # Half the width of the gaps that a region goes through, that of a small robot, and how far it goes
 # past the last of them: across a sill, not down the rays of a laser.
 _ROBOT_RADIUS_M, _REACH_M = 0.15, 0.3
-_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +80,12 @@ class Regions:
         return owners
 
 
-def divide(whole: GridMap, labels: Labels) -> Regions:
+def divide(whole: GridMap, labels: Labels, fences: Sequence[Line] = ()) -> Regions:
     """Give each free cell of `whole` to the submap of the keyframe that is nearest on foot.
 
     The keyframes flood the free cells, so that regions are connected and end at walls. Cells that a
-    robot could not get near, such as those seen through a gap or a window, are nobody's.
+    robot could not get near, such as those seen through a gap or a window, are nobody's. No region
+    grows across the `fences`, lines in the map.
     """
     places = whole.cells_of(labels.poses[:, :2])
     inside = whole.inside(places) & (labels.submaps != NO_SUBMAP)
@@ -92,22 +94,9 @@ def divide(whole: GridMap, labels: Labels) -> Regions:
     passable[rows, columns] = True  # where the robot stood, whatever was found there later
     markers = np.zeros(passable.shape, dtype=np.int32)
     markers[rows, columns] = labels.submaps[inside] + 1
-    owner = _flood(passable, markers) - 1
-    owner[~whole.free | ~_reached(whole, markers > 0)] = NOBODY
+    owner = flood(passable, markers, drawn(fences, whole) if fences else None) - 1
+    owner[~whole.free | ~_reached(whole, markers > 0) | (owner < 0)] = NOBODY
     return Regions.of(whole, owner)
-
-
-def _flood(passable: BoolArray, markers: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(H, W) the marker that reaches each cell first.
-
-    The watershed grows all markers a ring at a time over equal cells, and crosses an edge of the
-    picture only when nothing else is left. It leaves lines one cell wide where fronts meet.
-    """
-    picture = np.pad(np.where(passable, np.uint8(0), np.uint8(255)), 1, constant_values=255)
-    flooded = cv2.watershed(cv2.merge([picture] * 3), np.pad(markers, 1))
-    closed = cv2.dilate(flooded.astype(np.float32), _CROSS)  # ids are exact in single precision
-    fronts = (flooded < 0) & (picture == 0)
-    return np.where(fronts, closed, flooded).astype(np.int32)[1:-1, 1:-1]
 
 
 def _reached(whole: GridMap, stood: BoolArray) -> BoolArray:

@@ -10,6 +10,7 @@ from typing import Literal
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import Closure
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.topology.borders import Border
 
 # traversed: the robot drove across; closure: joined by matching grids only; loose: joined by a
 # guess across scans that could not be registered; seen: they touch, but the robot never went from
@@ -50,6 +51,20 @@ class Submap:
     anchor: tuple[float, float] | None = None
     anchor_clearance_m: float | None = None
 
+    @property
+    def given_name(self) -> str:
+        """The name that a person gave it; empty without one."""
+        return "" if self.name == default_name(self.id) else self.name
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What a person said of a submap."""
+
+    name: str = ""
+    kind: SubmapKind | None = None
+    properties: Mapping[str, Property] = field(default_factory=dict)
+
 
 def default_name(submap: int) -> str:
     """What a submap is called until a person gives it a name."""
@@ -73,6 +88,7 @@ class Door:
     `x`, `y` are its middle in the map, `width_m` the clear width from wall to wall, `theta` the
     direction of who goes through it from the first submap to the second. `crossings` are the
     traversals that went through it, in order of time: none for a door that was only seen.
+    `forbidden`: a person said that robots must not go through.
     """
 
     id: int
@@ -82,6 +98,7 @@ class Door:
     theta: float
     between: tuple[int, int]
     crossings: tuple[Traversal, ...] = ()
+    forbidden: bool = False
 
     @property
     def driven(self) -> bool:
@@ -102,7 +119,8 @@ class Edge:
     `traversals` are in order of time. `path` (N, 2), metres of the map, leads from anchor to anchor
     through `doors` (their ids; none in the open) at a clearance of `clearance_m`. It is None when
     the robot is too wide for every way: then `clearance_m` is that of the widest, or None.
-    `doorway` (map frame) and `width_m` are of the first of the doors.
+    `doorway` (map frame) and `width_m` are of the first of the doors. `forbidden`: a person said
+    that robots must not go there.
     """
 
     source: int
@@ -116,6 +134,7 @@ class Edge:
     path: FloatArray | None = None
     length_m: float | None = None
     clearance_m: float | None = None
+    forbidden: bool = False
 
     @property
     def crossing(self) -> tuple[float, float] | None:
@@ -168,8 +187,9 @@ class TopologicalMap:
 
     `stays` are in the order of their numbers, which `closures` use; `breaks` are ascending.
     `next_id` is beyond all ids that were ever given. `doors` are by id; ways keep `robot_radius_m`
-    off what is not free, None where nobody looked for ways. The mappings are not to be changed;
-    `dataclasses.replace` makes another map.
+    off what is not free, None where nobody looked for ways. `said` is what a person said of
+    submaps, and `borders` which ones a person moved, as far as the map shows it. The mappings are
+    not to be changed; `dataclasses.replace` makes another map.
     """
 
     submaps: Mapping[int, Submap] = field(default_factory=dict)
@@ -180,11 +200,15 @@ class TopologicalMap:
     next_id: int = 0
     doors: tuple[Door, ...] = ()
     robot_radius_m: float | None = None
+    said: Mapping[int, Said] = field(default_factory=dict)
+    borders: tuple[Border, ...] = ()
 
     @property
     def joined(self) -> list[tuple[int, int]]:
-        """The pairs of submaps that the robot's way or a closure joins, not only what it saw."""
-        return [pair for pair, edge in self.edges.items() if edge.kind != "seen"]
+        """The pairs of submaps that the robot's way or a closure joins, and nobody forbade."""
+        return [
+            pair for pair, edge in self.edges.items() if edge.kind != "seen" and not edge.forbidden
+        ]
 
 
 @dataclass(frozen=True, slots=True)

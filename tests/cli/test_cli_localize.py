@@ -136,7 +136,7 @@ def test_offline_labels_know_the_whole_log(
     assert run(*line, "-o", tmp_path / "online.csv").code == 0
     assert run(*line, "-o", tmp_path / "offline.csv", "--offline").code == 0
     online, offline = rows(tmp_path / "online.csv"), rows(tmp_path / "offline.csv")
-    filtered = {"filtered_submap", "filtered_probability"}
+    filtered = {"filtered_submap", "name", "filtered_probability"}
     for before, after in zip(online, offline, strict=True):  # what a single scan tells stays
         assert all(before[key] == after[key] for key in before.keys() - filtered)
     # the last scan has no future: its smoothed belief is its filtered one

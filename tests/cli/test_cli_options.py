@@ -28,8 +28,18 @@ WRITERS = {
     "update",
     "compare",
     "merge",
+    "edit",
 }
-SETTLED = READERS | {"segment", "convert", "config", "export", "simulate", "compare", "merge"}
+SETTLED = READERS | {
+    "segment",
+    "convert",
+    "config",
+    "export",
+    "simulate",
+    "compare",
+    "merge",
+    "edit",
+}
 ALL = READERS | WRITERS | {"config"}
 HAVE = {
     "--quiet": ALL,

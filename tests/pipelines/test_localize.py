@@ -201,6 +201,7 @@ class TestReport:
             "raw": {"0": 2, "2": 1, "unknown": 1},
             "filtered": {"0": 1, "2": 2, "unknown": 1},
             "agreement": 0.75,
+            "names": {},
             "warnings": ["a warning"],
         }
 
@@ -212,6 +213,17 @@ class TestReport:
             ["3", "2", "2"],
             ["unknown", "1", "1"],
         ]
+
+    def test_it_calls_submaps_by_the_names_that_a_person_gave(self) -> None:
+        report = replace(labelled([3, None, 4], [None] * 3), names={3: 'Ann\'s "lab", west'})
+        assert [line.split(maxsplit=3) for line in report.lines()[2:]] == [
+            ["3", "1", "1", 'Ann\'s "lab", west'],
+            ["4", "1", "1"],
+            ["unknown", "1", "1"],
+        ]
+        rows = list(csv.DictReader(csv_text(report, True).splitlines()))
+        assert [row["name"] for row in rows] == ['Ann\'s "lab", west', "", "submap 4"]
+        assert report.as_dict()["names"] == {"3": 'Ann\'s "lab", west'}
 
     @pytest.mark.parametrize("with_poses", [False, True])
     def test_its_csv_has_a_line_a_scan(self, with_poses: bool) -> None:

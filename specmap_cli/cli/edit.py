@@ -1,0 +1,185 @@
+"""`specmap edit`: what a person decides about a map."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from specmap_cli.cli.options import Common, Overwrite, Settings, output
+from specmap_cli.cli.pairs import values_of
+from specmap_cli.cli.targets import keep_inputs
+from specmap_cli.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from specmap_cli.pipelines.wishes import Wishes
+
+Map = Annotated[Path, typer.Argument(metavar="MAP", help="Map directory.", show_default=False)]
+Out = Annotated[Path | None, output("Map directory to write; without it MAP itself is changed.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Said:
+    """What is said of submaps."""
+
+    rename: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ID NAME", help='Name a submap; "" takes the name back.'),
+    ] = None
+    kind: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ID KIND", help="Say what it is: room, corridor or hall."),
+    ] = None
+    set_property: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set-property",
+            metavar="ID KEY=VALUE",
+            help="Note something: text, a number, true or false; KEY= takes it back.",
+        ),
+    ] = None
+    forget: Annotated[
+        list[int] | None,
+        typer.Option(metavar="ID", help="Take back name, kind and properties of a submap."),
+    ] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Changed:
+    """What is changed of borders and ways."""
+
+    merge: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ID ID", help="Make the second submap a part of the first."),
+    ] = None
+    split: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ID X1,Y1,X2,Y2",
+            help="Cut a submap along a line; what is right of it, seen from the first point, gets "
+            "a new id.",
+        ),
+    ] = None
+    forbid_door: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ID ID", help="Robots must not go from one to the other."),
+    ] = None
+    at: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="X,Y", help="Place of the forbidden door, once for each --forbid-door."
+        ),
+    ] = None
+    undo: Annotated[
+        list[int] | None,
+        typer.Option(metavar="NUMBER", help="Take back a change by its number in edits.toml."),
+    ] = None
+
+
+def edit(
+    map_: Map,
+    out: Out = None,
+    overwrite: Overwrite = False,
+    *,
+    said: Said,
+    changed: Changed,
+    settings: Settings,
+    common: Common,
+) -> None:
+    """Name submaps, move their borders, forbid doors: by a person's word.
+
+    What is decided is kept in MAP/edits.toml, which may be edited by hand, too: without options the
+    file is made to hold. Updates and rebuilds with --like do so, too. MAP is replaced, complete or
+    not at all; with -o it stays as it is. A map whose borders change is made anew with the settings
+    that it was built with; of those given here only the section `limits` counts.
+
+    \b
+    specmap edit map --rename 3 Kitchen --kind 3 room --set-property 3 floor=2
+    specmap edit map --merge 3 4 --split 5 1.5,2,1.5,6 -o map2
+    specmap edit map --forbid-door 3 5 --at 1.5,2.0
+    """
+    from specmap_cli.maps.store import read_map
+    from specmap_cli.pipelines.edit import edit_map
+
+    wishes = _wishes(said, changed)
+    if out is not None and out.resolve() != map_.resolve():
+        keep_inputs([out], [map_])
+        if map_.resolve() in out.resolve().parents:
+            raise UsageError(f"{out}: is inside the map {map_}: choose another place")
+    stored = read_map(map_, settings.load().limits)
+    with common.progress() as progress:
+        report = edit_map(stored, wishes, out, overwrite=overwrite, progress=progress)
+    common.show(report.as_dict(), report.lines())
+
+
+def _wishes(said: Said, changed: Changed) -> Wishes:
+    """The options as wishes. Raises UsageError for one that cannot be read."""
+    from specmap_cli.pipelines.wishes import Wishes
+
+    properties: dict[int, dict[str, Any]] = {}
+    for id_, assignment in _pairs("--set-property", said.set_property, "ID KEY=VALUE"):
+        key, value = _property(assignment)
+        properties.setdefault(_id("--set-property", id_), {})[key] = value
+    return Wishes(
+        names={_id("--rename", i): name for i, name in _pairs("--rename", said.rename, "ID NAME")},
+        kinds={_id("--kind", i): kind for i, kind in _pairs("--kind", said.kind, "ID KIND")},
+        properties=properties,
+        forget=tuple(said.forget or ()),
+        changes=tuple(_changes(changed)),
+        undo=tuple(changed.undo or ()),
+    )
+
+
+def _changes(changed: Changed) -> Iterator[dict[str, Any]]:
+    """The changes, as in edits.toml: merges, then splits, then forbidden doors."""
+    for ids in _pairs("--merge", changed.merge, "ID ID"):
+        yield {"merge": [_id("--merge", id_) for id_ in ids]}
+    for id_, line in _pairs("--split", changed.split, "ID X1,Y1,X2,Y2"):
+        x1, y1, x2, y2 = _numbers("--split", line, "X1,Y1,X2,Y2")
+        yield {"split": _id("--split", id_), "line": [[x1, y1], [x2, y2]]}
+    doors, places = changed.forbid_door or [], changed.at or []
+    if places and len(places) != len(doors):
+        raise UsageError("--at: give it once for each --forbid-door, or not at all")
+    for number, ids in enumerate(_pairs("--forbid-door", doors, "ID ID")):
+        at = {"at": _numbers("--at", places[number], "X,Y")} if places else {}
+        yield {"forbid": [_id("--forbid-door", id_) for id_ in ids], **at}
+
+
+def _pairs(option: str, given: list[str] | None, names: str) -> Iterator[list[str]]:
+    """The values of each use of an option."""
+    for joined in given or []:
+        yield values_of(option, joined, names)
+
+
+def _id(option: str, text: str) -> int:
+    if not (text.isascii() and text.isdecimal()):
+        raise UsageError(f"{option} {text}: expected the id of a submap, such as 3")
+    return int(text)
+
+
+def _numbers(option: str, text: str, names: str) -> list[float]:
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != len(names.split(",")):
+        raise UsageError(f"{option} {text}: expected {names} in metres, separated by commas")
+    return numbers
+
+
+def _property(assignment: str) -> tuple[str, Any]:
+    """Key and value; a value that is no TOML is text, an empty one takes the property back."""
+    key, separator, text = (part.strip() for part in assignment.partition("="))
+    if not separator or not key:
+        raise UsageError(f"--set-property {assignment}: expected KEY=VALUE, such as floor=2")
+    if not text:
+        return key, None
+    try:
+        found = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return key, text
+    return key, found["value"] if len(found) == 1 else text

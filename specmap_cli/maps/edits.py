@@ -1,0 +1,264 @@
+"""edits.toml: what a person decided about a map, read and checked.
+
+The tables `[submaps.ID]` hold names, kinds and properties; `[[changes]]` are merges, splits and
+forbidden doors, in the order in which they are made. docs/edit.md shows the file.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+)
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.shortage import reason
+from specmap_cli.maps import filenames
+from specmap_cli.maps.schema_values import PropertyValue, Record
+from specmap_cli.maps.tables import read_text
+from specmap_cli.topology.topological_map import SubmapKind
+
+_LONGEST_NAME = 80  # characters: what a badge, a row of a table and a legend can show
+_SHORTEST_LINE_M = 0.1
+_LAST_ID = 999_999_999
+_MOST = 1e9  # metres on the earth, and numbers that stay exact
+_PLAINLY = {
+    "model_type": "must be a table",
+    "dict_type": "must be a table",
+    "tuple_type": "must be tables such as [[changes]]",
+}
+_ADVICE = "correct it, or see docs/edit.md"
+
+
+def _one_line(text: str) -> str:
+    """Refuse a name that could not be shown in a table."""
+    if not text.strip() or text != text.strip() or not text.isprintable():
+        raise ValueError("must be one line of printable characters, not blank at either end")
+    if len(text) > _LONGEST_NAME:
+        raise ValueError(f"must have {_LONGEST_NAME} characters at the most")
+    return text
+
+
+def _value(value: Any) -> Any:
+    """Refuse what is no value of a property."""
+    if isinstance(value, str):
+        if any("\ud800" <= letter <= "\udfff" for letter in value):
+            raise ValueError("must be text that can be written as UTF-8")
+    elif not isinstance(value, bool) and not _is_number(value):
+        raise ValueError(f"must be a string, true, false, or a number up to {_MOST:g}")
+    return value
+
+
+def _by_id(tables: Any) -> Any:
+    """The tables of submaps by number."""
+    if not isinstance(tables, Mapping):
+        raise ValueError("must be tables such as [submaps.3]")
+    for key in tables:
+        if not _is_id(key) and re.fullmatch(r"0|[1-9]\d{0,8}", str(key)) is None:
+            raise ValueError(f"{key!r:.60} is no id of a submap: expected a number, as in 3")
+    return {int(key): table for key, table in tables.items()}
+
+
+def _pair(value: Any) -> Any:
+    """Refuse what are no two submaps."""
+    if not isinstance(value, (list, tuple)) or len(value) != 2 or not all(map(_is_id, value)):
+        raise ValueError("must be the ids of two submaps, as in [3, 4]")
+    if value[0] == value[1]:
+        raise ValueError("must be two different submaps")
+    return value
+
+
+def _place(value: Any) -> Any:
+    """Refuse what is no place in the map."""
+    if not isinstance(value, (list, tuple)) or len(value) != 2 or not all(map(_is_number, value)):
+        raise ValueError("must be a place in metres, as in [1.5, 2.0]")
+    return value
+
+
+def _line(value: Any) -> Any:
+    """Refuse what are no two places with something between them."""
+    if not isinstance(value, (list, tuple)) or len(value) != 2:
+        raise ValueError("must be two places, as in [[1.5, 2.0], [1.5, 6.0]]")
+    one, other = map(_place, value)
+    if math.dist(one, other) < _SHORTEST_LINE_M:
+        raise ValueError(f"must be two places {_SHORTEST_LINE_M:g} m apart or more")
+    return value
+
+
+def _is_id(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _LAST_ID
+
+
+def _is_number(value: Any) -> bool:
+    known = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return known and abs(value) <= _MOST  # false for NaN as well
+
+
+def _id(value: Any) -> Any:
+    """Refuse what cannot be an id of a submap."""
+    if not _is_id(value):
+        raise ValueError("must be the id of a submap, as in 3")
+    return value
+
+
+Id = Annotated[int, BeforeValidator(_id)]
+Place = tuple[float, float]
+Pair = Annotated[tuple[int, int], BeforeValidator(_pair)]
+Spot = Annotated[Place, BeforeValidator(_place)]
+CutLine = Annotated[tuple[Place, Place], BeforeValidator(_line)]
+Name = Annotated[str, AfterValidator(_one_line)]
+Properties = dict[Name, Annotated[PropertyValue, BeforeValidator(_value)]]
+
+
+class SubmapEdit(Record):
+    """What a person said of a submap."""
+
+    name: Name | None = None
+    kind: SubmapKind | None = None
+    properties: Properties = Field(default_factory=dict)
+
+
+class MergeEdit(Record):
+    """The second submap becomes part of the first one."""
+
+    merge: Pair
+
+
+class SplitEdit(Record):
+    """A submap is cut along a line: what is right of it becomes the submap `new`."""
+
+    split: Id
+    line: CutLine
+    new: Id | None = None
+
+
+class ForbidEdit(Record):
+    """Robots must not go from one submap to the other: nowhere, or not at a place."""
+
+    forbid: Pair
+    at: Spot | None = None
+
+
+_KINDS: Mapping[str, type[Record]] = {"merge": MergeEdit, "split": SplitEdit, "forbid": ForbidEdit}
+
+
+def _kind_of(change: Any) -> str | None:
+    """Which of the changes a table is, None for none of them or several."""
+    if isinstance(change, Record):
+        return next(kind for kind, record in _KINDS.items() if isinstance(change, record))
+    found = [kind for kind in _KINDS if isinstance(change, Mapping) and kind in change]
+    return found[0] if len(found) == 1 else None
+
+
+Change = Annotated[
+    Annotated[MergeEdit, Tag("merge")]
+    | Annotated[SplitEdit, Tag("split")]
+    | Annotated[ForbidEdit, Tag("forbid")],
+    Discriminator(
+        _kind_of,
+        custom_error_type="change",
+        custom_error_message="must have one of the keys merge, split and forbid",
+    ),
+]
+
+
+class Edits(Record):
+    """Everything that a person decided about a map."""
+
+    submaps: Annotated[dict[int, SubmapEdit], BeforeValidator(_by_id)] = Field(default_factory=dict)
+    changes: tuple[Change, ...] = ()
+
+    def of(self, submap: int) -> SubmapEdit:
+        """What is said of one submap."""
+        return self.submaps.get(submap, SubmapEdit())
+
+
+def in_words(change: Change) -> str:
+    """A change for a person, as an order."""
+    if isinstance(change, MergeEdit):
+        return f"merge {change.merge[1]} into {change.merge[0]}"
+    if isinstance(change, SplitEdit):
+        (x1, y1), (x2, y2) = change.line
+        made = "" if change.new is None else f", the right of it is {change.new}"
+        return f"split {change.split} from {x1:g}, {y1:g} to {x2:g}, {y2:g}{made}"
+    where = "" if change.at is None else f" at {change.at[0]:g}, {change.at[1]:g}"
+    return f"forbid the way between {change.forbid[0]} and {change.forbid[1]}{where}"
+
+
+def read_edits(directory: Path, limits: LimitsConfig | None = None) -> Edits:
+    """The edits.toml of a map directory, without any where there is none.
+
+    Raises MapError in one line.
+    """
+    return edits_of(edits_text(directory, limits), directory / filenames.EDITS)
+
+
+def edits_text(directory: Path, limits: LimitsConfig | None = None) -> str:
+    """The text of the edits.toml of a map directory; empty where there is none."""
+    path = directory / filenames.EDITS
+    try:
+        return read_text(path, limits)
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read: {reason(error)}") from None
+    except UnicodeDecodeError:
+        raise MapError(f"{path}: not UTF-8 text: save it as UTF-8") from None
+
+
+def edits_of(text: str, path: Path) -> Edits:
+    """The edits in a text; `path` is to blame. Raises MapError in one line."""
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise MapError(f"{path}: not valid TOML: {error}: {_ADVICE}") from None
+    except RecursionError:
+        raise MapError(f"{path}: nested too deeply: {_ADVICE}") from None
+    except ValueError:  # Python reads no integer of thousands of digits
+        raise MapError(f"{path}: a number of too many digits: {_ADVICE}") from None
+    return checked(document, f"{path}: ")
+
+
+def checked(document: Mapping[str, Any], where: str, advice: str = _ADVICE) -> Edits:
+    """The edits in a document; MapError of `where`, what is wrong and an `advice` otherwise."""
+    try:
+        return Edits.model_validate(document)
+    except ValidationError as error:
+        raise MapError(f"{where}{_complaint(error.errors()[0])}: {advice}") from None
+
+
+def _complaint(finding: Mapping[str, Any]) -> str:
+    """One finding of a validation: the key, what is wrong, what was found."""
+    keys, known = _key_of(finding["loc"])
+    if finding["type"] == "extra_forbidden":
+        near = difflib.get_close_matches(keys.rpartition(".")[2], known, 1)
+        hint = f"did you mean {near[0]}?" if near else f"expected {', '.join(known)}"
+        return f"{keys}: no such key, {hint}"
+    if finding["type"] == "missing":
+        return f"{keys}: is missing"
+    told = _PLAINLY.get(finding["type"], str(finding["msg"]).removeprefix("Value error, "))
+    return f"{keys}: {told}, found {finding['input']!r:.60}"
+
+
+def _key_of(loc: tuple[int | str, ...]) -> tuple[str, list[str]]:
+    """A key as a person finds it, and the keys that stand beside it: changes count from 1."""
+    if loc[0] != "changes" or len(loc) < 2:
+        beside = SubmapEdit if len(loc) > 1 else Edits
+        return ".".join(str(part) for part in loc), list(beside.model_fields)
+    number = f"changes, number {int(loc[1]) + 1}"
+    if len(loc) < 4:
+        return number, []
+    return f"{number}: {loc[3]}", list(_KINDS[str(loc[2])].model_fields)

@@ -1,0 +1,79 @@
+"""What a person asks to be edited, added to what was decided before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.text import counted
+from specmap_cli.maps.edits import Edits, SubmapEdit, checked
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wishes:
+    """Edits to be made: of submaps by id, then `changes` as in edits.toml, in order.
+
+    A name that is empty, and a property that is None, are taken back; `forget` are submaps of which
+    all is taken back. `undo` are numbers of changes that were made before, from 1.
+    """
+
+    names: Mapping[int, str] = field(default_factory=dict)
+    kinds: Mapping[int, str] = field(default_factory=dict)
+    properties: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+    forget: tuple[int, ...] = ()
+    changes: tuple[Mapping[str, Any], ...] = ()
+    undo: tuple[int, ...] = ()
+
+    @property
+    def submaps(self) -> list[int]:
+        """The submaps of which something is said, ascending."""
+        return sorted({*self.names, *self.kinds, *self.properties})
+
+
+def with_wishes(edits: Edits, wishes: Wishes) -> Edits:
+    """The edits with what is asked for. Raises UsageError for what can be no edit."""
+    submaps: dict[int, Any] = {
+        id_: edit.model_dump() for id_, edit in edits.submaps.items() if id_ not in wishes.forget
+    }
+    for id_ in wishes.submaps:
+        submaps[id_] = _said(submaps.get(id_, {}), id_, wishes)
+    changes = [*_not_undone(edits, wishes.undo), *wishes.changes]
+    found = _checked({"submaps": submaps, "changes": changes})
+    said = {id_: edit for id_, edit in found.submaps.items() if edit != SubmapEdit()}
+    return found.model_copy(update={"submaps": said})
+
+
+def _said(before: Mapping[str, Any], id_: int, wishes: Wishes) -> dict[str, Any]:
+    """What is said of one submap."""
+    properties = {**before.get("properties", {}), **wishes.properties.get(id_, {})}
+    said = {
+        **before,
+        "properties": {key: value for key, value in properties.items() if value is not None},
+    }
+    if id_ in wishes.names:
+        said["name"] = wishes.names[id_] or None
+    if id_ in wishes.kinds:
+        said["kind"] = wishes.kinds[id_]
+    return said
+
+
+def _not_undone(edits: Edits, undo: tuple[int, ...]) -> list[Any]:
+    """The changes that stay."""
+    for number in undo:
+        if not 1 <= number <= len(edits.changes):
+            known = counted(len(edits.changes), "change")
+            raise UsageError(f"--undo {number}: there is no such change: edits.toml has {known}")
+    return [
+        change.model_dump()
+        for number, change in enumerate(edits.changes, start=1)
+        if number not in undo
+    ]
+
+
+def _checked(document: Mapping[str, Any]) -> Edits:
+    try:
+        return checked(document, "edit: ", "see `specmap edit --help`")
+    except MapError as error:
+        raise UsageError(str(error)) from None

@@ -1,0 +1,152 @@
+"""Submaps with the borders that a person wants: merges and splits made, and undone.
+
+They are made in order, and undone in the opposite one: what a map keeps of them is enough to find
+the submaps as they were before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import IntArray, Labels
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.topology.borders import Border, Merge, Split, bare, fences_of
+from specmap_cli.topology.fences import fence_of, is_right_of
+from specmap_cli.topology.regions import divide
+
+
+@dataclass(frozen=True, slots=True)
+class Redrawn:
+    """Keyframes after all borders that could be made: `submaps` (n,) and the `borders` made.
+
+    `skipped` says, by place in the list that was wished, why the others could not.
+    """
+
+    submaps: IntArray
+    borders: tuple[Border, ...]
+    next_id: int
+    skipped: Mapping[int, str] = field(default_factory=dict)
+
+
+def redrawn(
+    whole: GridMap,
+    labels: Labels,
+    borders: Sequence[Border],
+    wished: Sequence[Border],
+    next_id: int,
+) -> Redrawn:
+    """Make the borders that are `wished`, in order, instead of those that the labels have.
+
+    What has not changed keeps its keyframes. `next_id` and what follows it are ids that no submap
+    ever had: splits without an id get one of these.
+    """
+    if [bare(border) for border in borders] == list(wished):
+        return Redrawn(labels.submaps, tuple(borders), next_id)
+    before = undone(labels.submaps, labels.poses, borders)
+    taken = [border.new for border in wished if isinstance(border, Split)]
+    free = max([next_id, *(1 + new for new in taken if new is not None)])
+    state = Redrawn(before, (), free)
+    for place, border in enumerate(wished):
+        made = _made(whole, labels, state, border)
+        if isinstance(made, str):
+            state = replace(state, skipped={**state.skipped, place: made})
+        else:
+            state = made
+    if [bare(border) for border in borders] == [bare(border) for border in state.borders]:
+        return replace(state, submaps=labels.submaps, borders=tuple(borders))
+    return state
+
+
+def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[Border]) -> IntArray:
+    """The submap (n,) of each keyframe before the `borders` were made; `poses` (n, 3).
+
+    Keyframes that came after a merge go to the submap of the keyframe nearest to them.
+    """
+    before = submaps.copy()
+    for border in reversed(borders):
+        if isinstance(border, Split):
+            before[before == border.new] = border.submap
+        else:
+            before = _parted(before, poses, border)
+    return before
+
+
+def carried(borders: Sequence[Border], old: FloatArray, new: FloatArray) -> tuple[Border, ...]:
+    """The borders of a map with keyframes `old` (n, 3) for one of `new` (m, 3) in the same frame.
+
+    What came with a merge is what is nearest to the old keyframes that came with it.
+    """
+    nearest = cKDTree(old[:, :2]).query(new[:, :2])[1]
+    return tuple(
+        border
+        if isinstance(border, Split)
+        else replace(
+            border,
+            keyframes=tuple(np.flatnonzero(np.isin(nearest, border.keyframes)).tolist()),
+            known=len(new),
+        )
+        for border in borders
+    )
+
+
+def _parted(submaps: IntArray, poses: FloatArray, merge: Merge) -> IntArray:
+    """The keyframes before a merge."""
+    parted = submaps.copy()
+    came = np.array(merge.keyframes, dtype=np.int64)
+    parted[came[submaps[came] == merge.kept]] = merge.gone
+    number = np.arange(len(parted))
+    later = np.flatnonzero((number >= merge.known) & (submaps == merge.kept))
+    own = np.flatnonzero((number < merge.known) & np.isin(parted, (merge.kept, merge.gone)))
+    if len(later) and len(own):
+        nearest = cKDTree(poses[own, :2]).query(poses[later, :2])[1]
+        parted[later] = parted[own[nearest]]
+    return parted
+
+
+def _made(whole: GridMap, labels: Labels, state: Redrawn, border: Border) -> Redrawn | str:
+    """The keyframes with one border more, or why it cannot be made."""
+    if isinstance(border, Merge):
+        return _merged(state, border)
+    return _split(whole, labels, state, border)
+
+
+def _merged(state: Redrawn, border: Merge) -> Redrawn | str:
+    for id_ in (border.kept, border.gone):
+        if not (state.submaps == id_).any():
+            return f"there is no submap {id_}"
+    own = np.flatnonzero(state.submaps == border.gone)
+    submaps = state.submaps.copy()
+    submaps[own] = border.kept
+    made = replace(border, keyframes=tuple(own.tolist()), known=len(submaps))
+    return replace(state, submaps=submaps, borders=(*state.borders, made))
+
+
+def _split(whole: GridMap, labels: Labels, state: Redrawn, border: Split) -> Redrawn | str:
+    own = np.flatnonzero(state.submaps == border.submap)
+    if not len(own):
+        return f"there is no submap {border.submap}"
+    new = state.next_id if border.new is None else border.new
+    if (state.submaps == new).any():
+        return f"submap {new} exists already"
+    regions = divide(whole, replace(labels, submaps=state.submaps), fences=fences_of(state.borders))
+    mine = regions.owner == border.submap
+    fence = fence_of(mine, whole, border.line)
+    if fence is None:
+        return f"the line does not cross submap {border.submap}"
+    right = is_right_of(fence, mine, whole, labels.poses[own])
+    if right.all() or not right.any():
+        return f"the robot was on one side of the line only in submap {border.submap}"
+    submaps = state.submaps.copy()
+    submaps[own[right]] = new
+    made = replace(border, new=new, fence=fence)
+    return replace(
+        state,
+        submaps=submaps,
+        borders=(*state.borders, made),
+        next_id=max(state.next_id, 1 + new),
+    )
