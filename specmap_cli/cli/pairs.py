@@ -6,6 +6,8 @@ an option whose metavar has two words takes as many values; the command gets the
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
+from itertools import takewhile
 from typing import Any
 
 from typer.core import TyperCommand
@@ -20,13 +22,14 @@ class JoinedCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments."""
+        options = {option for parameter in self.params for option in parameter.opts}
         several = {
             option: len(metavar.split())
             for parameter in self.params
             for option in parameter.opts
             if option.startswith("-") and " " in (metavar := parameter.metavar or "")
         }
-        return super().parse_args(ctx, _joined(args, several))
+        return super().parse_args(ctx, _joined(args, several, options))
 
 
 def values_of(option: str, joined: str, names: str) -> list[str]:
@@ -37,8 +40,8 @@ def values_of(option: str, joined: str, names: str) -> list[str]:
     return values
 
 
-def _joined(args: list[str], several: dict[str, int]) -> list[str]:
-    """The arguments, those that belong to one use of an option joined."""
+def _joined(args: list[str], several: Mapping[str, int], options: Collection[str]) -> list[str]:
+    """The arguments, those that belong to one use of an option joined; another option ends them."""
     joined: list[str] = []
     rest = list(args)
     while rest:
@@ -46,9 +49,8 @@ def _joined(args: list[str], several: dict[str, int]) -> list[str]:
         joined.append(word)
         if word == "--":
             return [*joined, *rest]
-        count = several.get(word, 0)
-        values = rest[:count]
-        if count and not any(value in several or value.startswith("--") for value in values[1:]):
+        values = list(takewhile(lambda value: value not in options, rest[: several.get(word, 0)]))
+        if values:
             del rest[: len(values)]
-            joined += [_JOINT.join(values)] if values else []
+            joined.append(_JOINT.join(values))
     return joined

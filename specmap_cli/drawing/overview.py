@@ -103,8 +103,9 @@ def _much_unreached(regions: Regions) -> bool:
 
 
 def _forbids(topology: TopologicalMap) -> bool:
-    """Whether a person forbade any link."""
-    return any(each.forbidden for each in (*topology.edges.values(), *topology.doors))
+    """Whether a person forbade any link or door."""
+    links = any(edge.forbidden for edge in topology.edges.values())
+    return links or any(door.forbidden for door in topology.doors)
 
 
 def _draw_path(sheet: Sheet, places: FloatArray) -> None:

@@ -42,8 +42,9 @@ def is_right_of(fence: Line, mine: BoolArray, grid: GridMap, places: FloatArray)
     sides = flood(mine, markers, barrier)
     sides[~mine | (sides < _LEFT)] = NOBODY
     found = Regions(grid, sides, {}).owners(places)
-    straight = beside(places[:, :2], fence)[1] < 0.0
-    return np.where(found == NOBODY, straight, found == _RIGHT)
+    along, across, _ = beside(places[:, :2], fence)
+    close = (np.abs(across) <= _BESIDE * grid.resolution) & (along >= 0.0) & (along <= length)
+    return np.where(close | (found == NOBODY), across < 0.0, found == _RIGHT)
 
 
 def _moved_on(

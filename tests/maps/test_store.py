@@ -34,7 +34,14 @@ def edit(path: Path, **changes: Any) -> None:
 def door(id_: int, other: int) -> dict[str, Any]:
     """A door between submap 0 and another."""
     place = {"x": 0.0, "y": 0.0, "theta": 0.0, "width_m": 0.9}
-    return {"id": id_, "between": [0, other], "crossings": [], "driven": False, **place}
+    return {
+        "id": id_,
+        "between": [0, other],
+        "crossings": [],
+        "driven": False,
+        "forbidden": False,
+        **place,
+    }
 
 
 def test_there_and_back(stored: Path, result: MapResult) -> None:

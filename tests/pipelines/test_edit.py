@@ -1,0 +1,332 @@
+"""A person's word about a map: applied, kept, undone, and still there after an update."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from specmap_cli import build_map, read_map
+from specmap_cli.core.config import load_config
+from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.progress import Silent
+from specmap_cli.exports.table import export_map
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.pipelines.edit import EditReport, edit_map
+from specmap_cli.pipelines.likeness import build_like
+from specmap_cli.pipelines.segment import segment_map
+from specmap_cli.pipelines.simulate import simulate
+from specmap_cli.pipelines.update import update_map
+from specmap_cli.pipelines.wishes import Wishes
+from specmap_cli.simulation.simulator import SimulationOptions
+from tests.conftest import SAMPLE_LOGS
+
+QUICK = load_config(
+    None, None, {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
+)
+LAYOUT = ("keyframes.mcap", "trajectory.tum", "trajectory.g2o")
+
+
+class Notes(Silent):
+    """Remembers what is noted."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def note(self, message: str) -> None:
+        self.lines.append(message)
+
+
+@dataclass(frozen=True)
+class Built:
+    """A map of the flat, and another recording of it."""
+
+    map: Path
+    again: Path
+    corridor: int
+    rooms: tuple[int, ...]
+
+
+@pytest.fixture(scope="module")
+def built(
+    flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
+) -> Built:
+    folder = tmp_path_factory.mktemp("edit")
+    once = flat_options.model_copy(update={"laps": 1})
+    again = once.model_copy(update={"seed": 8, "spacing_m": 1.2})
+    first = simulate(flat, once, folder / "first.mcap")
+    second = simulate(flat, again, folder / "second.mcap")
+    build_map(first.log, folder / "map", QUICK)
+    record = read_map(folder / "map").record
+    ends = [end for edge in record.edges for end in (edge.source, edge.target)]
+    corridor = max(set(ends), key=ends.count)
+    rooms = tuple(node.id for node in record.nodes if node.id != corridor)
+    return Built(folder / "map", second.log, corridor, rooms)
+
+
+@pytest.fixture
+def own(built: Built, tmp_path: Path) -> Path:
+    """A copy of the map."""
+    return Path(shutil.copytree(built.map, tmp_path / "own"))
+
+
+def line_across(stored: StoredMap, submap: int) -> list[list[float]]:
+    """A line across a submap, through the middle keyframe of the way in it."""
+    poses = stored.labels.poses[stored.labels.submaps == submap]
+    place, theta = poses[len(poses) // 2, :2], float(poses[len(poses) // 2, 2])
+    aside = 0.3 * np.array([-np.sin(theta), np.cos(theta)])
+    return [(place + aside).tolist(), (place - aside).tolist()]
+
+
+def split(stored: StoredMap, submap: int) -> dict[str, Any]:
+    return {"split": submap, "line": line_across(stored, submap)}
+
+
+def bytes_of(directory: Path, name: str) -> bytes:
+    return (directory / name).read_bytes()
+
+
+class TestNames:
+    """Names, kinds and properties: at once, and nothing else changes."""
+
+    def test_they_are_in_the_map_and_in_the_file(self, built: Built, own: Path) -> None:
+        room = built.rooms[0]
+        (own / "notes.txt").write_text("mine", encoding="utf-8")
+        (own / "keyframes.mcap").unlink()  # nothing needs them
+        wishes = Wishes(
+            names={room: "Küche"}, kinds={room: "hall"}, properties={room: {"floor": 2, "to": None}}
+        )
+        report = edit_map(own, wishes)
+        assert not report.remade
+        node = read_map(own).record.nodes[room]
+        assert (node.name, node.kind, node.properties) == ("Küche", "hall", {"floor": 2})
+        changed = {"topology.json", "overview.png", "edits.toml"}
+        for path in own.rglob("*"):
+            name = str(path.relative_to(own))
+            if path.is_file() and name not in changed | {"notes.txt"}:
+                assert path.read_bytes() == bytes_of(built.map, name), name
+        assert (own / "notes.txt").read_text(encoding="utf-8") == "mine"
+        assert bytes_of(own, "overview.png") != bytes_of(built.map, "overview.png")
+        assert f"  submap {room}: Küche, hall, floor=2" in report.lines()
+
+    def test_taken_back_the_map_is_as_before(self, built: Built, own: Path) -> None:
+        room = built.rooms[0]
+        edit_map(own)
+        picture = bytes_of(own, "overview.png")
+        edit_map(own, Wishes(names={room: "Küche"}, kinds={room: "hall"}))
+        edit_map(own, Wishes(names={room: ""}))
+        assert read_map(own).record.nodes[room].name == f"submap {room}"
+        edit_map(own, Wishes(forget=(room,)))
+        assert bytes_of(own, "topology.json") == bytes_of(built.map, "topology.json")
+        assert bytes_of(own, "overview.png") == picture
+
+    def test_a_file_edited_by_hand_is_applied(self, built: Built, own: Path) -> None:
+        text = f"# by Ann\n[submaps.{built.rooms[1]}]\nname='Lab' # ours\n"
+        (own / "edits.toml").write_text(text, encoding="utf-8")
+        edit_map(own)
+        assert read_map(own).names == {built.rooms[1]: "Lab"}
+        assert (own / "edits.toml").read_text(encoding="utf-8") == text
+        (own / "edits.toml").write_text("", encoding="utf-8")
+        edit_map(own)
+        assert read_map(own).names == {}
+
+    def test_a_name_written_into_topology_json_is_a_person_s(self, own: Path) -> None:
+        document = json.loads((own / "topology.json").read_text(encoding="utf-8"))
+        document["nodes"][0] |= {"name": "Hall", "properties": {"floor": 2}}
+        (own / "topology.json").write_text(json.dumps(document), encoding="utf-8")
+        report = edit_map(own, Wishes(names={1: "Lab"}))
+        assert read_map(own).names == {0: "Hall", 1: "Lab"}
+        assert report.edits.of(0).properties == {"floor": 2}
+
+    def test_edits_that_the_map_shows_must_not_be_lost_unsaid(self, own: Path) -> None:
+        edit_map(own, Wishes(names={0: "Hall"}))
+        (own / "edits.toml").unlink()
+        with pytest.raises(MapError, match=r"edits\.toml: is missing, but the map shows edits"):
+            edit_map(own, Wishes(names={1: "Lab"}))
+
+    def test_a_finished_grid_has_names_and_forbidden_doors(self, tmp_path: Path) -> None:
+        segment_map(SAMPLE_LOGS / "office.yaml", tmp_path / "seg", QUICK)
+        stored = read_map(tmp_path / "seg")
+        edge = stored.record.edges[0]
+        picture = bytes_of(tmp_path / "seg", "overview.png")
+        pair = [edge.source, edge.target]
+        report = edit_map(stored, Wishes(names={0: "Lab"}, changes=({"forbid": pair},)))
+        assert report.forbidden == (tuple(pair),)
+        assert read_map(tmp_path / "seg").names == {0: "Lab"}
+        assert bytes_of(tmp_path / "seg", "overview.png") != picture
+        with pytest.raises(MapError, match=r"has no keyframes\.mcap: merges and splits need"):
+            edit_map(tmp_path / "seg", Wishes(changes=({"merge": pair},)))
+
+
+class TestBorders:
+    """Merges and splits: grids, classifiers, regions and links are new, the layout is not."""
+
+    def test_a_merge(self, built: Built, own: Path) -> None:
+        room = built.rooms[0]
+        report = edit_map(own, Wishes(changes=({"merge": [built.corridor, room]},)))
+        before, stored = read_map(built.map), read_map(own)
+        assert report.remade
+        assert stored.ids == sorted({built.corridor, *built.rooms[1:]})
+        assert stored.topology.next_id == before.topology.next_id
+        areas = {node.id: node.area_m2 for node in before.record.nodes}
+        merged = next(n for n in stored.record.nodes if n.id == built.corridor)
+        assert merged.area_m2 == pytest.approx(areas[built.corridor] + areas[room], abs=0.5)
+        assert json.loads(stored.classifiers)["schema_version"] >= 1
+        for name in LAYOUT:
+            assert bytes_of(own, name) == bytes_of(built.map, name)
+        assert stored.run["counts"]["submaps"] == len(stored.ids)
+
+    def test_a_split_follows_its_line(self, built: Built, own: Path) -> None:
+        before = read_map(built.map)
+        wish = split(before, built.corridor)
+        edit_map(own, Wishes(changes=(wish,), names={built.rooms[0]: "Lab"}))
+        stored = read_map(own)
+        new = before.topology.next_id
+        assert set(stored.ids) == {*before.ids, new}
+        assert f"new = {new}" in (own / "edits.toml").read_text(encoding="utf-8")
+        (x, y), (x2, y2) = wish["line"]
+        length = float(np.hypot(x2 - x, y2 - y))
+        for id_, side in ((built.corridor, 1.0), (new, -1.0)):
+            cells = np.argwhere(stored.regions.owner == id_)
+            places = stored.map_grid.centres_of(cells)
+            left = (x2 - x) * (places[:, 1] - y) - (y2 - y) * (places[:, 0] - x)
+            assert (side * left / length > -0.15).mean() > 0.98
+        pair = (min(new, built.corridor), max(new, built.corridor))
+        assert pair in stored.topology.edges
+
+    def test_undone_the_map_is_as_before(self, built: Built, own: Path) -> None:
+        stored = read_map(built.map)
+        changes = ({"merge": [built.corridor, built.rooms[0]]}, split(stored, built.corridor))
+        edit_map(own, Wishes(changes=changes))
+        edit_map(own, Wishes(undo=(1, 2)))
+        back = read_map(own)
+        assert back.labels.submaps.tolist() == stored.labels.submaps.tolist()
+        assert back.regions.owner.tolist() == stored.regions.owner.tolist()
+        assert back.topology.next_id == stored.topology.next_id + 1  # an id is given once
+
+    def test_the_map_stays_when_a_wish_does_not_apply(self, built: Built, own: Path) -> None:
+        before = {path.name: path.read_bytes() for path in own.iterdir() if path.is_file()}
+        for wishes, complaint in (
+            (
+                Wishes(changes=({"merge": [0, 99]},)),
+                "cannot merge 99 into 0: there is no submap 99",
+            ),
+            (
+                Wishes(changes=({"split": 0, "line": [[90, 90], [91, 91]]},)),
+                "the line does not cross submap 0",
+            ),
+            (Wishes(changes=({"forbid": list(built.rooms[:2])},)), "there is no link between"),
+            (Wishes(names={99: "x"}), "there is no submap 99 to name or to describe"),
+            (Wishes(names={0: " x"}), "must be one line of printable characters"),
+            (Wishes(kinds={0: "cellar"}), "Input should be 'room', 'corridor' or 'hall'"),
+            (Wishes(undo=(1,)), "--undo 1: there is no such change: edits.toml has 0 changes"),
+        ):
+            with pytest.raises(UsageError, match=complaint):
+                edit_map(own, wishes)
+        after = {path.name: path.read_bytes() for path in own.iterdir() if path.is_file()}
+        assert after == before
+
+    def test_what_no_longer_applies_is_told_and_kept(self, own: Path) -> None:
+        text = "[submaps.99]\nname = 'Attic'\n[[changes]]\nmerge = [0, 99]\n"
+        (own / "edits.toml").write_text(text, encoding="utf-8")
+        notes = Notes()
+        report = edit_map(own, Wishes(names={0: "Lab"}), progress=notes)
+        assert report.unapplied == (
+            "submaps.99: there is no submap 99",
+            "changes, number 1: there is no submap 99",
+        )
+        assert notes.lines == [f"edits.toml: not applied: {line}" for line in report.unapplied]
+        assert "'Attic'" in (own / "edits.toml").read_text(encoding="utf-8")
+        assert "  not applied: submaps.99: there is no submap 99" in report.lines()
+
+
+class TestForbiddenDoors:
+    """The link stays in the map, and nobody goes there."""
+
+    @pytest.fixture
+    def shut(self, built: Built, own: Path) -> EditReport:
+        return edit_map(own, Wishes(changes=({"forbid": [built.rooms[0], built.corridor]},)))
+
+    def test_the_link_and_its_doors_are_marked(self, built: Built, shut: EditReport) -> None:
+        pair = tuple(sorted((built.rooms[0], built.corridor)))
+        stored = read_map(shut.out)
+        assert shut.forbidden == (pair,)
+        assert not shut.remade
+        edges = {(edge.source, edge.target): edge.forbidden for edge in stored.record.edges}
+        assert [key for key, forbidden in edges.items() if forbidden] == [pair]
+        for door in stored.record.graph.doors:
+            assert door.forbidden == (door.between == pair)
+        assert pair not in stored.topology.joined
+
+    def test_exports_say_it(self, shut: EditReport, tmp_path: Path) -> None:
+        for name, word in (("geojson", '"forbidden": true'), ("graphml", "forbidden")):
+            export_map(read_map(shut.out), name, tmp_path / name)
+            assert word in (tmp_path / name).read_text(encoding="utf-8")
+
+    def test_a_place_chooses_the_door(self, built: Built, own: Path) -> None:
+        pair = [built.rooms[0], built.corridor]
+        edge = read_map(own).topology.edges[min(pair), max(pair)]
+        assert edge.crossing is not None
+        x, y = edge.crossing
+        far = Wishes(changes=({"forbid": pair, "at": [x + 5.0, y]},))
+        with pytest.raises(UsageError, match=r"no door between the two is within 2 m of"):
+            edit_map(own, far)
+        near = Wishes(changes=({"forbid": pair, "at": [x + 0.2, y]},))
+        assert edit_map(own, near).forbidden == ((min(pair), max(pair)),)
+
+    def test_it_holds_for_what_the_submaps_become(self, built: Built, shut: EditReport) -> None:
+        room, other = built.rooms[:2]
+        report = edit_map(shut.out, Wishes(changes=({"merge": [other, room]},)))
+        assert report.forbidden == (tuple(sorted((other, built.corridor))),)
+
+
+Rebuilt = Callable[[Path, Path, Path], Any]
+
+
+@pytest.mark.parametrize(
+    "rebuilt",
+    [
+        lambda old, log, out: update_map(old, log, out, QUICK),
+        lambda old, log, out: build_like(log, old, out, QUICK),
+    ],
+    ids=["update", "build --like"],
+)
+def test_edits_survive_another_recording(
+    built: Built, own: Path, tmp_path: Path, rebuilt: Rebuilt
+) -> None:
+    before = read_map(own)
+    room, other = built.rooms[:2]
+    wishes = Wishes(
+        names={room: "Küche"},
+        kinds={room: "hall"},
+        properties={room: {"floor": 2}},
+        changes=(split(before, built.corridor), {"forbid": [room, built.corridor]}),
+    )
+    made = edit_map(own, wishes)
+    text = (own / "edits.toml").read_text(encoding="utf-8")
+    (own / "edits.toml").write_text(f"# by Ann\n{text}\n[submaps.99]\nname = 'Attic'\n", "utf-8")
+    rebuilt(own, built.again, tmp_path / "new")
+    stored, edited = read_map(tmp_path / "new"), read_map(own)
+    submap = stored.topology.submaps[room]
+    assert (submap.name, submap.kind, dict(submap.properties)) == ("Küche", "hall", {"floor": 2})
+    assert set(stored.ids) == set(edited.ids)
+    assert {pair for pair, edge in stored.topology.edges.items() if edge.forbidden} >= set(
+        made.forbidden
+    )
+    kept = (tmp_path / "new" / "edits.toml").read_text(encoding="utf-8")
+    assert kept.startswith("# by Ann\n")
+    assert "'Attic'" in kept
+    new = before.topology.next_id
+    cells = np.argwhere(edited.regions.owner == new)
+    there = stored.regions.owners(edited.map_grid.centres_of(cells))
+    assert (there == new).mean() > 0.9
+    undone = edit_map(stored, Wishes(undo=(1,)), tmp_path / "undone")
+    assert new not in undone.names
+    assert other in undone.names
