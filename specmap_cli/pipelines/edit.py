@@ -109,6 +109,8 @@ def edit_map(
     stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"), limits)
     if config is not None:
         instance_of(config, Config, "config")
+    if stored.note:
+        progress.note(stored.note)
     target = stored.path if out is None else path_of(out, "out")
     in_place = os.path.realpath(target) == os.path.realpath(stored.path)
     found = _drawn(stored, with_wishes(edits_of_stored(stored), wishes))

@@ -54,7 +54,8 @@ def test_a_split_gives_what_is_right_of_the_line_a_new_id() -> None:
     assert split.new == 2
     assert split.fence is not None
     (_, top), (_, bottom) = split.fence
-    assert (top, bottom) == (pytest.approx(2.0, abs=0.11), pytest.approx(0.0, abs=0.11))
+    assert top == pytest.approx(2.0, abs=0.11)
+    assert bottom == pytest.approx(0.0, abs=0.11)
     turned, _ = after(Split(0, ACROSS[::-1]))
     assert (turned == 2).tolist() == ((x > 2.0) & (x < 4.05)).tolist()
 
