@@ -95,7 +95,7 @@ def alike(old: Seen, surveyed: Survey, old_from_new: Pose2, config: Config) -> J
         logs=kept.logs,
         findings=tuple(moved_finding(one, old_from_new) for one in kept.findings),
         next_id=max(old.kept.next_id, 1 + int(submaps.max())),
-        edits=edits_of_both(old.kept, kept, submaps),
+        edits=edits_of_both(old.kept, kept, submaps, old_from_new),
         edits_text=old.kept.edits_text,
         borders=carried(old.kept.borders, old.kept.labels.poses, layout.poses),
     )

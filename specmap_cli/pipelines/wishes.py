@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.text import counted
-from specmap_cli.maps.edits import Edits, SubmapEdit, checked
+from specmap_cli.maps.edits import (
+    Change,
+    Edits,
+    ForbidEdit,
+    MergeEdit,
+    SplitEdit,
+    SubmapEdit,
+    checked,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +47,8 @@ def with_wishes(edits: Edits, wishes: Wishes) -> Edits:
     }
     for id_ in wishes.submaps:
         submaps[id_] = _said(submaps.get(id_, {}), id_, wishes)
-    changes = [*_not_undone(edits, wishes.undo), *wishes.changes]
+    stay = [change.model_dump() for change in _not_undone(edits, wishes.undo)]
+    changes = [*stay, *wishes.changes]
     found = _checked({"submaps": submaps, "changes": changes})
     said = {id_: edit for id_, edit in found.submaps.items() if edit != SubmapEdit()}
     return found.model_copy(update={"submaps": said})
@@ -59,17 +68,31 @@ def _said(before: Mapping[str, Any], id_: int, wishes: Wishes) -> dict[str, Any]
     return said
 
 
-def _not_undone(edits: Edits, undo: tuple[int, ...]) -> list[Any]:
-    """The changes that stay."""
+def _not_undone(edits: Edits, undo: Collection[int]) -> list[Change]:
+    """The changes that stay. A door that was forbidden in a part stays so in what the part was."""
     for number in undo:
         if not 1 <= number <= len(edits.changes):
             known = counted(len(edits.changes), "change")
             raise UsageError(f"--undo {number}: there is no such change: edits.toml has {known}")
-    return [
-        change.model_dump()
-        for number, change in enumerate(edits.changes, start=1)
-        if number not in undo
-    ]
+    kept: list[Change] = []
+    was: dict[int, tuple[int, ...]] = {}
+    for number, change in enumerate(edits.changes, start=1):
+        if number not in undo:
+            kept += _renamed(change, was)
+        elif isinstance(change, SplitEdit) and change.new is not None:
+            was[change.new] = (change.split,)
+        elif isinstance(change, MergeEdit):
+            was[change.merge[0]] = change.merge
+    return kept
+
+
+def _renamed(change: Change, was: Mapping[int, tuple[int, ...]]) -> list[Change]:
+    """A change that stays when others before it are undone, where it forbids a door."""
+    if not isinstance(change, ForbidEdit):
+        return [change]
+    one, other = (was.get(end, (end,)) for end in change.forbid)
+    pairs = [(a, b) for a in one for b in other if a != b]
+    return [change.model_copy(update={"forbid": pair}) for pair in pairs]
 
 
 def _checked(document: Mapping[str, Any]) -> Edits:

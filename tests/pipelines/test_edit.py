@@ -21,6 +21,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.edit import EditReport, edit_map
 from specmap_cli.pipelines.likeness import build_like
+from specmap_cli.pipelines.merge import merge_maps
 from specmap_cli.pipelines.segment import segment_map
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.pipelines.update import update_map
@@ -286,6 +287,22 @@ class TestForbiddenDoors:
         report = edit_map(shut.out, Wishes(changes=({"merge": [other, room]},)))
         assert report.forbidden == (tuple(sorted((other, built.corridor))),)
 
+    def test_it_holds_when_the_split_that_made_its_submap_is_undone(
+        self, built: Built, own: Path
+    ) -> None:
+        wish = split(read_map(own), built.corridor)
+        edit_map(own, Wishes(changes=(wish,)))
+        stored = read_map(own)
+        new = stored.topology.next_id - 1
+        ends = [
+            pair for pair in stored.topology.edges if new in pair and built.corridor not in pair
+        ]
+        edit_map(own, Wishes(changes=({"forbid": list(ends[0])},)))
+        report = edit_map(own, Wishes(undo=(1,)))
+        (room,) = set(ends[0]) - {new}
+        assert report.unapplied == ()
+        assert report.forbidden == ((min(room, built.corridor), max(room, built.corridor)),)
+
 
 Rebuilt = Callable[[Path, Path, Path], Any]
 
@@ -330,3 +347,19 @@ def test_edits_survive_another_recording(
     undone = edit_map(stored, Wishes(undo=(1,)), tmp_path / "undone")
     assert new not in undone.names
     assert other in undone.names
+
+
+def test_a_merged_map_has_the_edits_of_both(built: Built, own: Path, tmp_path: Path) -> None:
+    build_map(built.again, tmp_path / "second", QUICK)
+    second = read_map(tmp_path / "second")
+    edge = next(edge for edge in second.record.edges if edge.x is not None)
+    wish = {"forbid": [edge.source, edge.target], "at": [edge.x, edge.y]}
+    edit_map(second, Wishes(names={edge.source: "Annex", edge.target: "Annex 2"}, changes=(wish,)))
+    room = built.rooms[0]
+    edit_map(own, Wishes(names={room: "Küche"}, changes=(split(read_map(own), built.corridor),)))
+    merge_maps([own, tmp_path / "second"], tmp_path / "both", QUICK)
+    both = read_map(tmp_path / "both")
+    assert both.names[room] == "Küche"
+    assert "Annex" in both.names.values()
+    assert sum(edge.forbidden for edge in both.record.edges) == 1
+    assert read_map(own).topology.next_id - 1 in both.ids
