@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
-from specmap_cli.core.errors import NoResultError
+from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config
@@ -21,6 +21,7 @@ from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
+from specmap_cli.maps.filenames import EDITS
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.tracking import Tracking, track
 from specmap_cli.pipelines.trajectory import TrajectoryRecorder
@@ -56,6 +57,7 @@ def build_map(
     given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
     pictures = None if explain is None else path_of(explain, "explain")
     refuse_inside(pictures, target)
+    _refuse_edited(target)
     with (
         open_log(given, config.log) as log,
         OutputDirectory(target, overwrite, progress) as partial,
@@ -74,6 +76,15 @@ def build_map(
         given_log = recording(log.name, finished.trajectory, len(store))
         write_map(partial, finished.result((given_log,), run), store)
     return BuildReport(out=target, run=run, quality=finished.quality)
+
+
+def _refuse_edited(target: Path) -> None:
+    """Refuse to replace a map by one that knows nothing of what a person decided about it."""
+    if (target / EDITS).exists():
+        raise UsageError(
+            f"{target}: its {EDITS} holds a person's decisions, which a new map would lose: keep "
+            f"them with --like {target}, or move the file away"
+        )
 
 
 def _pictures(directory: Path, config: Config, *, overwrite: bool) -> Observer:

@@ -363,3 +363,15 @@ def test_what_is_slow_to_load_waits_until_registration_runs() -> None:
     )
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
     assert loaded.stdout.strip() == b"[]"
+
+
+def test_a_map_that_a_person_edited_is_not_built_over(
+    flat_log: SimulationResult, tmp_path: Path
+) -> None:
+    out = tmp_path / "map"
+    out.mkdir()
+    (out / "topology.json").write_text("{}", encoding="utf-8")
+    (out / "edits.toml").write_text('[submaps.0]\nname = "Kitchen"\n', encoding="utf-8")
+    with pytest.raises(UsageError, match=r"edits\.toml holds .* --like"):
+        build_map(flat_log.log, out, overwrite=True)
+    assert (out / "edits.toml").exists()
