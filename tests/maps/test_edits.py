@@ -37,12 +37,8 @@ new=7
 
 ids = st.integers(0, 999)
 numbers = st.floats(-1e3, 1e3, allow_nan=False) | st.integers(-1000, 1000)
-letters = st.characters(categories=("L", "N", "P", "S", "Zs"), exclude_characters="\u00a0")
-names = (
-    st.text(letters, min_size=1, max_size=20)
-    .map(str.strip)
-    .filter(lambda text: bool(text) and text.isprintable())
-)
+words = st.text(st.characters(categories=("L", "N", "P", "S")), min_size=1, max_size=8)
+names = st.lists(words, min_size=1, max_size=3).map(" ".join)
 values = st.booleans() | numbers | st.text(max_size=20)
 places = st.tuples(st.integers(-99, 99), st.integers(-99, 99)).map(lambda p: [p[0] / 4, p[1] / 3])
 pairs = st.lists(ids, min_size=2, max_size=2, unique=True)
