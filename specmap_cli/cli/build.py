@@ -63,19 +63,22 @@ def build(
     specmap build today.mcap -o today --like map
     """
     from specmap_cli.core.findings import at_least_as_bad
-    from specmap_cli.pipelines.build import build_map
-    from specmap_cli.pipelines.likeness import build_like
 
     effective = settings.load({"relaxation.enabled": False if no_relax else None, "seed": seed})
     keep_inputs([out], logs)
     if like is not None and explain is not None:
         raise UsageError("--like and --explain do not go together: build without one of them")
     with common.progress() as progress:
-        report = (
-            build_map(logs, out, effective, overwrite=overwrite, progress=progress, explain=explain)
-            if like is None
-            else build_like(logs, like, out, effective, overwrite=overwrite, progress=progress)
-        )
+        if like is None:
+            from specmap_cli.pipelines.build import build_map
+
+            report = build_map(
+                logs, out, effective, overwrite=overwrite, progress=progress, explain=explain
+            )
+        else:
+            from specmap_cli.pipelines.likeness import build_like
+
+            report = build_like(logs, like, out, effective, overwrite=overwrite, progress=progress)
     common.show(report.as_dict(), report.lines())
     if fail_on is not None and at_least_as_bad(report.quality.verdict, fail_on.value):
         raise typer.Exit(BROKEN_RULE)

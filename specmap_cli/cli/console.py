@@ -10,7 +10,7 @@ from rich.text import Text
 from specmap_cli.cli.streams import one_line
 
 
-class _Rate(ProgressColumn):
+class Rate(ProgressColumn):
     """Steps done and steps per second."""
 
     def render(self, task: Task) -> Text:
@@ -31,7 +31,7 @@ class ConsoleProgress:
         self._bars = RichProgress(
             TextColumn("{task.description}"),
             BarColumn(),
-            _Rate(),
+            Rate(),
             TimeRemainingColumn(),
             console=self._console,
             transient=True,

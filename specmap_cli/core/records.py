@@ -6,6 +6,7 @@ Stamps are header stamps in integer nanoseconds; lengths are metres, angles radi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -143,7 +144,9 @@ class Labels:
     poses: FloatArray
     submaps: IntArray
 
-    @property
-    def path_m(self) -> float:
-        """Length of the way from keyframe to keyframe."""
-        return path_length(self.poses)
+    def driven_m(self, starts: Sequence[int] = ()) -> float:
+        """Metres from keyframe to keyframe, of each recording by itself.
+
+        `starts` are the keyframes with which further recordings begin, ascending.
+        """
+        return sum(path_length(way) for way in np.split(self.poses, starts))

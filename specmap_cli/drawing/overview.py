@@ -10,14 +10,13 @@ from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.core.text import counted, legible
-from specmap_cli.core.tracks import path_length
 from specmap_cli.drawing import symbols
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import Sheet, extent_of
 from specmap_cli.drawing.strokes import strokes
 from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.topological_map import Edge, LogInfo, TopologicalMap
+from specmap_cli.topology.topological_map import Edge, LogInfo, TopologicalMap, starts_of
 
 _STRAY_M = 2.0  # a centroid farther from the robot's way lies behind glass, not in the room
 _UNREACHED = 0.005  # share of the free cells that must be nobody's to be worth a word
@@ -65,7 +64,8 @@ def render_overview(
     for doubt in sheet.pixels(np.array(doubts).reshape(-1, 2)):
         symbols.doubt(sheet.canvas, doubt)
     scans = sum(log.scans for log in logs)
-    figures = [counted(scans, "scan"), f"{_driven_m(labels, logs):,.0f} m driven", _size(low, high)]
+    driven_m = labels.driven_m(starts_of(logs))
+    figures = [counted(scans, "scan"), f"{driven_m:,.0f} m driven", _size(low, high)]
     doubtful = [f"{quality.verdict}: {quality.worst[0].message}"] if quality.worst else []
     sheet.title(_headline(logs, topology), ",  ".join([*figures, *doubtful]))
     return sheet.canvas.image
@@ -213,12 +213,6 @@ def spread(centres: FloatArray, gap: float) -> FloatArray:
             moved[i] += push
             moved[j] -= push
     return moved
-
-
-def _driven_m(labels: Labels, logs: Sequence[LogInfo]) -> float:
-    """Metres from keyframe to keyframe; nobody drove from the end of one log to the next one."""
-    starts = [log.keyframes[0] for log in logs[1:] if log.keyframes is not None]
-    return sum(path_length(way) for way in np.split(labels.poses, starts))
 
 
 def _headline(logs: Sequence[LogInfo], topology: TopologicalMap) -> str:

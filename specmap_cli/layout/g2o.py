@@ -5,6 +5,7 @@ Read by g2o, Ceres' and GTSAM's examples and other solvers, so that a layout can
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -69,8 +70,8 @@ def _edge(words: Sequence[str]) -> Link:
 
 def _floats(words: Sequence[str], count: int) -> list[float]:
     values = [float(word) for word in words]
-    if len(values) != count:
-        raise ValueError
+    if len(values) != count or not all(math.isfinite(value) for value in values):
+        raise ValueError(words)
     return values
 
 

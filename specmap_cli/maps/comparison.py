@@ -36,7 +36,7 @@ class MapFigures(_Record):
     edges: Count
     keyframes: Count
     path_m: Amount = Field(description="driven from keyframe to keyframe")
-    duration_s: Amount = Field(description="from the first keyframe to the last")
+    duration_s: Amount = Field(description="of its recordings, from first keyframe to last")
     area_m2: Amount = Field(description="free space")
     verdict: str | None = Field(description="what the map thinks of itself")
 

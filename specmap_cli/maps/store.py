@@ -25,12 +25,13 @@ from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps import filenames
 from specmap_cli.maps.conversion import from_record
 from specmap_cli.maps.edit_conversion import fences_in
+from specmap_cli.maps.graph_conversion import log_of
 from specmap_cli.maps.json_files import first_finding, map_json, map_text
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.tables import read_labels
 from specmap_cli.maps.topology_file import read_topology
 from specmap_cli.topology.regions import Regions, divide
-from specmap_cli.topology.topological_map import TopologicalMap, default_name
+from specmap_cli.topology.topological_map import LogInfo, TopologicalMap, default_name
 
 _FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell of a map; matching scans in finer ones takes forever
 
@@ -164,6 +165,18 @@ class StoredMap:
         if not isinstance(run, dict):
             raise MapError(f"{self.path / filenames.RUN}: not a JSON object: build the map again")
         return run
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What run.json says was counted; whatever is no whole number is left out."""
+        counts = self.run.get("counts")
+        found = counts.items() if isinstance(counts, dict) else ()
+        return {name: count for name, count in found if type(count) is int}
+
+    @property
+    def logs(self) -> tuple[LogInfo, ...]:
+        """The recordings that the map was made of, in the order of their keyframes."""
+        return tuple(log_of(record) for record in self.record.graph.logs)
 
     @cached_property
     def config(self) -> Config:

@@ -199,9 +199,8 @@ def _made_anew(
     config = settings_for(stored, {}) if config is None else config
     kept = replace(before, edits=found.edits)
     with stored.keyframes() as store:
-        counts = stored.run.get("counts", {})
         finished = divided_anew(
-            store, kept, lambda _: quality_of_stored(stored), config, progress, clock, counts
+            store, kept, lambda _: quality_of_stored(stored), config, progress, clock, stored.counts
         )
         write_map(directory, finished.result(kept.logs, _run(stored, finished)), store)
     carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
@@ -210,6 +209,5 @@ def _made_anew(
 
 def _run(stored: StoredMap, finished: FinishedMap) -> dict[str, Any]:
     """run.json of a map that was divided anew."""
-    counts = stored.run.get("counts", {})
     made = {"submaps": len(finished.topology.submaps), "edges": len(finished.topology.edges)}
-    return {**stored.run, "counts": {**counts, **made}}
+    return {**stored.run, "counts": {**stored.counts, **made}}

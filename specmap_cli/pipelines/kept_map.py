@@ -8,19 +8,22 @@ from itertools import pairwise
 
 import numpy as np
 
+from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import Finding
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import Closure, Labels, Trajectory
 from specmap_cli.core.settings import Config
+from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.carrying import rows_of
 from specmap_cli.layout.g2o import read_g2o
 from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, edits_text
-from specmap_cli.maps.graph_conversion import finding_of, log_of
+from specmap_cli.maps.graph_conversion import finding_of
+from specmap_cli.maps.json_files import map_text
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.tables import read_text
 from specmap_cli.maps.tum import read_trajectory
 from specmap_cli.pipelines.assessment import evidence_of
 from specmap_cli.pipelines.edited import edits_of_stored
@@ -34,7 +37,7 @@ from specmap_cli.recognition.closure.known_map import KnownMap
 from specmap_cli.topology.borders import Border
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.regions import divide as divide_cells
-from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
+from specmap_cli.topology.topological_map import LogInfo, TopologicalMap, starts_of
 
 Stays = Mapping[int, tuple[int, ...]]
 
@@ -66,7 +69,7 @@ class KeptMap:
     @property
     def starts(self) -> tuple[int, ...]:
         """The keyframes with which the recordings after the first one begin."""
-        return tuple(log.keyframes[0] for log in self.logs[1:] if log.keyframes is not None)
+        return starts_of(self.logs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +84,11 @@ class Seen:
 def kept_of_stored(stored: StoredMap) -> KeptMap:
     """A map directory. Raises MapError when a file that it takes is missing or damaged."""
     topology, labels = stored.topology, stored.labels
-    logs = tuple(log_of(record) for record in stored.record.graph.logs)
+    logs = stored.logs
     return KeptMap(
-        layout=_layout(stored, labels),
+        layout=_layout(stored),
         labels=labels,
-        trajectory=read_trajectory(stored.path / filenames.TRAJECTORY, stored.limits),
+        trajectory=_trajectory(stored),
         stays={stay.number: stay.from_origin for stay in topology.stays},
         closures=topology.closures,
         breaks=_breaks(topology, logs),
@@ -159,11 +162,21 @@ def _findings(stored: StoredMap) -> tuple[Finding, ...]:
     return tuple(one for one in found if one.code not in LAYOUT_CODES)
 
 
-def _layout(stored: StoredMap, labels: Labels) -> Layout:
+def _layout(stored: StoredMap) -> Layout:
     """The layout of a map directory, with the links that are more than the way between nodes."""
-    path = stored.path / filenames.POSE_GRAPH
-    poses, links = read_g2o(read_text(path, stored.limits))
+    path, labels = stored.path / filenames.POSE_GRAPH, stored.labels
+    text = map_text(path, stored.limits)
+    try:
+        poses, links = read_g2o(text)
+    except InputError as error:
+        raise MapError(f"{path}: {error}: build the map again") from None
     nodes = np.array(sorted(poses), dtype=np.int64)
+    ends = {end for link in links for end in (link.source, link.target)}
+    if not ends <= poses.keys() <= set(range(len(labels.poses))):
+        raise MapError(
+            f"{path}: its vertices are not among the {counted(len(labels.poses), 'keyframe')} of "
+            f"{filenames.LABELS}: build the map again"
+        )
     after = dict(pairwise(nodes.tolist()))
     return Layout(
         poses=labels.poses,
@@ -172,11 +185,25 @@ def _layout(stored: StoredMap, labels: Labels) -> Layout:
     )
 
 
+def _trajectory(stored: StoredMap) -> Trajectory:
+    """The trajectory of a map directory, which leads through its keyframes."""
+    path, labels = stored.path / filenames.TRAJECTORY, stored.labels
+    trajectory = read_trajectory(path, stored.limits)
+    found = rows_of(trajectory, labels.stamps_ns.tolist(), labels.poses)
+    if len(found) != len(labels.stamps_ns) or len(trajectory.stamps_ns) != sum(
+        log.scans for log in stored.logs
+    ):
+        raise MapError(
+            f"{path}: is not the way through the keyframes of {filenames.LABELS} and the logs of "
+            f"{filenames.TOPOLOGY}: build the map again"
+        )
+    return trajectory
+
+
 def _breaks(topology: TopologicalMap, logs: Sequence[LogInfo]) -> dict[int, Bridge | None]:
     """Where tracking started afresh, and where recordings begin."""
-    starts = {log.keyframes[0] for log in logs[1:] if log.keyframes is not None}
     return {
-        **dict.fromkeys(sorted(starts)),
+        **dict.fromkeys(starts_of(logs)),
         **{
             each.keyframe: None if each.bridge is None else Bridge(*each.bridge)
             for each in topology.breaks

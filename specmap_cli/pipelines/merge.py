@@ -18,7 +18,7 @@ import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import InputError, UsageError
-from specmap_cli.core.findings import Quality, summary
+from specmap_cli.core.findings import Quality
 from specmap_cli.core.geometry import Pose2, nearest_motion
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import Closure
@@ -37,7 +37,7 @@ from specmap_cli.pipelines.learning import whole_grid
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
 from specmap_cli.pipelines.remaking import remade
-from specmap_cli.pipelines.run_record import OF_THE_MAP, run_record
+from specmap_cli.pipelines.run_record import OF_THE_MAP, run_record, told
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import check_feature_sets
@@ -76,19 +76,15 @@ class MergeReport:
 
     def lines(self) -> list[str]:
         """A summary: what makes the map doubtful or poor comes first."""
-        counts, verdict = self.run["counts"], self.quality.verdict
-        trust = "" if verdict == "good" else f"{self.out}: this map is {verdict}: "
+        counts = self.run["counts"]
         parts = "; ".join(", ".join(part) for part in self.parts)
         apart = f"{self.out}: {len(self.parts)} parts that do not meet: {parts}"
-        return [
-            *(trust + line for line in summary(self.quality.worst)),
-            *([apart] if len(self.parts) > 1 else []),
+        made = (
             f"{self.out}: {counted(len(self.ids), 'map')} merged: "
             f"{counted(counts['submaps'], 'submap')}, {counted(counts['scans'], 'scan')} over "
-            f"{counts['path_m']:.0f} m",
-            *(["quality: good"] if verdict == "good" else []),
-            f"look at {self.out / 'overview.png'}",
-        ]
+            f"{counts['path_m']:.0f} m"
+        )
+        return told(self.out, self.quality, *([apart] if len(self.parts) > 1 else []), made)
 
 
 def merge_maps(
@@ -176,8 +172,7 @@ def _counts(maps: Sequence[StoredMap]) -> dict[str, int]:
     """What was counted of messages and scans while the maps were built."""
     totals: Counter[str] = Counter()
     for stored in maps:
-        counts = stored.run.get("counts", {})
-        totals.update({name: n for name, n in counts.items() if name not in OF_THE_MAP})
+        totals.update({n: count for n, count in stored.counts.items() if n not in OF_THE_MAP})
     return dict(totals)
 
 

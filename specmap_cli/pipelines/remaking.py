@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -104,6 +103,6 @@ def divided_anew(
     )
 
 
-def added(before: Mapping[str, Any], counts: Mapping[str, int]) -> dict[str, int]:
+def added(before: Mapping[str, int], counts: Mapping[str, int]) -> dict[str, int]:
     """What was counted for a map and for what is added to it, together."""
-    return {name: count + int(before.get(name, 0)) for name, count in counts.items()}
+    return {name: count + before.get(name, 0) for name, count in counts.items()}

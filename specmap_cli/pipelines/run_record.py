@@ -38,18 +38,30 @@ class BuildReport:
 
     def lines(self) -> list[str]:
         """A summary: what makes the map doubtful or poor comes first."""
-        counts, verdict = self.run["counts"], self.quality.verdict
-        trust = "" if verdict == "good" else f"{self.out}: this map is {verdict}: "
-        return [
-            *(trust + line for line in summary(self.quality.worst)),
+        counts = self.run["counts"]
+        made = (
             f"{self.out}: {counted(counts['submaps'], 'submap')}, "
             f"{counted(counts['edges'], 'edge')}, "
             f"{counted(counts['merges'], 'revisit')} recognised; "
             f"{counted(counts['scans'], 'scan')} over "
-            f"{counts['path_m']:.0f} m, {counts['lost']} lost",
-            *(["quality: good"] if verdict == "good" else []),
-            f"look at {self.out / 'overview.png'}",
-        ]
+            f"{counts['path_m']:.0f} m, {counts['lost']} lost"
+        )
+        return told(self.out, self.quality, made)
+
+
+def told(out: Path, quality: Quality, *made: str) -> list[str]:
+    """What a command that made a map says of it, `made` being its own lines.
+
+    What makes the map doubtful or poor comes first.
+    """
+    verdict = quality.verdict
+    trust = "" if verdict == "good" else f"{out}: this map is {verdict}: "
+    return [
+        *(trust + line for line in summary(quality.worst)),
+        *made,
+        *(["quality: good"] if verdict == "good" else []),
+        f"look at {out / 'overview.png'}",
+    ]
 
 
 def run_record(

@@ -16,7 +16,7 @@ import numpy as np
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.errors import InputError, NoResultError
-from specmap_cli.core.findings import Quality, summary
+from specmap_cli.core.findings import Quality
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
@@ -32,7 +32,7 @@ from specmap_cli.pipelines.kept_map import Seen, seen_of_stored
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
 from specmap_cli.pipelines.remaking import added, remade
-from specmap_cli.pipelines.run_record import run_record
+from specmap_cli.pipelines.run_record import run_record, told
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.survey import survey
 from specmap_cli.recognition.closure.alignment import Alignment, align
@@ -74,20 +74,16 @@ class UpdateReport:
 
     def lines(self) -> list[str]:
         """A summary: what makes the map doubtful or poor comes first."""
-        counts, verdict = self.run["counts"], self.quality.verdict
-        trust = "" if verdict == "good" else f"{self.out}: this map is {verdict}: "
+        counts = self.run["counts"]
         fresh = f"{len(self.new)} new"
         if self.new:
             fresh += f" ({', '.join(str(id_) for id_ in self.new)})"
-        return [
-            *(trust + line for line in summary(self.quality.worst)),
-            f"{self.out}: {self.alignment.reason}",
+        made = (
             f"{self.out}: {counted(counts['submaps'], 'submap')}: "
             f"{len(self.visited)} visited again, {fresh}; "
-            f"{counted(counts['scans'], 'scan')} over {counts['path_m']:.0f} m",
-            *(["quality: good"] if verdict == "good" else []),
-            f"look at {self.out / 'overview.png'}",
-        ]
+            f"{counted(counts['scans'], 'scan')} over {counts['path_m']:.0f} m"
+        )
+        return told(self.out, self.quality, f"{self.out}: {self.alignment.reason}", made)
 
 
 def update_map(
@@ -122,7 +118,7 @@ def update_map(
         finished, joined = updated.finished, updated.joined
         run = {
             **run_record(log.given, stream.selection, config, finished),
-            "updates": [*stored.run.get("updates", []), _told(stored.path, updated.alignment)],
+            "updates": [*_earlier(stored), _told(stored.path, updated.alignment)],
         }
         tell(finished.quality, progress)
         write_map(partial, finished.result(joined.kept.logs, run), store)
@@ -175,7 +171,7 @@ def _updated(
     with clock.stage("layout"):
         joined = _joined(store, old, new, alignment, config)
     _refuse_loose(joined, old, name, allow=allow_apart)
-    counts = added(stored.run.get("counts", {}), surveyed.tracking.counts)
+    counts = added(stored.counts, surveyed.tracking.counts)
     return _Updated(remade(store, joined, config, progress, clock, counts), joined, alignment)
 
 
@@ -216,6 +212,12 @@ def _refuse_loose(joined: Joined, old: Seen, name: str, *, allow: bool) -> None:
             f"{name}: lies in the map, but no wall that both saw holds it there: build a map of "
             "its own, or append it as a part of its own with --allow-apart"
         )
+
+
+def _earlier(stored: StoredMap) -> list[Any]:
+    """What run.json keeps of the updates before."""
+    updates = stored.run.get("updates")
+    return updates if isinstance(updates, list) else []
 
 
 def _told(path: Path, alignment: Alignment) -> dict[str, Any]:

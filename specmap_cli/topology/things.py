@@ -25,8 +25,6 @@ _BESIDE_CELLS = 1.5  # what hangs together with it belongs to it when it is off 
 _LEAST_M, _LEAST_CELLS = 0.15, 5  # a hand's breadth and its noise; single cells flicker
 _GAP_M = 0.2  # between pieces of one thing: its faces are seen, and some of these from aside
 
-Pixels = NDArray[np.uint8]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Thing:

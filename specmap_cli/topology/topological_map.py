@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -224,3 +224,8 @@ class LogInfo:
     end_ns: int | None = None
     scans: int = 0
     keyframes: tuple[int, int] | None = None
+
+
+def starts_of(logs: Sequence[LogInfo]) -> tuple[int, ...]:
+    """The keyframes with which the recordings after the first one begin."""
+    return tuple(log.keyframes[0] for log in logs[1:] if log.keyframes is not None)
