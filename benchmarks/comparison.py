@@ -33,7 +33,7 @@ from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.pipelines.known_maps import align_maps
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import simulation_options
-from specmap_cli.topology.blocked import Way
+from specmap_cli.topology.blocked import Crossing
 
 Box = tuple[float, float, float, float]  # left, low, right, high; metres of the plan, y up
 
@@ -305,7 +305,7 @@ def _is_added(box: Box | None, told: Comparison, plan_from_old: Pose2) -> bool:
     return _near(box, plan_from_old.apply(told.old_from_new.apply(places)))
 
 
-def _ways(ways: Sequence[Way], plan_from_old: Pose2) -> FloatArray:
+def _ways(ways: Sequence[Crossing], plan_from_old: Pose2) -> FloatArray:
     """(n, 2) where some ways are in the plan."""
     places = np.array([way.place for way in ways]).reshape(-1, 2)
     return plan_from_old.apply(places)

@@ -15,7 +15,7 @@ from specmap_cli.drawing.sheet import Sheet, extent_of
 from specmap_cli.drawing.symbols import Legend
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.blocked import Way
+from specmap_cli.topology.blocked import Crossing
 from specmap_cli.topology.differences import Differences
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.things import Thing, walls_in_common
@@ -132,7 +132,7 @@ def _box(canvas: Canvas, corners: NDArray[np.float64], colour: Colour) -> None:
     canvas.line(ring, colour, _BOX)
 
 
-def _draw_ways(sheet: Sheet, ways: Iterable[Way], colour: Colour) -> None:
+def _draw_ways(sheet: Sheet, ways: Iterable[Crossing], colour: Colour) -> None:
     for way in ways:
         _sign(sheet.canvas, sheet.pixels(way.place[None])[0], colour)
 

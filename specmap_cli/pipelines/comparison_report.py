@@ -11,7 +11,7 @@ from specmap_cli.core.text import counted, plain, rounded
 from specmap_cli.maps.comparison import SCHEMA_VERSION, ComparisonRecord, DoorRecord, ThingRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.closure.alignment import Alignment
-from specmap_cli.topology.blocked import Way
+from specmap_cli.topology.blocked import Crossing
 from specmap_cli.topology.differences import Differences, PlacedThing
 from specmap_cli.topology.topological_map import default_name, starts_of
 
@@ -113,7 +113,7 @@ def _submaps(found: Differences) -> dict[str, Any]:
     }
 
 
-def _door(way: Way) -> dict[str, Any]:
+def _door(way: Crossing) -> dict[str, Any]:
     x, y = way.place.tolist()
     return {"between": way.between, "x": x, "y": y, "width_m": way.width_m}
 

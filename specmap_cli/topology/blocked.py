@@ -13,7 +13,8 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.space import borders_of
 from specmap_cli.topology.things import Surveyed
 
 _LEAST_M = 0.6  # of a way: through a narrower one hardly a robot goes, and noise closes it
@@ -21,13 +22,12 @@ _REACH_M = 0.6  # of a way beyond its border, besides half its width: a step int
 _APART_M = 0.25  # what lies farther than this from a border is on one side of it
 _PASSABLE_M = 0.1  # from obstacles: a leaf of a door has gaps of a cell or two
 _SEEN = 0.5  # share of a side that the other map must have seen
-_JOINED_M = 0.3  # border cells this near are one way
 
 _Cells = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Way:
+class Crossing:
     """Where two submaps of a map meet, `between` the smaller id and the larger.
 
     `place` (2,) is the widest part of their border in that map, `width_m` the free width there.
@@ -38,7 +38,7 @@ class Way:
     width_m: float
 
 
-def blocked_ways(regions: Regions, seen: Surveyed, other_from_map: BentMotion) -> list[Way]:
+def blocked_ways(regions: Regions, seen: Surveyed, other_from_map: BentMotion) -> list[Crossing]:
     """The ways of a divided map that are blocked in another map, which saw one side at the least.
 
     What hides the other side must stand all across: behind a closed door nothing is seen.
@@ -54,52 +54,22 @@ def blocked_ways(regions: Regions, seen: Surveyed, other_from_map: BentMotion) -
     ]
 
 
-def _ways(regions: Regions) -> Iterator[tuple[Way, FloatArray]]:
+def _ways(regions: Regions) -> Iterator[tuple[Crossing, FloatArray]]:
     """Each way with the cells (n, 2) of its border, metres of the map."""
     grid, clearance = regions.grid, regions.grid.clearance()
-    for between, cells in _borders(regions):
-        for part in _joined(cells, grid):
-            widths = clearance[tuple(part.T)]
-            width_m = 2.0 * float(widths.max())
-            if width_m >= _LEAST_M:
-                places = grid.centres_of(part)
-                widest = places[int(widths.argmax())]
-                yield Way(between=between, place=widest, width_m=width_m), places
-
-
-def _borders(regions: Regions) -> Iterator[tuple[tuple[int, int], _Cells]]:
-    """The cells (n, 2) on either side of the border of each pair of submaps, by pair."""
-    owner = regions.owner
-    found: dict[tuple[int, int], list[_Cells]] = {}
-    for step in ((0, 1), (1, 0)):
-        one = owner[: owner.shape[0] - step[0], : owner.shape[1] - step[1]]
-        other = owner[step[0] :, step[1] :]
-        cells = np.argwhere((one != other) & (one != NOBODY) & (other != NOBODY))
-        ends = np.stack([one[tuple(cells.T)], other[tuple(cells.T)]], axis=1)
-        ends.sort(axis=1)
-        for low, high in np.unique(ends, axis=0).tolist():
-            mine = cells[(ends == (low, high)).all(axis=1)]
-            found.setdefault((low, high), []).extend([mine, mine + step])
-    for pair in sorted(found):
-        yield pair, np.unique(np.concatenate(found[pair]), axis=0)
-
-
-def _joined(cells: _Cells, grid: GridMap) -> Iterator[_Cells]:
-    """Border cells (n, 2) by the way that they belong to."""
-    low = cells.min(axis=0)
-    picture = np.zeros(cells.max(axis=0) - low + 1, dtype=np.uint8)
-    picture[tuple((cells - low).T)] = 1
-    reach = max(1, round(0.5 * _JOINED_M / grid.resolution))
-    kernel = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
-    count, labels = cv2.connectedComponents(cv2.dilate(picture, kernel), connectivity=8)
-    of_cell = labels[tuple((cells - low).T)]
-    for number in range(1, count):
-        yield cells[of_cell == number]
+    for border in borders_of(regions.owner):
+        cells = np.unique(np.concatenate([border.low, border.high]), axis=0)
+        widths = clearance[tuple(cells.T)]
+        width_m = 2.0 * float(widths.max())
+        if width_m >= _LEAST_M:
+            places = grid.centres_of(cells)
+            widest = places[int(widths.argmax())]
+            yield Crossing(between=border.pair, place=widest, width_m=width_m), places
 
 
 def _is_blocked(
     regions: Regions,
-    way: Way,
+    way: Crossing,
     border: FloatArray,
     other: tuple[GridMap, FloatArray],
     other_from_map: BentMotion,
@@ -124,7 +94,7 @@ def _is_blocked(
 
 
 def _around(
-    regions: Regions, way: Way, border: FloatArray
+    regions: Regions, way: Crossing, border: FloatArray
 ) -> tuple[_Cells, tuple[int, int], tuple[BoolArray, BoolArray]]:
     """The cells (n, 2) of the two submaps round a way, how many rows and columns they span, and
     which of them are on either side of it.

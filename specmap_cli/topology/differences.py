@@ -10,7 +10,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.bent import BentMotion
-from specmap_cli.topology.blocked import Way, blocked_ways
+from specmap_cli.topology.blocked import Crossing, blocked_ways
 from specmap_cli.topology.identity import Identity, identify
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.things import Surveyed, Thing, things_in
@@ -38,8 +38,8 @@ class Differences:
     """
 
     identity: Identity
-    closed: tuple[Way, ...] = ()
-    opened: tuple[Way, ...] = ()
+    closed: tuple[Crossing, ...] = ()
+    opened: tuple[Crossing, ...] = ()
     appeared: tuple[PlacedThing, ...] = ()
     vanished: tuple[PlacedThing, ...] = ()
 
@@ -74,7 +74,7 @@ def differences(
     )
 
 
-def _moved(way: Way, old_from_new: BentMotion) -> Way:
+def _moved(way: Crossing, old_from_new: BentMotion) -> Crossing:
     return replace(way, place=old_from_new.apply(way.place[None])[0])
 
 
@@ -85,7 +85,7 @@ def _turned(thing: Thing, old_from_new: BentMotion) -> Thing:
     )
 
 
-def _outside(things: Iterable[Thing], ways: Sequence[Way]) -> list[Thing]:
+def _outside(things: Iterable[Thing], ways: Sequence[Crossing]) -> list[Thing]:
     """The things that are not the doors of some ways."""
     return [
         thing

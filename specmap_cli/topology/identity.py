@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,11 +51,6 @@ class Identity:
     unseen: tuple[int, ...]
     gone: tuple[int, ...]
     redrawn: tuple[tuple[int, ...], tuple[int, ...]]
-
-    @cached_property
-    def old_of_new(self) -> Mapping[int, int]:
-        """The old id of each new submap that is the same as an old one."""
-        return {pair.new: pair.old for pair in self.same}
 
 
 def identify(old: Regions, new: Regions, old_from_new: Pose2) -> Identity:

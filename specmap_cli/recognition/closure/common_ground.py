@@ -59,8 +59,7 @@ class CommonGround:
 
     `confirmed` and `contradicted` are shares of the walls that both maps know about, the worse of
     both maps'; `confirmed_m` metres of wall that agree; `shared` the part of the smaller map's
-    walls that the other one knows about; `residual_m` (root mean square) and `farthest_m`: how far
-    submaps lie off.
+    walls that the other one knows about; `residual_m` (root mean square): how far submaps lie off.
     """
 
     old_from_new: Pose2
@@ -70,7 +69,6 @@ class CommonGround:
     confirmed_m: float
     shared: float
     residual_m: float
-    farthest_m: float
 
     @property
     def at_odds(self) -> float:
@@ -107,7 +105,6 @@ def common_ground(
         confirmed_m=min(side.confirmed_m for side in sides),
         shared=max(side.shared for side in sides),
         residual_m=math.sqrt(float(np.average(off**2, weights=weights))) if heavy else 0.0,
-        farthest_m=float(off[weights > 0.0].max(initial=0.0)),
     )
 
 
