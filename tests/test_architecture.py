@@ -52,11 +52,12 @@ MAY_IMPORT: dict[str, set[str]] = {
     "maps": _STAGE | {"topology", "logs", "logs/readers"},
     "drawing": _STAGE | {"topology", "segmentation"},
     "exports": _STAGE | {"topology", "maps"},
-    "pipelines": _ORDER,
+    "checking": _STAGE | {"topology", "maps"},
+    "pipelines": {*_ORDER, "checking"},
     "evaluation": {*_ORDER, "pipelines"},
-    "cli": {*_ORDER, "pipelines", "evaluation", "exports"},
+    "cli": {*_ORDER, "pipelines", "evaluation", "exports", "checking"},
 }
-MOST_ROOMS, MOST_FLOORS = 20, 10
+MOST_ROOMS, MOST_FLOORS = 22, 10
 # what `specmap --help` must not load
 HEAVY = {
     "cv2",

@@ -9,6 +9,7 @@ import typer
 
 from specmap_cli.cli import (
     build,
+    check,
     compare,
     config,
     convert,
@@ -91,6 +92,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "update": update.update,
     "merge": merge.merge,
     "compare": compare.compare,
+    "check": check.check,
     "edit": edit.edit,
     "segment": segment.segment,
     "evaluate": evaluate.evaluate,

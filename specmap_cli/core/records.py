@@ -19,6 +19,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 NO_SUBMAP = -1
+_NS = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,3 +151,8 @@ class Labels:
         `starts` are the keyframes with which further recordings begin, ascending.
         """
         return sum(path_length(way) for way in np.split(self.poses, starts))
+
+    def duration_s(self, starts: Sequence[int] = ()) -> float:
+        """Seconds from first keyframe to last, of each recording by itself; `starts` as above."""
+        recordings = np.split(self.stamps_ns, starts)
+        return sum(float(np.ptp(own)) for own in recordings if len(own)) / _NS

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from specmap_cli.core.text import counted, plain, rounded
 from specmap_cli.maps.comparison import SCHEMA_VERSION, ComparisonRecord, DoorRecord, ThingRecord
 from specmap_cli.maps.store import StoredMap
@@ -15,22 +13,19 @@ from specmap_cli.topology.blocked import Crossing
 from specmap_cli.topology.differences import Differences, PlacedThing
 from specmap_cli.topology.topological_map import default_name, starts_of
 
-_NS = 1e9
-
 
 def figures_of(stored: StoredMap) -> dict[str, Any]:
     """A map's figures as compare.json has them."""
     labels, quality = stored.labels, stored.record.graph.quality
-    stamps, starts = labels.stamps_ns, starts_of(stored.logs)
-    recordings = np.split(stamps, starts)
+    starts = starts_of(stored.logs)
     return {
         "map": str(stored.path),
         "names": {node.id: node.name for node in stored.record.nodes},
         "submaps": len(stored.record.nodes),
         "edges": len(stored.record.edges),
-        "keyframes": len(stamps),
+        "keyframes": len(labels.stamps_ns),
         "path_m": labels.driven_m(starts),
-        "duration_s": sum(float(np.ptp(own)) for own in recordings if len(own)) / _NS,
+        "duration_s": labels.duration_s(starts),
         "area_m2": stored.map_grid.free_area_m2,
         "verdict": None if quality is None else quality.verdict,
     }

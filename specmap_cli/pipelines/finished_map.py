@@ -28,9 +28,9 @@ class FinishedMap:
 
     `regions` divide the grid of the whole map. `counts` are of messages and scans. `limits`
     say how often a setting of that name cut the work short. `quality` is what is thought of the
-    map, `seconds` are those of each stage. `starts` are the rows of the trajectory with which
-    further recordings begin. `edits` is the text of edits.toml, `unapplied` tells what of it does
-    not apply.
+    map, `seconds` are those of each stage, `wall_s` those from the first to the last. `starts` are
+    the rows of the trajectory with which further recordings begin. `edits` is the text of
+    edits.toml, `unapplied` tells what of it does not apply.
     """
 
     topology: TopologicalMap
@@ -43,6 +43,7 @@ class FinishedMap:
     limits: Mapping[str, int]
     quality: Quality
     seconds: Mapping[str, float]
+    wall_s: float = 0.0
     starts: tuple[int, ...] = ()
     edits: str = ""
     unapplied: tuple[str, ...] = ()

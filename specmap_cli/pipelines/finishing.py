@@ -56,4 +56,5 @@ def finish(
         limits={**layout.limits, "max_extent_m": beyond},
         quality=quality,
         seconds=dict(clock.seconds),
+        wall_s=clock.elapsed_s,
     )

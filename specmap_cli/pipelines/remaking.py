@@ -97,6 +97,7 @@ def divided_anew(
         limits={**kept.layout.limits, "max_extent_m": beyond},
         quality=judge(beyond),
         seconds=dict(clock.seconds),
+        wall_s=clock.elapsed_s,
         starts=tuple(np.cumsum([log.scans for log in kept.logs])[:-1].tolist()),
         edits=written(edited.edits, kept.edits_text),
         unapplied=unapplied,

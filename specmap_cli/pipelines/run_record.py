@@ -9,6 +9,7 @@ from typing import Any
 
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.memory import peak_memory_mb
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.core.versions import versions
@@ -87,6 +88,8 @@ def run_record(
         "counts": counts,
         "limits": {name: count for name, count in finished.limits.items() if count},
         "seconds": {name: round(value, 3) for name, value in finished.seconds.items()},
+        "wall_s": round(finished.wall_s, 3),
+        "memory_mb": peak_memory_mb(),
         "quality": finished.quality.as_dict(),
         "warnings": summary(finished.quality.warnings),
     }

@@ -26,6 +26,9 @@ def test_two_builds_are_byte_identical(tiny_log: Path, tiny_map: Path, tmp_path:
     assert filecmp.cmpfiles(tiny_map, again, compared, shallow=False) == (compared, [], [])
     first, second = (json.loads((each / "run.json").read_text()) for each in (tiny_map, again))
     assert first.pop("seconds").keys() == second.pop("seconds").keys()
+    for measured in ("wall_s", "memory_mb"):
+        assert first.pop(measured) > 0
+        assert second.pop(measured) > 0
     assert first == second
 
 

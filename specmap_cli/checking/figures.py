@@ -1,0 +1,140 @@
+"""The figures of a map that a rule can bound, each by its name.
+
+A figure that the map does not hold is None: a map of `specmap segment`, say, lost no scans and read
+none. Figures that begin with `golden.` are of a comparison with another map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import networkx as nx
+
+from specmap_cli.maps import filenames
+from specmap_cli.maps.comparison import ComparisonRecord, ThingRecord
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.topology.topological_map import starts_of
+
+Figures = Mapping[str, float | None]
+
+FINDINGS, GOLDEN = "findings.", "golden."  # what the names of such figures begin with
+MEANINGS = {
+    "scans": "scans that were read",
+    "lost_share": "share of the scans that could not be registered",
+    "breaks": "how often tracking was lost and began afresh",
+    "duration_s": "seconds from the first keyframe to the last, of all recordings",
+    "path_m": "metres driven",
+    "revisits": "stays that were recognised as one submap seen before",
+    "submaps": "submaps",
+    "edges": "links between submaps",
+    "impassable": "links without a way that the robot can drive",
+    "parts": "parts of the map that no link joins",
+    "doors": "doors",
+    "area_m2": "square metres of free space",
+    "wall_s": "seconds that the command took which made the map",
+    "scans_per_s": "scans read in each of these seconds",
+    "memory_mb": "most megabytes that its process held",
+    "golden.aligned": "1 where the map was recognised in the other one, 0 where not",
+    "golden.same_share": "share of the other map's submaps that are the same",
+    "golden.gone": "submaps whose floor is gone",
+    "golden.unseen": "submaps of the other map that this one did not see",
+    "golden.new": "submaps that the other map did not see",
+    "golden.area_share": "free space, times that of the other map",
+    "golden.closed": "ways that were open and are blocked",
+    "golden.opened": "ways that were blocked and are open",
+    "golden.off_m": "how far submaps lie off, root mean square, metres",
+    "golden.appeared_m2": "square metres that things cover which were not there",
+    "golden.vanished_m2": "square metres that things covered which are gone",
+}
+
+
+def is_figure(name: str) -> bool:
+    """Whether a rule can bound it; every code of a finding counts, also one of a later version."""
+    return name in MEANINGS or (name.startswith(FINDINGS) and name != FINDINGS)
+
+
+def figures_of(stored: StoredMap) -> dict[str, float | None]:
+    """The figures of a map. Raises MapError when a file of it is damaged."""
+    record = stored.record
+    graph = nx.Graph([(edge.source, edge.target) for edge in record.edges])
+    graph.add_nodes_from(stored.ids)
+    return {
+        **_of_run(stored),
+        **_of_way(stored),
+        "submaps": len(record.nodes),
+        "edges": len(record.edges),
+        "impassable": sum(edge.path is None for edge in record.edges),
+        "parts": nx.number_connected_components(graph),
+        "doors": len(record.graph.doors),
+        "area_m2": sum(node.area_m2 for node in record.nodes),
+        **_of_findings(stored),
+    }
+
+
+def figures_against(record: ComparisonRecord | None) -> dict[str, float | None]:
+    """The figures of a comparison, the golden map being the old one; None: it cannot be aligned."""
+    if record is None:
+        return {name: None for name in MEANINGS if name.startswith(GOLDEN)} | {"golden.aligned": 0}
+    old, new = record.old, record.new
+    return {
+        "golden.aligned": 1,
+        "golden.same_share": 1.0 if record.identical else _share(record),
+        "golden.gone": len(record.submaps.gone),
+        "golden.unseen": len(record.submaps.unseen),
+        "golden.new": len(record.submaps.new),
+        "golden.area_share": new.area_m2 / old.area_m2 if old.area_m2 else None,
+        "golden.closed": len(record.doors.closed),
+        "golden.opened": len(record.doors.opened),
+        "golden.off_m": record.alignment.residual_m,
+        "golden.appeared_m2": _area(record.things.appeared),
+        "golden.vanished_m2": _area(record.things.vanished),
+    }
+
+
+def _share(record: ComparisonRecord) -> float | None:
+    return len(record.submaps.same) / record.old.submaps if record.old.submaps else None
+
+
+def _area(things: list[ThingRecord]) -> float:
+    return sum(thing.area_m2 for thing in things)
+
+
+def _of_run(stored: StoredMap) -> dict[str, float | None]:
+    """What the command that made the map wrote down about its run, if it did."""
+    written = (stored.path / filenames.RUN).exists()
+    run: Mapping[str, Any] = stored.run if written else {}
+    counts = stored.counts if written else {}
+    scans, lost, wall_s = counts.get("scans"), counts.get("lost"), _number(run.get("wall_s"))
+    return {
+        "scans": scans,
+        "lost_share": lost / scans if scans and lost is not None else None,
+        "breaks": counts.get("breaks"),
+        "revisits": counts.get("merges"),
+        "wall_s": wall_s,
+        "scans_per_s": scans / wall_s if scans is not None and wall_s else None,
+        "memory_mb": _number(run.get("memory_mb")),
+    }
+
+
+def _number(value: Any) -> float | None:
+    """A number that a person may have spoiled: None for anything else."""
+    return float(value) if type(value) in (int, float) and abs(value) < 1e15 else None
+
+
+def _of_way(stored: StoredMap) -> dict[str, float | None]:
+    """What the robot drove; a divided grid knows of none."""
+    if not (stored.path / filenames.LABELS).exists():
+        return {"duration_s": None, "path_m": None}
+    labels, starts = stored.labels, starts_of(stored.logs)
+    return {"duration_s": labels.duration_s(starts), "path_m": labels.driven_m(starts)}
+
+
+def _of_findings(stored: StoredMap) -> dict[str, float | None]:
+    """How many findings that cast doubt there are of each code."""
+    quality = stored.record.graph.quality
+    grave = [] if quality is None else [one for one in quality.findings if one.severity != "note"]
+    return {
+        f"{FINDINGS}{code}": sum(one.code == code for one in grave)
+        for code in sorted({one.code for one in grave})
+    }

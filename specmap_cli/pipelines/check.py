@@ -1,0 +1,120 @@
+"""A map under rules: its own figures, and what a golden map of the building says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from specmap_cli.checking.figures import FINDINGS, figures_against, figures_of
+from specmap_cli.checking.outcome import VERDICT, judged
+from specmap_cli.checking.record import CheckRecord
+from specmap_cli.checking.reports import lines_of
+from specmap_cli.checking.rules import Rules, read_rules
+from specmap_cli.core.arguments import instance_of, path_of
+from specmap_cli.core.errors import NoResultError
+from specmap_cli.core.findings import Severity
+from specmap_cli.core.progress import Progress
+from specmap_cli.core.text import plain
+from specmap_cli.maps.comparison import ComparisonRecord
+from specmap_cli.maps.schema_graph import FindingRecord
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.compare import compare_maps
+
+_GRAVITY: tuple[Severity, ...] = ("note", "doubtful", "poor")
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """What a check found."""
+
+    record: CheckRecord
+
+    @property
+    def passed(self) -> bool:
+        """Whether the map keeps every rule."""
+        return self.record.passed
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same for a machine, as `checking.record` has it."""
+        return self.record.model_dump()
+
+    def lines(self) -> list[str]:
+        """The same for a person."""
+        return lines_of(self.record)
+
+
+def check_map(
+    stored: StoredMap | Path | str,
+    rules: Rules | None = None,
+    against: StoredMap | Path | str | None = None,
+    progress: Progress | None = None,
+) -> CheckReport:
+    """Whether a map keeps rules; `against` is a golden map of the same building.
+
+    Without `rules` the defaults hold. A map that cannot be aligned with the golden one breaks the
+    rule `golden.aligned`. Raises MapError for a directory that is no map or damaged.
+    """
+    map_ = _opened(stored, "stored")
+    golden = None if against is None else _opened(against, "against")
+    if rules is None:
+        rules = read_rules(None, against=golden is not None)
+    instance_of(rules, Rules, "rules")
+    figures, details = figures_of(map_), dict(_told(map_))
+    if golden is not None:
+        record, reason = _compared(golden, map_, progress)
+        against_it = figures_against(record)
+        figures |= against_it
+        details |= dict.fromkeys(against_it, reason) if record is None else _changes(record)
+    quality = map_.record.graph.quality
+    verdict = None if quality is None else quality.verdict
+    named = None if golden is None else str(golden.path)
+    rounded = plain(figures)
+    return CheckReport(judged(str(map_.path), named, rounded, verdict, rules, details))
+
+
+def _opened(given: StoredMap | Path | str, name: str) -> StoredMap:
+    return given if isinstance(given, StoredMap) else read_map(path_of(given, name))
+
+
+def _compared(
+    golden: StoredMap, map_: StoredMap, progress: Progress | None
+) -> tuple[ComparisonRecord | None, str]:
+    """The comparison, or why there is none."""
+    try:
+        return compare_maps(golden, map_, progress=progress).record, ""
+    except NoResultError as error:
+        return None, str(error)
+
+
+def _told(stored: StoredMap) -> Iterable[tuple[str, str]]:
+    """What the findings say, by the figure that counts them, and those that made the verdict."""
+    quality = stored.record.graph.quality
+    if quality is None:
+        return
+    by_code: dict[str, list[FindingRecord]] = {}
+    for finding in quality.findings:
+        if finding.severity != "note":
+            by_code.setdefault(finding.code, []).append(finding)
+    for code, findings in by_code.items():
+        worst = max(findings, key=lambda one: _GRAVITY.index(one.severity))
+        more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
+        yield f"{FINDINGS}{code}", f"{worst.message}{more}"
+    yield VERDICT, ", ".join(by_code)
+
+
+def _changes(record: ComparisonRecord) -> dict[str, str]:
+    """Which submaps and ways the figures of a comparison count, by name."""
+    old, new = record.old.names, record.new.names
+    return {
+        "golden.gone": _named(record.submaps.gone, old),
+        "golden.unseen": _named(record.submaps.unseen, old),
+        "golden.new": _named(record.submaps.new, new),
+        "golden.closed": "; ".join(_named(way.between, old) for way in record.doors.closed),
+        "golden.opened": "; ".join(_named(way.between, new) for way in record.doors.opened),
+    }
+
+
+def _named(ids: Iterable[int], names: Mapping[int, str]) -> str:
+    return ", ".join(names.get(id_, str(id_)) for id_ in ids)

@@ -1,0 +1,257 @@
+"""Figures of the small house under rules, the comparison with a golden map, and the reports."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import jsonschema
+import pytest
+
+from specmap_cli.checking import record as schema
+from specmap_cli.checking.figures import figures_against, figures_of
+from specmap_cli.checking.outcome import judged
+from specmap_cli.checking.reports import junit, lines_of, markdown
+from specmap_cli.checking.rules import Rules, read_rules
+from specmap_cli.maps.comparison import ComparisonRecord
+from specmap_cli.maps.store import read_map
+from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.pipelines.check import check_map
+
+RUN = {"wall_s": 4.0, "memory_mb": 200.0, "counts": {"scans": 80, "lost": 2, "breaks": 1}}
+FINDING: dict[str, Any] = {
+    "code": "walls-disagree",
+    "severity": "doubtful",
+    "message": "near (1, 2) the walls | are *twice*",
+    "advice": "",
+    "value": 0.3,
+    "limit": None,
+    "where": None,
+}
+
+Change = Callable[[dict[str, Any]], None]
+
+
+def nothing(_: dict[str, Any]) -> None:
+    """Leave a document as it is."""
+
+
+@pytest.fixture
+def house(tmp_path: Path, result: MapResult) -> Callable[..., Path]:
+    """The map of the house with other contents of run.json and topology.json."""
+
+    def make(run: dict[str, Any] | None = None, change: Change = nothing) -> Path:
+        out = tmp_path / "house"
+        out.mkdir()
+        write_map(out, result)
+        written = json.loads((out / "run.json").read_text())
+        (out / "run.json").write_text(json.dumps({**written, **(RUN if run is None else run)}))
+        document = json.loads((out / "topology.json").read_text())
+        document["graph"]["quality"] = {"verdict": "good", "findings": []}
+        change(document)
+        (out / "topology.json").write_text(json.dumps(document))
+        return out
+
+    return make
+
+
+def bare(most: dict[str, float] | None = None, least: dict[str, float] | None = None) -> Rules:
+    return Rules("poor", most or {}, least or {})
+
+
+def broken(path: Path, rules: Rules) -> list[str]:
+    return [one.rule for one in check_map(path, rules).record.rules if not one.passed]
+
+
+def test_the_figures_are_those_of_the_map(house: Callable[..., Path]) -> None:
+    figures = figures_of(read_map(house()))
+    assert figures["lost_share"] == pytest.approx(2 / 80)
+    assert figures["scans_per_s"] == pytest.approx(20.0)
+    assert (figures["breaks"], figures["memory_mb"]) == (1, 200.0)
+    assert (figures["submaps"], figures["edges"], figures["parts"]) == (3, 2, 1)
+    assert figures["duration_s"] == pytest.approx(29.0)
+    assert figures["area_m2"] is not None
+    assert figures["area_m2"] > 10.0
+
+
+def test_a_figure_that_is_not_known_breaks_its_rule(house: Callable[..., Path]) -> None:
+    spoiled = {"wall_s": "soon", "memory_mb": None, "counts": {"scans": "many", "lost": 2}}
+    path = house(spoiled)
+    rules = bare({"lost_share": 1, "memory_mb": 1e9, "breaks": 9}, {"scans_per_s": 0})
+    assert broken(path, rules) == ["lost_share", "memory_mb", "breaks", "scans_per_s"]
+    (path / "run.json").unlink()
+    assert broken(path, rules) == ["lost_share", "memory_mb", "breaks", "scans_per_s"]
+    (outcome,) = [
+        one for one in check_map(path, bare({"breaks": 9})).record.rules if not one.passed
+    ]
+    assert outcome.detail == "not known: the map does not say"
+
+
+def test_bounds_are_kept_up_to_their_value(house: Callable[..., Path]) -> None:
+    path = house()
+    assert broken(path, bare({"submaps": 3, "lost_share": 0.025}, {"submaps": 3})) == []
+    assert broken(path, bare({"submaps": 2.9, "lost_share": 0.024}, {"submaps": 3.1})) == [
+        "submaps",
+        "lost_share",
+        "submaps",
+    ]
+
+
+def test_parts_that_no_link_joins_are_counted(house: Callable[..., Path]) -> None:
+    def cut(document: dict[str, Any]) -> None:
+        document["edges"] = document["edges"][:1]
+
+    assert broken(house(change=cut), read_rules(None, against=False)) == ["parts"]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "worst", "passes"),
+    [
+        ("good", "good", True),
+        ("doubtful", "good", False),
+        ("doubtful", "doubtful", True),
+        ("poor", "doubtful", False),
+        ("poor", "poor", True),
+        (None, "doubtful", False),
+    ],
+)
+def test_the_verdict_has_a_worst(
+    house: Callable[..., Path], verdict: str | None, worst: str, passes: bool
+) -> None:
+    def say(document: dict[str, Any]) -> None:
+        quality = None if verdict is None else {"verdict": verdict, "findings": []}
+        document["graph"]["quality"] = quality
+
+    rules = Rules(worst, {}, {})  # type: ignore[arg-type]
+    assert check_map(house(change=say), rules).passed == passes
+
+
+def test_findings_are_counted_by_their_code_unless_they_are_notes(
+    house: Callable[..., Path],
+) -> None:
+    def find(document: dict[str, Any]) -> None:
+        note = {**FINDING, "severity": "note", "code": "loose-part"}
+        poor = {**FINDING, "severity": "poor", "message": "worse"}
+        findings = [note, FINDING, poor]
+        document["graph"]["quality"] = {"verdict": "poor", "findings": findings}
+
+    report = check_map(house(change=find))
+    found = {one.rule: one for one in report.record.rules if not one.passed}
+    assert set(found) == {"verdict", "findings.walls-disagree"}
+    assert found["findings.walls-disagree"].value == 2
+    assert found["findings.walls-disagree"].detail == "worse (and 1 more)"
+    assert found["verdict"].detail == "walls-disagree"
+
+
+def test_what_differs_from_a_golden_map_is_counted() -> None:
+    figures = figures_against(compared())
+    assert figures["golden.gone"] == 1
+    assert figures["golden.closed"] == 1
+    assert figures["golden.area_share"] == pytest.approx(0.5)
+    assert figures["golden.same_share"] == pytest.approx(2 / 3)
+    assert figures["golden.appeared_m2"] == pytest.approx(0.75)
+    assert figures_against(None)["golden.aligned"] == 0
+    assert figures_against(None)["golden.gone"] is None
+
+
+def compared() -> ComparisonRecord:
+    """A comparison in which a room, a way and half of the floor are gone."""
+    side = {
+        "names": {0: "Hall", 1: "1", 2: "2"},
+        "submaps": 3,
+        "edges": 2,
+        "keyframes": 30,
+        "path_m": 10.0,
+        "duration_s": 30.0,
+        "verdict": "good",
+    }
+    thing = {
+        "x": 0.0,
+        "y": 0.0,
+        "length_m": 1.0,
+        "width_m": 0.75,
+        "area_m2": 0.75,
+        "corners": [],
+        "old_submap": None,
+        "new_submap": 1,
+    }
+    way = {"between": (0, 1), "x": 1.0, "y": 1.0, "width_m": 0.9}
+    return ComparisonRecord.model_validate(
+        {
+            "schema_version": 1,
+            "old": {**side, "map": "old", "area_m2": 40.0},
+            "new": {**side, "map": "new", "area_m2": 20.0},
+            "identical": False,
+            "alignment": {
+                "old_from_new": (0.0, 0.0, 0.0),
+                "votes": 2,
+                "submaps": 3,
+                "area_m2": 20.0,
+                "walls_m": 9.0,
+                "residual_m": 0.02,
+                "rival": 0.1,
+            },
+            "submaps": {
+                "same": [{"old": 0, "new": 0, "iou": 1.0}, {"old": 1, "new": 1, "iou": 1.0}],
+                "split": [],
+                "merged": [],
+                "new": [],
+                "unseen": [],
+                "gone": [2],
+                "redrawn_old": [],
+                "redrawn_new": [],
+            },
+            "doors": {"closed": [way], "opened": []},
+            "things": {"appeared": [thing], "vanished": []},
+        }
+    )
+
+
+def spoiled_record() -> schema.CheckRecord:
+    figures = {"lost_share": 0.251234, "submaps": 3, "parts": None}
+    rules = Rules("good", {"lost_share": 0.05, "parts": 1}, {"submaps": 2})
+    details = {"lost_share": FINDING["message"], "verdict": "<b> & \x01\x07"}
+    return judged("maps/one", None, figures, "doubtful", rules, details)
+
+
+def test_a_table_for_a_person() -> None:
+    assert lines_of(spoiled_record()) == [
+        "  BROKEN  verdict     doubtful  <= good  <b> & \\x01\\x07",
+        "  BROKEN  lost_share    0.2512  <= 0.05  near (1, 2) the walls | are *twice*",
+        "  BROKEN  parts        unknown  <= 1  not known: the map does not say",
+        "  ok      submaps            3  >= 2",
+        "maps/one: breaks 3 of 4 rules: verdict, lost_share, parts",
+    ]
+
+
+def test_junit_that_a_ci_reads() -> None:
+    root = ElementTree.fromstring(junit(spoiled_record()))
+    (suite,) = root
+    assert (root.tag, suite.tag) == ("testsuites", "testsuite")
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "3", "0")
+    cases = {case.get("name"): case for case in suite}
+    assert [case.get("name") for case in suite if case.find("failure") is None] == ["submaps >= 2"]
+    failure = cases["lost_share <= 0.05"].find("failure")
+    assert failure is not None
+    assert failure.get("message") == "lost_share is 0.2512, allowed is <= 0.05"
+    assert failure.text == FINDING["message"]
+
+
+def test_markdown_keeps_a_name_in_its_cell() -> None:
+    lines = markdown(spoiled_record()).splitlines()
+    assert lines[0].startswith("### maps/one: breaks 3 of 4 rules")
+    rows = [line for line in lines if line.startswith("| **broken**") or line.startswith("| ok")]
+    assert len(rows) == 4
+    assert rows[-1].startswith("| ok | submaps | 3 | \\>= 2 |")
+    assert "the walls \\| are \\*twice\\*" in rows[1]
+
+
+def test_the_schema_is_the_shipped_one_and_fits() -> None:
+    shipped = json.loads(schema.SCHEMA_FILE.read_text(encoding="utf-8"))
+    assert shipped == json.loads(schema.schema_text()), (
+        "python -m specmap_cli.checking.record > specmap_cli/checking/check.schema.json"
+    )
+    jsonschema.validate(json.loads(spoiled_record().model_dump_json()), shipped)
