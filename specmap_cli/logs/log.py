@@ -69,6 +69,24 @@ class Log:
             end_ns=max((part.end_ns for part in timed), default=0),
         )
 
+    def side_by_side(self, topic: str) -> Iterator[tuple[Path, Path, int]]:
+        """Files that hold one topic at the same time, and for how many nanoseconds.
+
+        Each is given with the one of those before it that lasts longest. A file begins with its
+        first message on the topic: transforms may be repeated from the file before it.
+        """
+        longest: Recording | None = None
+        for recording in self._recordings:
+            first = next(iter(recording.messages([topic])), None)
+            if first is None:
+                continue
+            if longest is not None:
+                shared = min(longest.contents.end_ns, recording.contents.end_ns) - first.time_ns
+                if shared > 0:
+                    yield longest.path, recording.path, shared
+            if longest is None or recording.contents.end_ns > longest.contents.end_ns:
+                longest = recording
+
     def topics(self) -> list[TopicInfo]:
         """The topics by name; a name with two types is listed once for each."""
         return list(self.contents.topics)

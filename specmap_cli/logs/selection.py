@@ -9,7 +9,7 @@ from itertools import islice
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.text import counted, legible
+from specmap_cli.core.text import counted, legible, seconds
 from specmap_cli.logs.clocks import (
     Clock,
     OdometryKind,
@@ -38,6 +38,7 @@ from specmap_cli.logs.topics import choose_odometry_topic, choose_scan_topic, dy
 from specmap_cli.logs.transforms import TransformTree
 
 _ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
+_PARTS_OVERLAP_NS = 2_000_000_000  # parts of one recording may share a moment, not more
 _LOOK_BYTES = 32_000_000  # of messages that are looked at: some twenty clouds
 
 
@@ -146,8 +147,25 @@ def select(log: Log, config: LogConfig) -> Selection:
         placement=placement,
         odometry_source=odometry,
         tree=frames.tree,
-        warnings=(*placement.warnings, *_assumptions(scan, placement, frames, child, config)),
+        warnings=(
+            *_doubled(log, scan.topic.name),
+            *placement.warnings,
+            *_assumptions(scan, placement, frames, child, config),
+        ),
     )
+
+
+def _doubled(log: Log, topic: str) -> Iterator[str]:
+    """Files that look like recordings of their own, not like parts of one."""
+    if len(log.paths) == 1:
+        return
+    for earlier, later, shared_ns in log.side_by_side(topic):
+        if shared_ns > _PARTS_OVERLAP_NS:
+            yield (
+                f"{earlier} and {later} both hold {topic} for the same {seconds(shared_ns):.0f} s: "
+                "if they are not parts of one recording, build a map of one of them and add the "
+                "other with `specmap update`"
+            )
 
 
 def _assumptions(

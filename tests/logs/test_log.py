@@ -60,6 +60,20 @@ def test_its_contents_are_those_of_its_messages(times: list[list[int]]) -> None:
     assert log.contents == survey((m.topic, m.type, m.time_ns) for m in log.messages())
 
 
+def test_files_that_hold_a_topic_at_the_same_time_are_found() -> None:
+    parts = [
+        Listed("a", at(1, 9)),
+        Listed("b", at(2, 4)),
+        Listed("other", at(1, 9, topic="/b")),
+        Listed("c", at(7, 12)),
+        Listed("d", at(12, 20)),
+        Listed("empty", []),
+    ]
+    found = list(Log(parts, [Path("folder")]).side_by_side("/a"))
+    assert found == [(Path("a"), Path("b"), 2), (Path("a"), Path("c"), 2)]
+    assert list(Log(parts, [Path("folder")]).side_by_side("/b")) == []
+
+
 def test_a_topic_with_two_types_is_listed_for_each() -> None:
     log = Log([Listed("a", at(1)), Listed("b", at(2, 3, kind="U"))], [Path("a"), Path("b")])
     assert log.topics() == [TopicInfo("/a", "T", 1), TopicInfo("/a", "U", 2)]

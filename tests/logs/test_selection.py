@@ -101,6 +101,26 @@ def test_a_scan_topic_of_rubbish_is_refused(tmp_path: Path) -> None:
         choose(path)
 
 
+@pytest.mark.parametrize(
+    ("after_s", "shared_s"), [(0, 10), (7, 3), (8, None), (10, None), (20, None)]
+)
+def test_two_recordings_given_as_one_are_said(
+    tmp_path: Path, after_s: int, shared_s: int | None
+) -> None:
+    paths = [tmp_path / "first.mcap", tmp_path / "second.mcap"]
+    for path, begins_s in zip(paths, (0, after_s), strict=True):
+        with LogWriter(path) as log:
+            log.static_transform("base_link", "laser", (0.1, 0.0, 0.0), stamp_ns=START)
+            for number in range(11):
+                stamp_ns = START + (begins_s + number) * 1_000_000_000
+                log.scan("/scan", "laser", stamp_ns, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
+    with open_log(paths) as both:
+        warnings = select(both, LogConfig()).warnings
+    said = [line.partition(": ")[0] for line in warnings if "not parts of one" in line]
+    both_hold = f"{paths[0]} and {paths[1]} both hold /scan for the same {shared_s} s"
+    assert said == ([] if shared_s is None else [both_hold])
+
+
 def test_an_unknown_mounting_is_said(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     with LogWriter(path) as log:
