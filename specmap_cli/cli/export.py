@@ -14,7 +14,7 @@ Map = Annotated[
     Path, typer.Argument(metavar="MAP", help="Map directory written by `specmap build`.")
 ]
 Format = Annotated[
-    str, typer.Option("--format", "-f", help="geojson, graphml, or one of an installed package.")
+    str, typer.Option("--format", "-f", help="One of those above, or of an installed package.")
 ]
 Out = Annotated[Path, output("File to write.")]
 
@@ -30,12 +30,17 @@ def export(
 ) -> None:
     """Write a map in the format of another tool.
 
-    graphml: the graph alone, for yEd, Gephi and networkx. geojson: outlines and links in metres of
-    the map, for QGIS. Installed packages may add formats. Of the settings only the section `limits`
-    counts: how large a file of the map may be.
+    \b
+    nav2        the ways as a graph for Nav2's route server
+    geojson     outlines, doors and ways in metres of the map, for QGIS
+    graphml     the graph alone, for yEd, Gephi and networkx
+
+    Installed packages may add formats. Of the settings only the section `limits` counts: how large
+    a file of the map may be. What would mislead is told as a warning. A map that the format cannot
+    hold is refused with exit code 3, such as one without any way for nav2.
 
     \b
-    specmap export map --format graphml -o map.graphml
+    specmap export map --format nav2 -o map.geojson
     """
     from specmap_cli.exports.table import export_map, exporters
     from specmap_cli.maps.store import read_map
@@ -45,12 +50,13 @@ def export(
     with common.progress() as progress:
         if stored.note:
             progress.note(stored.note)
-    export_map(stored, format_, out, overwrite=overwrite)
+        warnings = export_map(stored, format_, out, overwrite=overwrite, progress=progress)
     result = {
         "map": str(map_),
         "out": str(out),
         "format": format_,
         "submaps": len(stored.record.nodes),
         "edges": len(stored.record.edges),
+        "warnings": warnings,
     }
     common.show(result, [f"{out}: {exporters()[format_].description}"])

@@ -39,3 +39,28 @@ class Silent:
     def warn(self, message: str) -> None:
         """Remember `message`."""
         self.warnings.append(message)
+
+
+class Remembering:
+    """Hands everything on to another progress and remembers the warnings."""
+
+    def __init__(self, progress: Progress) -> None:
+        self.warnings: list[str] = []
+        self._progress = progress
+
+    def start(self, stage: str, total: int | None) -> None:
+        """Handed on."""
+        self._progress.start(stage, total)
+
+    def advance(self, steps: int = 1) -> None:
+        """Handed on."""
+        self._progress.advance(steps)
+
+    def note(self, message: str) -> None:
+        """Handed on."""
+        self._progress.note(message)
+
+    def warn(self, message: str) -> None:
+        """Handed on, and remembered."""
+        self.warnings.append(message)
+        self._progress.warn(message)

@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import IO, Any
 
+from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import to_json
+from specmap_cli.exports.fields import centre_of, door_fields, link_fields, submap_fields
 from specmap_cli.maps.schema import EdgeRecord, NodeRecord
 from specmap_cli.maps.schema_graph import DoorRecord
 from specmap_cli.maps.store import StoredMap
@@ -26,12 +28,10 @@ class GeoJson:
 
     description = "GeoJSON: outlines, doors and ways in metres of the map, for QGIS"
 
-    def write(self, stored: StoredMap, target: IO[bytes]) -> None:
+    def write(self, stored: StoredMap, target: IO[bytes], _: Progress) -> None:
         """Write the features of a map, submaps first."""
         nodes = {node.id: node for node in stored.record.nodes}
-        places = {
-            id_: node.anchor or node.centroid or (node.x, node.y) for id_, node in nodes.items()
-        }
+        places = {id_: node.anchor or centre_of(node) for id_, node in nodes.items()}
         features = [
             *(_submap(node) for node in nodes.values() if node.polygon),
             *(_anchor(node) for node in nodes.values() if node.anchor),
@@ -44,20 +44,14 @@ class GeoJson:
 def _submap(node: NodeRecord) -> dict[str, Any]:
     """The outline of a submap: a ring that ends where it starts."""
     ring = [*node.polygon, node.polygon[0]]
-    return _feature(
-        "Polygon",
-        [ring],
-        {
-            "kind": "submap",
-            "id": node.id,
-            "name": node.name,
-            "submap_kind": node.kind,
-            "properties": node.properties,
-            "area_m2": node.area_m2,
-            "scans": node.scans,
-            "visits": len(node.visits),
-        },
-    )
+    properties = {
+        **submap_fields(node),
+        "kind": "submap",
+        "submap_kind": node.kind,
+        "id": node.id,
+        "properties": node.properties,
+    }
+    return _feature("Polygon", [ring], properties)
 
 
 def _anchor(node: NodeRecord) -> dict[str, Any]:
@@ -75,14 +69,10 @@ def _door(record: DoorRecord) -> dict[str, Any]:
         "LineString",
         [[round(value, 6) for value in side] for side in door_of(record).sides],
         {
+            **door_fields(record),
             "kind": "door",
-            "forbidden": record.forbidden,
             "id": record.id,
             "between": list(record.between),
-            "width_m": record.width_m,
-            "theta": record.theta,
-            "driven": record.driven,
-            "crossings": len(record.crossings),
         },
     )
 
@@ -95,17 +85,10 @@ def _link(edge: EdgeRecord, places: Mapping[int, Place]) -> dict[str, Any]:
         "LineString",
         line,
         {
-            "kind": edge.kind,
+            **link_fields(edge),
             "source": edge.source,
             "target": edge.target,
-            "distance_m": edge.distance_m,
-            "traversals": len(edge.traversals),
-            "width_m": edge.width_m,
             "doors": edge.doors,
-            "passable": edge.path is not None,
-            "length_m": edge.length_m,
-            "clearance_m": edge.clearance_m,
-            "forbidden": edge.forbidden,
         },
     )
 

@@ -6,9 +6,12 @@ by an entry point of the group `specmap.exporters`; the entry point's name is th
     class Names:
         description = "the names of the submaps, a line each"
 
-        def write(self, stored: StoredMap, target: IO[bytes]) -> None:
+        def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
             for node in stored.record.nodes:
                 target.write(f"{node.name}\\n".encode())
+
+What would mislead a user of the file is told by `progress.warn`; a map that cannot be written in
+the format at all is a MapError.
 """
 
 from __future__ import annotations
@@ -20,8 +23,10 @@ from typing import IO, Protocol
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.files import complete_file
 from specmap_cli.core.plugins import with_plugins
+from specmap_cli.core.progress import Progress, Remembering, Silent
 from specmap_cli.exports.geojson import GeoJson
 from specmap_cli.exports.graphml import GraphMl
+from specmap_cli.exports.nav2 import Nav2
 from specmap_cli.maps.store import StoredMap
 
 GROUP = "specmap.exporters"
@@ -32,27 +37,37 @@ class Exporter(Protocol):
 
     description: str
 
-    def write(self, stored: StoredMap, target: IO[bytes]) -> None:
-        """Write the map to an open file. Raises MapError when the map is damaged."""
+    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress, /) -> None:
+        """Write the map to an open file. Raises MapError when it is damaged, or lacks too much."""
 
 
 def exporters() -> dict[str, Exporter]:
     """Every exporter by the name of its format. Raises UsageError for a broken plug-in."""
-    built_in: dict[str, Exporter] = {"geojson": GeoJson(), "graphml": GraphMl()}
+    built_in: dict[str, Exporter] = {"geojson": GeoJson(), "graphml": GraphMl(), "nav2": Nav2()}
     offered = with_plugins(GROUP, built_in)
     return {name: each() if isinstance(each, type) else each for name, each in offered.items()}
 
 
-def export_map(stored: StoredMap, name: str, out: Path | str, *, overwrite: bool = False) -> None:
+def export_map(
+    stored: StoredMap,
+    name: str,
+    out: Path | str,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> list[str]:
     """Write a map in the format `name` to the file `out`, complete or not at all.
 
-    Raises UsageError for a format that nobody offers, and for a file that exists (unless
-    `overwrite`) or cannot be written; MapError for a damaged map.
+    Returns the warnings. Raises UsageError for a format that nobody offers, and for a file that
+    exists (unless `overwrite`) or cannot be written; MapError for a damaged map, and for one that
+    lacks what the format cannot do without.
     """
     target, known = Path(out), exporters()
     if name not in known:
         raise UsageError(f"unknown format {name!r}: choose from {', '.join(sorted(known))}")
     if os.path.lexists(target) and not overwrite:
         raise UsageError(f"{target}: exists already: choose another name or say --overwrite")
+    heard = Remembering(Silent() if progress is None else progress)
     with complete_file(target) as file:
-        known[name].write(stored, file)
+        known[name].write(stored, file, heard)
+    return heard.warnings

@@ -1,0 +1,97 @@
+"""Whether a map can guide a robot: what is refused, and what its user must be told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.progress import Progress
+from specmap_cli.core.text import counted
+from specmap_cli.exports.routes import is_way, parts
+from specmap_cli.maps.schema import EdgeRecord, TopologyRecord
+from specmap_cli.maps.store import StoredMap
+
+_MOST = 5  # ids in one message
+
+
+def check_routes(stored: StoredMap, progress: Progress) -> None:
+    """Tell what would mislead a robot that follows the ways of a map.
+
+    Raises MapError for a map without any way: nothing could be planned with it.
+    """
+    record = stored.record
+    if not any(map(is_way, record.edges)):
+        raise MapError(f"{stored.path}: no way joins two of its submaps: {_why_no_way(record)}")
+    for warning in _warnings(record):
+        progress.warn(warning)
+    for note in _left_out(record):
+        progress.note(note)
+
+
+def _why_no_way(record: TopologyRecord) -> str:
+    """Why there is nothing to drive along, and what to do."""
+    if record.graph.robot_radius_m is None:
+        return "nobody looked for ways when it was made: build the map again"
+    if len(record.nodes) < 2:
+        return "routes need two submaps at the least: record a drive through more rooms"
+    if any(edge.forbidden and edge.path for edge in record.edges):
+        return "those that there are were forbidden: allow one with `specmap edit`"
+    radius = record.graph.robot_radius_m
+    return (
+        f"all are too narrow for a robot of {radius:g} m radius: build the map again with a "
+        "smaller ways.robot_radius_m, if the robot is smaller"
+    )
+
+
+def _warnings(record: TopologyRecord) -> list[str]:
+    """What is in the file, or missing in it, and would mislead."""
+    found = []
+    quality = record.graph.quality
+    if quality is not None and quality.verdict != "good":
+        found.append(
+            f"the map is judged {quality.verdict}: a robot that follows its ways may meet walls"
+        )
+    unanchored = [node.id for node in record.nodes if node.anchor is None]
+    if unanchored:
+        found.append(f"no place to stand in {_submaps(unanchored)}: left out")
+    largest, *others = parts(record)
+    if others:
+        apart = [submap for part in others for submap in part]
+        found.append(
+            f"{len(others) + 1} parts that no way joins: no route leads from {_submaps(largest)} "
+            f"to {_submaps(apart)}"
+        )
+    loose = [edge for edge in record.edges if is_way(edge) and edge.kind == "loose"]
+    if loose:
+        found.append(
+            f"{_links(loose)} joined by a guess only, where tracking was lost: check the map "
+            "before a robot drives there"
+        )
+    return found
+
+
+def _left_out(record: TopologyRecord) -> list[str]:
+    """What the file has not, for good reasons."""
+    forbidden = [edge for edge in record.edges if edge.forbidden]
+    narrow = [edge for edge in record.edges if not edge.path and not edge.forbidden]
+    return [
+        *([f"left out: {_links(forbidden)} forbidden"] if forbidden else []),
+        *([f"left out: {_links(narrow)} without a way wide enough"] if narrow else []),
+    ]
+
+
+def _submaps(ids: Sequence[int]) -> str:
+    """`submap 7`, `submaps 7, 9`, or the first few and how many more."""
+    noun = "submap" if len(ids) == 1 else "submaps"
+    return f"{noun} {_few([str(id_) for id_ in ids])}"
+
+
+def _links(edges: Sequence[EdgeRecord]) -> str:
+    """`1 link (3-4)`."""
+    names = [f"{edge.source}-{edge.target}" for edge in edges]
+    return f"{counted(len(edges), 'link')} ({_few(names)})"
+
+
+def _few(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MOST} more" if len(names) > _MOST else ""
+    return ", ".join(names[:_MOST]) + more

@@ -1,0 +1,110 @@
+"""Maps to export: the small house as it is, with ways and scans, and a flat divided into rooms."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.map_server import write_grid
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.pipelines.segment import segment_map
+from specmap_cli.topology.topological_map import Door, Edge
+
+BEARINGS = np.linspace(-np.pi / 2, np.pi / 2, 19)
+POSE_GRAPH = """\
+VERTEX_SE2 0 0 0 0
+VERTEX_SE2 1 1 0 0
+VERTEX_SE2 2 2 0 0
+EDGE_SE2 0 1 1 0 0 100 0 0 100 0 1000
+EDGE_SE2 1 2 1 0 0 100 0 0 100 0 1000
+EDGE_SE2 0 2 2.3 0 0 100 1 2 100 3 1000
+FIX 0
+"""
+
+
+@pytest.fixture
+def stored(tmp_path: Path, result: MapResult) -> StoredMap:
+    """The house: no doors, no ways, no scans."""
+    out = tmp_path / "out"
+    out.mkdir()
+    write_map(out, result)
+    return read_map(out)
+
+
+@pytest.fixture
+def lived_in(result: MapResult) -> MapResult:
+    """The house with an anchor in each submap, two ways, a link too narrow and a forbidden one."""
+    doors = (
+        Door(id=0, x=-3.0, y=1.25, width_m=0.9, theta=np.pi / 2, between=(0, 1)),
+        Door(id=1, x=3.0, y=1.25, width_m=0.8, theta=np.pi / 2, between=(0, 2)),
+    )
+    ways = {
+        (0, 1): (np.array([[0.0, 0.5], [-3.0, 1.0], [-3.0, 3.5]]), (0,), 0.4),
+        (0, 2): (np.array([[0.0, 0.5], [3.0, 1.25], [3.0, 3.0]]), (1,), 0.3),
+    }
+    old = result.topology
+    edges = dict(old.edges)
+    for pair, (path, through, clearance) in ways.items():
+        edges[pair] = dataclasses.replace(
+            edges[pair],
+            path=path,
+            doors=through,
+            clearance_m=clearance,
+            length_m=float(np.hypot(*np.diff(path, axis=0).T).sum()),
+            width_m=doors[through[0]].width_m,
+        )
+    edges[1, 2] = Edge(source=1, target=2, kind="seen", clearance_m=0.1)
+    anchors = {0: (0.0, 0.5), 1: (-3.0, 3.5), 2: (3.0, 3.0)}
+    submaps = {
+        id_: dataclasses.replace(submap, anchor=anchors[id_], anchor_clearance_m=0.8)
+        for id_, submap in old.submaps.items()
+    }
+    topology = dataclasses.replace(
+        old, submaps=submaps, edges=edges, doors=doors, robot_radius_m=0.2
+    )
+    return dataclasses.replace(result, topology=topology, pose_graph=POSE_GRAPH)
+
+
+@pytest.fixture
+def home(tmp_path: Path, lived_in: MapResult) -> StoredMap:
+    """The house as it is lived in, and its scans."""
+    out = tmp_path / "home"
+    out.mkdir()
+    with KeyframeStore() as scans:
+        for row, stamp_ns in enumerate(lived_in.labels.stamps_ns.tolist()):
+            scans.append(scan_of(row, stamp_ns, Pose2(*lived_in.labels.poses[row].tolist())))
+        write_map(out, lived_in, scans)
+    return read_map(out)
+
+
+def scan_of(row: int, stamp_ns: int, pose: Pose2) -> PosedScan:
+    """A scan of half a circle whose beams grow, with one that is lost and one without return."""
+    ranges = np.linspace(1.0, 2.0 + 0.01 * row, len(BEARINGS))
+    ranges[[0, 1]] = np.nan, np.inf
+    planar = PlanarScan(
+        stamp_ns=stamp_ns, bearings=BEARINGS, ranges=ranges, range_max=8.0, full_circle=False
+    )
+    return PosedScan(
+        index=row,
+        stamp_ns=stamp_ns,
+        map_from_base=pose,
+        planar=planar,
+        base_from_laser=Pose2(0.2, 0.0, 0.0),
+    )
+
+
+@pytest.fixture(scope="session")
+def rooms(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> StoredMap:
+    """The flat divided into rooms, its doors and ways found; not to be changed."""
+    folder = tmp_path_factory.mktemp("rooms")
+    write_grid(folder / "flat", flat)
+    segment_map(folder / "flat.yaml", folder / "out")
+    return read_map(folder / "out")

@@ -1,0 +1,183 @@
+"""The graph for Nav2's route server, read by its rules: whole, equal to the map, and drivable."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import networkx as nx
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.findings import Finding, Quality
+from specmap_cli.exports.routes import parts, routes
+from specmap_cli.exports.table import export_map
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.writing import MapResult, write_map
+from tests.exports.route_server import driven_m, load
+
+
+def written(directory: Path, result: MapResult) -> StoredMap:
+    directory.mkdir()
+    write_map(directory, result)
+    return read_map(directory)
+
+
+def exported(stored: StoredMap, out: Path) -> nx.DiGraph:
+    export_map(stored, "nav2", out)
+    return load(out)
+
+
+def test_the_server_reads_anchors_doors_and_bends(home: StoredMap, tmp_path: Path) -> None:
+    graph = exported(home, tmp_path / "home.geojson")
+    kinds = nx.get_node_attributes(graph, "metadata")
+    assert [kinds[node]["class"] for node in sorted(graph)] == [
+        "corridor", "room", "room", "bend", "door", "door"
+    ]  # fmt: skip
+    assert {graph.nodes[node]["frame"] for node in graph} == {"map"}
+    assert kinds[1]["name"] == "submap 1"
+    assert kinds[1]["properties"] == {"floor": 2, "heated": True, "owner": "Ann", "rent": 9.5}
+    outline = home.record.nodes[1].polygon
+    assert list(zip(*kinds[1]["region"].values(), strict=True)) == outline
+    assert kinds[5]["class"], kinds[5]["door"] == ("door", 0)
+
+
+def test_a_way_is_driven_both_ways_and_is_as_long_as_in_the_map(
+    home: StoredMap, rooms: StoredMap, tmp_path: Path
+) -> None:
+    for stored in (home, rooms):
+        graph = exported(stored, tmp_path / f"{stored.path.name}.geojson")
+        ways = [edge for edge in stored.record.edges if edge.path]
+        assert len(ways) >= 2
+        for way in ways:
+            assert way.length_m is not None
+            for start, end in ((way.source, way.target), (way.target, way.source)):
+                found = nx.shortest_path_length(graph, start, end, weight="cost")
+                assert found == pytest.approx(way.length_m, abs=1e-5)
+        for start, end, cost in graph.edges(data="cost"):
+            assert cost == pytest.approx(driven_m(graph, start, end), abs=1e-5)
+            assert graph.has_edge(end, start)
+
+
+def test_every_edge_runs_through_free_cells(
+    rooms: StoredMap, flat: GridMap, tmp_path: Path
+) -> None:
+    """Straight from node to node, as the server drives, at the clearance of the map's ways."""
+    graph = exported(rooms, tmp_path / "rooms.geojson")
+    clearance = distance_transform_edt(np.pad(flat.free, 1))[1:-1, 1:-1] * flat.resolution
+    radius = rooms.record.graph.robot_radius_m
+    assert radius is not None
+    for start, end in graph.edges:
+        a, b = (np.array([graph.nodes[at]["x"], graph.nodes[at]["y"]]) for at in (start, end))
+        steps = np.linspace(0.0, 1.0, 2 + int(math.dist(a, b) / 0.01))[:, None]
+        cells = flat.cells_of(a + steps * (b - a))
+        assert clearance[cells[:, 0], cells[:, 1]].min() >= radius
+
+
+def test_doors_stand_where_ways_go_through_them(rooms: StoredMap) -> None:
+    found = routes(rooms.record)
+    doors = {door.id: door for door in rooms.record.graph.doors}
+    passed = {stop.door: stop for stop in found.stops if stop.door is not None}
+    assert sorted(passed) == sorted(door for edge in rooms.record.edges for door in edge.doors)
+    for id_, stop in passed.items():
+        door = doors[id_]
+        assert math.dist((stop.x, stop.y), (door.x, door.y)) <= door.width_m / 2
+
+
+def test_narrow_and_forbidden_links_are_left_out_and_told(
+    lived_in: MapResult, tmp_path: Path
+) -> None:
+    old = lived_in.topology
+    edges = {**old.edges, (0, 2): dataclasses.replace(old.edges[0, 2], forbidden=True)}
+    topology = dataclasses.replace(old, edges=edges)
+    stored = written(tmp_path / "map", dataclasses.replace(lived_in, topology=topology))
+    notes = Notes()
+    warnings = export_map(stored, "nav2", tmp_path / "x.geojson", progress=notes)
+    assert notes.notes == [
+        "left out: 1 link (0-2) forbidden",
+        "left out: 1 link (1-2) without a way wide enough",
+    ]
+    assert warnings == ["2 parts that no way joins: no route leads from submaps 0, 1 to submap 2"]
+    graph = load(tmp_path / "x.geojson")
+    assert nx.has_path(graph, 0, 1)
+    assert not nx.has_path(graph, 0, 2)
+    assert parts(stored.record) == [[0, 1], [2]]
+
+
+class Notes:
+    """A progress that remembers its notes."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def start(self, stage: str, total: int | None) -> None: ...
+
+    def advance(self, steps: int = 1) -> None: ...
+
+    def note(self, message: str) -> None:
+        self.notes.append(message)
+
+    def warn(self, message: str) -> None: ...
+
+
+def test_what_would_mislead_is_a_warning(lived_in: MapResult, tmp_path: Path) -> None:
+    old = lived_in.topology
+    edges = {**old.edges, (0, 1): dataclasses.replace(old.edges[0, 1], kind="loose")}
+    submaps = {
+        **old.submaps,
+        2: dataclasses.replace(old.submaps[2], anchor=None, anchor_clearance_m=None),
+    }
+    poor = Quality(findings=(Finding(code="walls", severity="poor", message="walls stand twice"),))
+    topology = dataclasses.replace(old, edges=edges, submaps=submaps)
+    stored = written(
+        tmp_path / "map", dataclasses.replace(lived_in, topology=topology, quality=poor)
+    )
+    warnings = export_map(stored, "nav2", tmp_path / "x.geojson")
+    assert warnings == [
+        "the map is judged poor: a robot that follows its ways may meet walls",
+        "no place to stand in submap 2: left out",
+        "1 link (0-1) joined by a guess only, where tracking was lost: check the map before a "
+        "robot drives there",
+    ]
+    assert sorted(load(tmp_path / "x.geojson"))[:3] == [0, 1, old.next_id]
+
+
+def test_a_map_without_ways_is_refused(
+    stored: StoredMap, lived_in: MapResult, tmp_path: Path
+) -> None:
+    old = lived_in.topology
+    one = dataclasses.replace(
+        old, submaps={0: old.submaps[0]}, edges={}, doors=(), stays=(), closures=()
+    )
+    narrow = {pair: dataclasses.replace(each, path=None) for pair, each in old.edges.items()}
+    shut = {pair: dataclasses.replace(each, forbidden=True) for pair, each in old.edges.items()}
+    cases: dict[str, StoredMap | MapResult] = {
+        "nobody looked for ways": stored,
+        "routes need two submaps": dataclasses.replace(lived_in, topology=one),
+        "too narrow for a robot of 0.2 m radius": dataclasses.replace(
+            lived_in, topology=dataclasses.replace(old, edges=narrow)
+        ),
+        "were forbidden": dataclasses.replace(
+            lived_in, topology=dataclasses.replace(old, edges=shut)
+        ),
+    }
+    for number, (words, case) in enumerate(cases.items()):
+        if isinstance(case, MapResult):
+            case = written(tmp_path / str(number), case)
+        with pytest.raises(MapError, match=words):
+            export_map(case, "nav2", tmp_path / "x.geojson")
+    assert not (tmp_path / "x.geojson").exists()
+
+
+def test_numbers_stay_numbers_of_their_kind(home: StoredMap, tmp_path: Path) -> None:
+    """A scorer that asks for a width of 1 as a float fails on a whole number."""
+    export_map(home, "nav2", tmp_path / "home.geojson")
+    for feature in json.loads((tmp_path / "home.geojson").read_text())["features"]:
+        metadata = feature["properties"]["metadata"]
+        for key in ("width_m", "clearance_m", "area_m2"):
+            assert isinstance(metadata.get(key, 0.0), float)
