@@ -268,7 +268,7 @@ def _judge_map(case: MapCase, folder: Path, localized: Path) -> Iterator[Failure
 def _check_export(folder: Path) -> Iterator[Failure]:
     """Every format of export, by the library: written whole, or refused in one line."""
     for name in exporters():
-        out = folder / f"exported.{name}"
+        out = folder / f"exported-{name}"
         try:
             export_map(read_map(folder / "damaged"), name, out)
         except SpecmapError as error:

@@ -51,7 +51,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "quality": _STAGE | {"layout"},
     "maps": _STAGE | {"topology", "logs", "logs/readers"},
     "drawing": _STAGE | {"topology", "segmentation"},
-    "exports": _STAGE | {"topology", "maps"},
+    "exports": _STAGE | {"topology", "layout", "maps", "drawing"},
     "checking": _STAGE | {"topology", "maps"},
     "pipelines": {*_ORDER, "checking"},
     "evaluation": {*_ORDER, "pipelines"},

@@ -32,6 +32,8 @@ def export(
 
     \b
     nav2        the ways as a graph for Nav2's route server
+    csv         submaps, links and doors as tables, in a zip
+    pose-graph  the layout's graph as g2o, for GTSAM and g2o
     geojson     outlines, doors and ways in metres of the map, for QGIS
     graphml     the graph alone, for yEd, Gephi and networkx
 

@@ -6,7 +6,8 @@ that know no such thing leave it out with `known`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from operator import attrgetter
 from typing import Any
 
 from specmap_cli.maps.schema import EdgeRecord, NodeRecord
@@ -21,50 +22,42 @@ def centre_of(node: NodeRecord) -> Point:
     return node.centroid or (node.x, node.y)
 
 
-def submap_fields(node: NodeRecord) -> Fields:
-    """A submap, without what a person noted (`properties`) and without its outline."""
-    x, y = centre_of(node)
-    anchor_x, anchor_y = node.anchor or (None, None)
-    return {
-        "name": node.name,
-        "kind": node.kind,
-        "x": x,
-        "y": y,
-        "anchor_x": anchor_x,
-        "anchor_y": anchor_y,
-        "anchor_clearance_m": node.anchor_clearance_m,
-        "area_m2": node.area_m2,
-        "scans": node.scans,
-        "visits": len(node.visits),
-    }
+def _same(*names: str) -> dict[str, Callable[[Any], Any]]:
+    """Fields that are called as in topology.json."""
+    return {name: attrgetter(name) for name in names}
 
 
-def link_fields(edge: EdgeRecord) -> Fields:
-    """A link between two submaps; `doors` are ids in one text, as flat formats need it."""
-    return {
-        "kind": edge.kind,
-        "passable": edge.path is not None,
-        "forbidden": edge.forbidden,
-        "length_m": edge.length_m,
-        "clearance_m": edge.clearance_m,
-        "width_m": edge.width_m,
-        "doors": " ".join(map(str, edge.doors)),
-        "distance_m": edge.distance_m,
-        "traversals": len(edge.traversals),
-        "x": edge.x,
-        "y": edge.y,
-    }
+# A submap without what a person noted (`properties`) and without its outline.
+SUBMAP: Mapping[str, Callable[[NodeRecord], Any]] = {
+    **_same("name", "kind"),
+    "x": lambda node: centre_of(node)[0],
+    "y": lambda node: centre_of(node)[1],
+    "anchor_x": lambda node: None if node.anchor is None else node.anchor[0],
+    "anchor_y": lambda node: None if node.anchor is None else node.anchor[1],
+    **_same("anchor_clearance_m", "area_m2", "scans"),
+    "visits": lambda node: len(node.visits),
+}
+# A link between two submaps; the ids of its doors are one text, as flat formats need it.
+LINK: Mapping[str, Callable[[EdgeRecord], Any]] = {
+    **_same("kind"),
+    "passable": lambda edge: edge.path is not None,
+    **_same("forbidden", "length_m", "clearance_m", "width_m"),
+    "doors": lambda edge: " ".join(map(str, edge.doors)),
+    **_same("distance_m"),
+    "traversals": lambda edge: len(edge.traversals),
+    **_same("x", "y"),
+}
+# A door between two submaps.
+DOOR: Mapping[str, Callable[[DoorRecord], Any]] = {
+    **_same("width_m", "theta", "driven"),
+    "crossings": lambda door: len(door.crossings),
+    **_same("forbidden"),
+}
 
 
-def door_fields(door: DoorRecord) -> Fields:
-    """A door between two submaps."""
-    return {
-        "width_m": door.width_m,
-        "theta": door.theta,
-        "driven": door.driven,
-        "crossings": len(door.crossings),
-        "forbidden": door.forbidden,
-    }
+def fields_of(record: Any, wanted: Mapping[str, Callable[[Any], Any]]) -> Fields:
+    """The fields of a submap, a link or a door: `wanted` is SUBMAP, LINK or DOOR."""
+    return {name: of(record) for name, of in wanted.items()}
 
 
 def known(fields: Mapping[str, Any]) -> Fields:

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import to_json
-from specmap_cli.exports.fields import centre_of, door_fields, link_fields, submap_fields
+from specmap_cli.exports.fields import DOOR, LINK, SUBMAP, centre_of, fields_of
 from specmap_cli.maps.schema import EdgeRecord, NodeRecord
 from specmap_cli.maps.schema_graph import DoorRecord
 from specmap_cli.maps.store import StoredMap
@@ -45,7 +45,7 @@ def _submap(node: NodeRecord) -> dict[str, Any]:
     """The outline of a submap: a ring that ends where it starts."""
     ring = [*node.polygon, node.polygon[0]]
     properties = {
-        **submap_fields(node),
+        **fields_of(node, SUBMAP),
         "kind": "submap",
         "submap_kind": node.kind,
         "id": node.id,
@@ -69,7 +69,7 @@ def _door(record: DoorRecord) -> dict[str, Any]:
         "LineString",
         [[round(value, 6) for value in side] for side in door_of(record).sides],
         {
-            **door_fields(record),
+            **fields_of(record, DOOR),
             "kind": "door",
             "id": record.id,
             "between": list(record.between),
@@ -85,7 +85,7 @@ def _link(edge: EdgeRecord, places: Mapping[int, Place]) -> dict[str, Any]:
         "LineString",
         line,
         {
-            **link_fields(edge),
+            **fields_of(edge, LINK),
             "source": edge.source,
             "target": edge.target,
             "doors": edge.doors,

@@ -7,7 +7,7 @@ from typing import IO
 import networkx as nx
 
 from specmap_cli.core.progress import Progress
-from specmap_cli.exports.fields import Fields, known, link_fields, submap_fields
+from specmap_cli.exports.fields import LINK, SUBMAP, Fields, fields_of, known
 from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import StoredMap
 
@@ -23,11 +23,11 @@ class GraphMl:
         for node in stored.record.nodes:
             graph.add_node(node.id, **_of_node(node))
         for edge in stored.record.edges:
-            graph.add_edge(edge.source, edge.target, **known(link_fields(edge)))
+            graph.add_edge(edge.source, edge.target, **known(fields_of(edge, LINK)))
         nx.write_graphml_xml(graph, target, prettyprint=True)
 
 
 def _of_node(node: NodeRecord) -> Fields:
     """The properties of a submap, a person's own under `property.`: GraphML holds single values."""
     own = {f"property.{key}": value for key, value in node.properties.items()}
-    return {**own, **known(submap_fields(node))}
+    return {**own, **known(fields_of(node, SUBMAP))}

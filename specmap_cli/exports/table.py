@@ -10,8 +10,9 @@ by an entry point of the group `specmap.exporters`; the entry point's name is th
             for node in stored.record.nodes:
                 target.write(f"{node.name}\\n".encode())
 
-What would mislead a user of the file is told by `progress.warn`; a map that cannot be written in
-the format at all is a MapError.
+An exporter may have an `ending`, such as `.zip`: a file of another ending is refused. What would
+mislead a user of the file is told by `progress.warn`; a map that cannot be
+written in the format at all is a MapError.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.files import complete_file
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.progress import Progress, Remembering, Silent
+from specmap_cli.exports.csv_tables import CsvTables
 from specmap_cli.exports.geojson import GeoJson
 from specmap_cli.exports.graphml import GraphMl
 from specmap_cli.exports.nav2 import Nav2
+from specmap_cli.exports.pose_graph import PoseGraph
 from specmap_cli.maps.store import StoredMap
 
 GROUP = "specmap.exporters"
@@ -43,7 +46,13 @@ class Exporter(Protocol):
 
 def exporters() -> dict[str, Exporter]:
     """Every exporter by the name of its format. Raises UsageError for a broken plug-in."""
-    built_in: dict[str, Exporter] = {"geojson": GeoJson(), "graphml": GraphMl(), "nav2": Nav2()}
+    built_in: dict[str, Exporter] = {
+        "csv": CsvTables(),
+        "geojson": GeoJson(),
+        "graphml": GraphMl(),
+        "nav2": Nav2(),
+        "pose-graph": PoseGraph(),
+    }
     offered = with_plugins(GROUP, built_in)
     return {name: each() if isinstance(each, type) else each for name, each in offered.items()}
 
@@ -59,12 +68,15 @@ def export_map(
     """Write a map in the format `name` to the file `out`, complete or not at all.
 
     Returns the warnings. Raises UsageError for a format that nobody offers, and for a file that
-    exists (unless `overwrite`) or cannot be written; MapError for a damaged map, and for one that
+    has a wrong ending, exists (unless `overwrite`) or cannot be written; MapError for a damaged map, and for one that
     lacks what the format cannot do without.
     """
     target, known = Path(out), exporters()
     if name not in known:
         raise UsageError(f"unknown format {name!r}: choose from {', '.join(sorted(known))}")
+    ending = getattr(known[name], "ending", target.suffix)
+    if target.suffix not in {"", ending}:
+        raise UsageError(f"{target}: {known[name].description}: name it {target.stem}{ending}")
     if os.path.lexists(target) and not overwrite:
         raise UsageError(f"{target}: exists already: choose another name or say --overwrite")
     heard = Remembering(Silent() if progress is None else progress)

@@ -6,7 +6,7 @@ Read by g2o, Ceres' and GTSAM's examples and other solvers, so that a layout can
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -20,15 +20,23 @@ _UPPER = np.triu_indices(3)
 
 def write_g2o(layout: Layout) -> str:
     """The graph of a layout; vertices carry keyframe numbers, dropped edges are left out."""
-    lines = [
-        f"VERTEX_SE2 {number} " + _numbers(layout.poses[number]) for number in layout.nodes.tolist()
-    ]
-    if len(layout.nodes):
-        lines.append(f"FIX {int(layout.nodes[0])}")
-    for link in [*layout.odometry, *layout.kept]:
+    nodes = layout.nodes.tolist()
+    poses = {number: layout.poses[number] for number in nodes}
+    return graph_text(poses, [*layout.odometry, *layout.kept], nodes[:1])
+
+
+def graph_text(poses: Mapping[int, FloatArray], links: Iterable[Link], fixed: Iterable[int]) -> str:
+    """A graph of poses (3,) by vertex number; the `fixed` ones do not move.
+
+    The fixed ones stand last. GTSAM reads two numbers behind every tag while it looks for edges,
+    and stops where there is only one.
+    """
+    lines = [f"VERTEX_SE2 {number} {_numbers(pose)}" for number, pose in poses.items()]
+    for link in links:
         measured, weights = np.array(link.source_from_target), link.information[_UPPER]
         numbers = _numbers(np.concatenate([measured, weights]))
         lines.append(f"EDGE_SE2 {link.source} {link.target} {numbers}")
+    lines += [f"FIX {number}" for number in fixed]
     return "".join(line + "\n" for line in lines)
 
 

@@ -1,0 +1,86 @@
+"""The pose graph, read and solved by GTSAM; what a map without one says."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.exports.table import export_map
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.writing import MapResult, write_map
+from tests.exports.conftest import POSE_GRAPH
+from tests.exports.consumers import consumer
+
+
+def with_graph(directory: Path, result: MapResult, text: str) -> StoredMap:
+    directory.mkdir()
+    write_map(directory, dataclasses.replace(result, pose_graph=text))
+    return read_map(directory)
+
+
+def earlier(text: str) -> str:
+    """As earlier versions wrote it: the fixed vertex before the edges."""
+    lines = text.splitlines()
+    return "\n".join([*lines[:3], lines[-1], *lines[3:-1]]) + "\n"
+
+
+def test_the_fixed_vertex_stands_last_whatever_the_map_has(
+    lived_in: MapResult, tmp_path: Path
+) -> None:
+    for number, text in enumerate((POSE_GRAPH, earlier(POSE_GRAPH))):
+        stored = with_graph(tmp_path / str(number), lived_in, text)
+        assert export_map(stored, "pose-graph", tmp_path / f"{number}.g2o") == []
+        assert (tmp_path / f"{number}.g2o").read_text() == POSE_GRAPH
+
+
+def test_gtsam_reads_every_vertex_and_every_edge(home: StoredMap, tmp_path: Path) -> None:
+    gtsam = consumer("gtsam")
+    out = tmp_path / "home.g2o"
+    export_map(home, "pose-graph", out)
+    for path in (out, home.path / "trajectory.g2o"):
+        graph, values = gtsam.readG2o(str(path), False)
+        assert (graph.size(), values.size()) == (3, 3)
+    last = graph.at(2)
+    assert last.measured().x() == 2.3
+    information = last.noiseModel().information()
+    assert np.allclose(information, [[100, 1, 2], [1, 90, 3], [2, 3, 1000]])
+
+
+def test_gtsam_solves_it(home: StoredMap, tmp_path: Path) -> None:
+    """Three springs: each takes a third of the 0.3 m, give or take what the angles take."""
+    gtsam = consumer("gtsam")
+    export_map(home, "pose-graph", tmp_path / "home.g2o")
+    graph, values = gtsam.readG2o(str(tmp_path / "home.g2o"), False)
+    graph.addPriorPose2(0, gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6))
+    solved = gtsam.GaussNewtonOptimizer(graph, values).optimize()
+    assert [solved.atPose2(number).x() for number in range(3)] == pytest.approx(
+        [0.0, 1.1, 2.2], abs=1e-3
+    )
+
+
+def test_a_vertex_of_each_part_is_fixed(lived_in: MapResult, tmp_path: Path) -> None:
+    text = "VERTEX_SE2 7 5 5 0\nVERTEX_SE2 8 6 5 0\nEDGE_SE2 7 8 1 0 0 1 0 0 1 0 1\n" + POSE_GRAPH
+    stored = with_graph(tmp_path / "map", lived_in, text)
+    (warning,) = export_map(stored, "pose-graph", tmp_path / "x.g2o")
+    assert warning.startswith("the pose graph is in 2 parts that no edge joins")
+    assert (tmp_path / "x.g2o").read_text().endswith("FIX 0\nFIX 7\n")
+
+
+def test_a_map_without_one_is_refused_in_a_line(
+    stored: StoredMap, rooms: StoredMap, lived_in: MapResult, tmp_path: Path
+) -> None:
+    lone = "EDGE_SE2 0 9 1 0 0 1 0 0 1 0 1\n"
+    cases = [
+        (stored, "has no vertices"),
+        (rooms, "`specmap segment` makes maps without"),
+        (with_graph(tmp_path / "lone", lived_in, POSE_GRAPH + lone), "there is no vertex 9"),
+        (with_graph(tmp_path / "bad", lived_in, "VERTEX_SE2 0 0\n"), "line 1: .* is no VERTEX"),
+    ]
+    for case, words in cases:
+        with pytest.raises(MapError, match=words):
+            export_map(case, "pose-graph", tmp_path / "x.g2o")
+    assert not (tmp_path / "x.g2o").exists()
