@@ -32,6 +32,7 @@ def export(
 
     \b
     nav2        the ways as a graph for Nav2's route server
+    tmap2       the ways as a topological map for LCAS topological_navigation
     csv         submaps, links and doors as tables, in a zip
     pose-graph  the layout's graph as g2o, for GTSAM and g2o
     geojson     outlines, doors and ways in metres of the map, for QGIS

@@ -9,7 +9,7 @@ submap.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count, pairwise
 from typing import Literal
 
@@ -91,6 +91,18 @@ def routes(record: TopologyRecord) -> Routes:
         stops += between
         legs += [_leg(start, end, edge) for start, end in pairwise(chain)]
     return Routes(tuple(stops), tuple(legs))
+
+
+def without_bends(found: Routes) -> Routes:
+    """The same for who plans around corners: legs from anchors to doors, as long as their ways."""
+    bends = {stop.id for stop in found.stops if stop.kind == "bend"}
+    legs: list[Leg] = []
+    for leg in found.legs:
+        if leg.start in bends:  # goes on where the leg before ended
+            before = legs.pop()
+            leg = replace(before, end=leg.end, length_m=before.length_m + leg.length_m)
+        legs.append(leg)
+    return Routes(tuple(stop for stop in found.stops if stop.id not in bends), tuple(legs))
 
 
 def _leg(start: Stop, end: Stop, edge: EdgeRecord) -> Leg:

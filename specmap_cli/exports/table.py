@@ -30,6 +30,7 @@ from specmap_cli.exports.geojson import GeoJson
 from specmap_cli.exports.graphml import GraphMl
 from specmap_cli.exports.nav2 import Nav2
 from specmap_cli.exports.pose_graph import PoseGraph
+from specmap_cli.exports.tmap2 import Tmap2
 from specmap_cli.maps.store import StoredMap
 
 GROUP = "specmap.exporters"
@@ -52,6 +53,7 @@ def exporters() -> dict[str, Exporter]:
         "graphml": GraphMl(),
         "nav2": Nav2(),
         "pose-graph": PoseGraph(),
+        "tmap2": Tmap2(),
     }
     offered = with_plugins(GROUP, built_in)
     return {name: each() if isinstance(each, type) else each for name, each in offered.items()}
@@ -68,8 +70,8 @@ def export_map(
     """Write a map in the format `name` to the file `out`, complete or not at all.
 
     Returns the warnings. Raises UsageError for a format that nobody offers, and for a file that
-    has a wrong ending, exists (unless `overwrite`) or cannot be written; MapError for a damaged map, and for one that
-    lacks what the format cannot do without.
+    has a wrong ending, exists (unless `overwrite`) or cannot be written; MapError for a damaged
+    map, and for one that lacks what the format cannot do without.
     """
     target, known = Path(out), exporters()
     if name not in known:

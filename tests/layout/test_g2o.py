@@ -53,7 +53,7 @@ def test_there_and_back(poses: FloatArray, motions: FloatArray, seed: int) -> No
 
 
 def test_the_text_is_what_g2o_reads() -> None:
-    """The first vertex is fixed, in the end; the upper triangle of the information goes row by row."""
+    """The first vertex is fixed, last; of the information the upper triangle goes row by row."""
     information = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]])
     layout = Layout(
         poses=np.array([[0.0, 0.0, 0.0], [1.0, -0.25, 0.5]]),

@@ -1,0 +1,146 @@
+"""The topological map of LCAS topological_navigation, as YAML (`tmap2`).
+
+A node stands at each anchor and where a way goes through a door. The robot's own planner drives
+from node to node, so a bend of a way needs none; `weight` and `length_m` of an edge are the length
+along the way. The influence zone of an anchor's node is the outline of its submap: a robot is
+located in its room.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from typing import IO, Any
+
+from specmap_cli.core.progress import Progress
+from specmap_cli.exports.fields import Fields, known
+from specmap_cli.exports.fitness import check_routes
+from specmap_cli.exports.routes import Leg, Routes, Stop, routes, without_bends
+from specmap_cli.exports.yaml_text import yaml_text
+from specmap_cli.maps.schema import NodeRecord, TopologyRecord
+from specmap_cli.maps.store import StoredMap
+
+_XY_TOLERANCE_M, _YAW_TOLERANCE_RAD = 0.3, 2.0 * math.pi  # the format's own: any heading will do
+_CORNERS = 8  # of the influence zone of a door
+_IDENTITY = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+
+
+class Tmap2:
+    """A node for each anchor and each door that is driven through, an edge in each direction."""
+
+    description = "YAML: a topological map (tmap2) for LCAS topological_navigation"
+
+    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
+        """Write the routes of a map. Raises MapError for a map without ways."""
+        check_routes(stored, progress)
+        name = stored.path.resolve().name
+        target.write(yaml_text(_document(stored.record, name)).encode())
+
+
+def _document(record: TopologyRecord, name: str) -> Fields:
+    found = without_bends(routes(record))
+    frame = record.graph.frame
+    return {
+        "meta": {"last_updated": _updated(record)},
+        "metric_map": name,
+        "name": name,
+        "pointset": name,
+        "transformation": {
+            "parent": frame,
+            "child": "topo_map",
+            "topo_frame_id": "topo_map",
+            "rotation": _IDENTITY,
+            "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
+        },
+        "nodes": list(_nodes(found, record, name)),
+    }
+
+
+def _updated(record: TopologyRecord) -> str:
+    """When the last of the recordings ended (UTC): the same map gives the same text."""
+    end = max((log.end or 0.0 for log in record.graph.logs), default=0.0)
+    return datetime.fromtimestamp(max(end, 0.0), UTC).strftime("%Y-%m-%d_%H-%M-%S")
+
+
+def _nodes(found: Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:
+    names = {stop.id: _name(stop) for stop in found.stops}
+    submaps = {node.id: node for node in record.nodes}
+    widths = {door.id: door.width_m for door in record.graph.doors}
+    edges: dict[int, list[Fields]] = {stop.id: [] for stop in found.stops}
+    for leg in found.legs:
+        edges[leg.start].append(_edge(names[leg.start], names[leg.end], leg))
+        edges[leg.end].append(_edge(names[leg.end], names[leg.start], leg))
+    for stop in found.stops:
+        submap = None if stop.submap is None else submaps[stop.submap]
+        width = 0.0 if stop.door is None else widths[stop.door]
+        node = _node(stop, submap, width, record.graph.frame)
+        yield {
+            "meta": {"map": name, "node": names[stop.id], "pointset": name},
+            "node": {**node, "name": names[stop.id], "edges": edges[stop.id]},
+        }
+
+
+def _name(stop: Stop) -> str:
+    """Names are ids, so that they stay different; what people call a submap is a property."""
+    return f"Submap{stop.submap}" if stop.submap is not None else f"Door{stop.door}"
+
+
+def _node(stop: Stop, submap: NodeRecord | None, width_m: float, frame: str) -> Fields:
+    return {
+        "localise_by_topic": "",
+        "parent_frame": frame,
+        "pose": {"position": {"x": stop.x, "y": stop.y, "z": 0.0}, "orientation": _IDENTITY},
+        "properties": {
+            "xy_goal_tolerance": _XY_TOLERANCE_M,
+            "yaw_goal_tolerance": _YAW_TOLERANCE_RAD,
+            **({"width_m": width_m} if submap is None else _of_submap(submap)),
+        },
+        "restrictions_planning": "True",
+        "restrictions_runtime": "True",
+        "verts": _circle(width_m / 2.0) if submap is None else _around(stop, submap),
+    }
+
+
+def _of_submap(node: NodeRecord) -> Mapping[str, Any]:
+    return known({"label": node.name, "kind": node.kind, "area_m2": node.area_m2})
+
+
+def _around(stop: Stop, node: NodeRecord) -> list[Fields]:
+    """The outline of a submap, seen from its node; a small circle where there is none."""
+    outline = [{"x": x - stop.x, "y": y - stop.y} for x, y in node.polygon]
+    return outline or _circle(_XY_TOLERANCE_M)
+
+
+def _circle(radius_m: float) -> list[Fields]:
+    turns = [2.0 * math.pi * corner / _CORNERS for corner in range(_CORNERS)]
+    return [{"x": radius_m * math.cos(turn), "y": radius_m * math.sin(turn)} for turn in turns]
+
+
+def _edge(start: str, end: str, leg: Leg) -> Fields:
+    return {
+        "action": "NavigateToPose",
+        "action_type": "geometry_msgs/PoseStamped",
+        "config": [],
+        "edge_id": f"{start}_{end}",
+        "fail_policy": "fail",
+        "fluid_navigation": True,
+        "goal": {
+            "target_pose": {
+                "header": {"frame_id": "$node.parent_frame"},
+                "pose": "$node.pose",
+            }
+        },
+        "node": end,
+        "properties": known(
+            {
+                "weight": leg.length_m,
+                "length_m": leg.length_m,
+                "clearance_m": leg.link.clearance_m,
+                "driven": bool(leg.link.traversals),
+            }
+        ),
+        "recovery_behaviours_config": "",
+        "restrictions_planning": "True",
+        "restrictions_runtime": "True",
+    }

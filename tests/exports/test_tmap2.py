@@ -1,0 +1,140 @@
+"""The topological map for LCAS, read by the rules of its manager, its validator and its graph."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import networkx as nx
+import numpy as np
+import pytest
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.exports.table import export_map
+from specmap_cli.exports.yaml_text import yaml_text
+from specmap_cli.maps.store import StoredMap
+from tests.exports.consumers import consumer
+
+TEXT = {"type": "string"}
+# What the consumer's schema asks for, in our words.
+RULES = {
+    "type": "object",
+    "required": ["meta", "metric_map", "name", "nodes", "pointset", "transformation"],
+    "properties": {
+        "meta": {
+            "required": ["last_updated"],
+            "properties": {"last_updated": {"pattern": r"^\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d$"}},
+        },
+        "metric_map": TEXT,
+        "name": TEXT,
+        "pointset": TEXT,
+        "nodes": {
+            "type": "array",
+            "items": {
+                "required": ["meta", "node"],
+                "properties": {
+                    "meta": {"required": ["map", "node", "pointset"]},
+                    "node": {
+                        "required": ["edges", "name", "parent_frame", "pose", "verts"],
+                        "properties": {
+                            "name": TEXT,
+                            "parent_frame": TEXT,
+                            "properties": {"type": "object"},
+                            "edges": {
+                                "items": {"required": ["edge_id", "node", "action", "action_type"]}
+                            },
+                        },
+                    },
+                },
+            },
+        },
+    },
+}
+
+
+def document(stored: StoredMap, out: Path) -> Any:
+    yaml = consumer("yaml")
+    export_map(stored, "tmap2", out, overwrite=True)
+    return yaml.safe_load(out.read_text(encoding="utf-8"))
+
+
+def graph_of(found: Any) -> nx.DiGraph:
+    """As the consumer's navigation makes it: edges weighed by their property `weight`."""
+    graph = nx.DiGraph()
+    for entry in found["nodes"]:
+        node = entry["node"]
+        assert entry["meta"]["node"] == node["name"]
+        assert node["name"] not in graph
+        position, turn = node["pose"]["position"], node["pose"]["orientation"]
+        assert all(isinstance(position[axis], float) for axis in "xyz")
+        assert all(isinstance(turn[axis], float) for axis in "xyzw")
+        graph.add_node(node["name"], x=position["x"], y=position["y"], **node)
+    for entry in found["nodes"]:
+        for edge in entry["node"]["edges"]:
+            assert edge["node"] in graph, "an edge to a node that exists"
+            assert edge["edge_id"] == f"{entry['node']['name']}_{edge['node']}"
+            weight = edge["properties"]["weight"]
+            assert isinstance(weight, float)
+            graph.add_edge(entry["node"]["name"], edge["node"], weight=weight)
+    return graph
+
+
+def test_the_manager_reads_it_and_its_figures_are_the_map_s(
+    home: StoredMap, rooms: StoredMap, tmp_path: Path
+) -> None:
+    for stored in (home, rooms):
+        found = document(stored, tmp_path / "map.tmap2")
+        jsonschema.validate(found, RULES)
+        assert {"parent", "child", "rotation", "translation"} <= found["transformation"].keys()
+        graph = graph_of(found)
+        ways = [edge for edge in stored.record.edges if edge.path]
+        passed = sum(len(edge.doors) for edge in ways)
+        assert len(graph) == len(stored.record.nodes) + passed
+        assert graph.number_of_edges() == 2 * (len(ways) + passed)
+        for way in ways:
+            for ends in ((way.source, way.target), (way.target, way.source)):
+                start, end = (f"Submap{id_}" for id_ in ends)
+                length = nx.shortest_path_length(graph, start, end, weight="weight")
+                assert length == pytest.approx(way.length_m, abs=1e-5)
+
+
+def test_a_zone_is_the_outline_of_its_submap_seen_from_the_node(
+    home: StoredMap, tmp_path: Path
+) -> None:
+    found = document(home, tmp_path / "home.tmap2")
+    nodes = {entry["node"]["name"]: entry["node"] for entry in found["nodes"]}
+    kitchen, record = nodes["Submap1"], home.record.nodes[1]
+    corners = np.array([[corner["x"], corner["y"]] for corner in kitchen["verts"]])
+    place = kitchen["pose"]["position"]
+    assert np.allclose(corners + [place["x"], place["y"]], record.polygon, atol=1e-5)
+    assert kitchen["properties"]["label"] == "submap 1"
+    across = [abs(corner["x"]) for corner in nodes["Door0"]["verts"]]
+    assert max(across) == pytest.approx(0.45)
+
+
+def test_a_map_without_ways_is_refused(stored: StoredMap, tmp_path: Path) -> None:
+    with pytest.raises(MapError, match="no way joins two of its submaps"):
+        export_map(stored, "tmap2", tmp_path / "x.tmap2")
+
+
+def test_words_and_numbers_stay_what_they_are() -> None:
+    yaml = consumer("yaml")
+    value = {
+        "words": "yes",
+        "more": {
+            "number": "1e5",
+            "quote": 'a "b": c\n- d',
+            "umlaut": "Küche #2 \U0001f600\x07\u2028 \\",
+        },
+        "tiny": 1e-6,
+        "great": 123456789.0,
+        "whole": 3,
+        "flag": False,
+        "none": [],
+        "list": [{"a": 1.5, "b": {"c": True}}, {"a": 2.0, "b": {}}],
+    }
+    text = yaml_text(value)
+    assert yaml.safe_load(text) == value
+    assert not re.search(r"\de-", text)
