@@ -35,6 +35,7 @@ def export(
     tmap2       the ways as a topological map for LCAS topological_navigation
     csv         submaps, links and doors as tables, in a zip
     pose-graph  the layout's graph as g2o, for GTSAM and g2o
+    foxglove    map, graph, trajectory and scans over time, as an MCAP
     geojson     outlines, doors and ways in metres of the map, for QGIS
     graphml     the graph alone, for yEd, Gephi and networkx
 

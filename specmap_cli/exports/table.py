@@ -26,6 +26,7 @@ from specmap_cli.core.files import complete_file
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.progress import Progress, Remembering, Silent
 from specmap_cli.exports.csv_tables import CsvTables
+from specmap_cli.exports.foxglove import Foxglove
 from specmap_cli.exports.geojson import GeoJson
 from specmap_cli.exports.graphml import GraphMl
 from specmap_cli.exports.nav2 import Nav2
@@ -49,6 +50,7 @@ def exporters() -> dict[str, Exporter]:
     """Every exporter by the name of its format. Raises UsageError for a broken plug-in."""
     built_in: dict[str, Exporter] = {
         "csv": CsvTables(),
+        "foxglove": Foxglove(),
         "geojson": GeoJson(),
         "graphml": GraphMl(),
         "nav2": Nav2(),

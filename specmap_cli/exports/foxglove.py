@@ -1,0 +1,165 @@
+"""An MCAP that Foxglove opens as a map: grid, regions, names, graph, trajectory, scans over time.
+
+Messages are Foxglove's own, in protobuf, as its SDK writes them: JSON has no word for the infinite
+range of a beam without return. What does not change is told once, with the first keyframe. The
+frame `base_link` moves in the frame of the map, and each scan lies where its laser is mounted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import IO, Any
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from specmap_cli import __version__
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.progress import Progress
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.exports.fields import Fields
+from specmap_cli.exports.foxglove_scene import graph_scene, submap_scene
+from specmap_cli.exports.foxglove_schemas import FOXGLOVE, UINT8
+from specmap_cli.exports.layers import Layer, colours, driven, layers, scans_of, start_of
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.maps.even_bearings import EvenSpacing
+from specmap_cli.maps.store import StoredMap
+
+BASE_FRAME = "base_link"
+_CHUNK_BYTES = 512 * 1024
+_NS = 1_000_000_000
+_LAYER_STEP_M = 0.005  # each grid lies on the one before
+_MM_PER_M = 1000.0  # ranges are kept to a millimetre, as in keyframes.mcap
+
+
+class Foxglove:
+    """Topics: /map, /regions, /submaps, /graph, /trajectory; /tf, /pose and /scan over time."""
+
+    description = "MCAP: map, submaps, graph, trajectory and scans, for Foxglove"
+
+    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
+        """Write a map; one without scans has no topics over time."""
+        start_ns, frame = start_of(stored), stored.record.graph.frame
+        log = _Log(target, start_ns)
+        fills = colours(stored)
+        for number, layer in enumerate(layers(stored, fills)):
+            log.add(f"/{layer.name}", "Grid", _grid(layer, frame, number, log.stamp))
+        log.add("/submaps", "SceneUpdate", submap_scene(stored.record, log.stamp, fills))
+        log.add("/graph", "SceneUpdate", graph_scene(stored.record, log.stamp))
+        with scans_of(stored, progress) as scans:
+            if scans is not None:
+                poses = [_pose(Pose2(*pose)) for pose in driven(stored).tolist()]
+                path = {"timestamp": log.stamp, "frame_id": frame, "poses": poses}
+                log.add("/trajectory", "PosesInFrame", path)
+                _write_scans(log, scans, stored.labels.poses, frame, progress)
+        log.finish()
+
+
+class _Log:
+    """An MCAP that is being written: a topic is there with its first message."""
+
+    def __init__(self, target: IO[bytes], start_ns: int) -> None:
+        self._writer = Writer(target, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile="", library=f"specmap {__version__}")
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self.stamp = _time(start_ns)
+        self._time_ns = start_ns
+
+    def at(self, stamp_ns: int) -> None:
+        """What follows is of another time; log times never go back, as stamps may."""
+        self.stamp = _time(stamp_ns)
+        self._time_ns = max(stamp_ns, self._time_ns + 1)
+
+    def add(self, topic: str, schema: str, message: Mapping[str, Any]) -> None:
+        """One message of a schema of Foxglove."""
+        data = FOXGLOVE.encode(f"foxglove.{schema}", message)
+        self._writer.add_message(self._channel(topic, schema), self._time_ns, data, self._time_ns)
+
+    def finish(self) -> None:
+        """Write the index."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+
+    def _channel(self, topic: str, schema: str) -> int:
+        if schema not in self._schemas:
+            name = f"foxglove.{schema}"
+            data = FOXGLOVE.description(name)
+            self._schemas[schema] = self._writer.register_schema(name, "protobuf", data)
+        if topic not in self._channels:
+            self._channels[topic] = self._writer.register_channel(
+                topic, "protobuf", self._schemas[schema]
+            )
+        return self._channels[topic]
+
+
+def _write_scans(
+    log: _Log, scans: KeyframeStore, poses: np.ndarray, frame: str, progress: Progress
+) -> None:
+    """Pose and scan of each keyframe, with `poses` (n, 3) in the finished map."""
+    progress.start("writing scans", len(scans))
+    spacings: dict[Pose2, EvenSpacing] = {}
+    for number, pose in enumerate(poses.tolist()):
+        scan, mounting = scans.scan(number), scans.base_from_laser(number)
+        log.at(scan.stamp_ns)
+        there = _pose(Pose2(*pose))
+        log.add(
+            "/tf",
+            "FrameTransform",
+            {
+                "timestamp": log.stamp,
+                "parent_frame_id": frame,
+                "child_frame_id": BASE_FRAME,
+                "translation": there["position"],
+                "rotation": there["orientation"],
+            },
+        )
+        log.add("/pose", "PoseInFrame", {"timestamp": log.stamp, "frame_id": frame, "pose": there})
+        spacing = spacings.setdefault(mounting, EvenSpacing())
+        log.add("/scan", "LaserScan", _scan(scan, mounting, spacing, log.stamp))
+        progress.advance()
+
+
+def _scan(scan: PlanarScan, mounting: Pose2, spacing: EvenSpacing, stamp: Fields) -> Fields:
+    even = spacing.beams(scan)
+    return {
+        "timestamp": stamp,
+        "frame_id": BASE_FRAME,
+        "pose": _pose(mounting),
+        "start_angle": even.angle_min,
+        "end_angle": even.angle_min + even.increment * (len(even.ranges) - 1),
+        "ranges": np.round(even.ranges * _MM_PER_M) / _MM_PER_M,
+    }
+
+
+def _grid(layer: Layer, frame: str, number: int, stamp: Fields) -> Fields:
+    """A grid of coloured cells; Foxglove takes such fields as they are."""
+    height, width, _ = layer.rgba.shape
+    corner = layer.pose @ Pose2(*layer.origin, 0.0)
+    channels = ("red", "green", "blue", "alpha")
+    return {
+        "timestamp": stamp,
+        "frame_id": frame,
+        "pose": _pose(corner, number * _LAYER_STEP_M),
+        "column_count": width,
+        "cell_size": {"x": layer.resolution, "y": layer.resolution},
+        "row_stride": 4 * width,
+        "cell_stride": 4,
+        "fields": [
+            {"name": name, "offset": offset, "type": UINT8} for offset, name in enumerate(channels)
+        ],
+        "data": layer.rgba.tobytes(),
+    }
+
+
+def _pose(pose: Pose2, z: float = 0.0) -> dict[str, Any]:
+    half = 0.5 * pose.theta
+    return {
+        "position": {"x": pose.x, "y": pose.y, "z": z},
+        "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)},
+    }
+
+
+def _time(stamp_ns: int) -> Fields:
+    seconds, nanos = divmod(max(stamp_ns, 0), _NS)  # the format has no times before 1970
+    return {"seconds": seconds, "nanos": nanos}

@@ -1,0 +1,108 @@
+"""What viewers show of a map: grids in colours, a colour for each submap, and the way driven."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.progress import Progress
+from specmap_cli.drawing.palette import INK, PAPER, Colour, colour_graph, colours_of
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.maps import filenames
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.tum import read_trajectory
+
+RgbaArray = NDArray[np.uint8]
+Rgb = tuple[int, int, int]
+
+_FILL_ALPHA = 150  # walls are seen through regions
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """A grid in colours: `rgba` (H, W, 4), row 0 the lowest, its corner `origin` in `pose`.
+
+    `pose` is where the frame of the grid lies in the map.
+    """
+
+    name: str
+    rgba: RgbaArray
+    resolution: float
+    origin: tuple[float, float]
+    pose: Pose2 = IDENTITY
+
+
+def has_whole_map(stored: StoredMap) -> bool:
+    """Whether a map has one grid of all; those of `specmap segment` have one a submap."""
+    return (stored.path / f"{filenames.MAP_GRID}.yaml").exists()
+
+
+def colours(stored: StoredMap) -> dict[int, Rgb]:
+    """The colour of each submap: those of overview.png."""
+    if has_whole_map(stored):
+        found = colours_of(stored.topology, stored.regions)
+    else:
+        pairs = [(edge.source, edge.target) for edge in stored.record.edges]
+        found = colour_graph(stored.ids, pairs)
+    return {id_: _rgb(colour) for id_, colour in found.items()}
+
+
+def layers(stored: StoredMap, fills: Mapping[int, Rgb]) -> Iterator[Layer]:
+    """The grid of the whole map and its regions; else the grid of each submap."""
+    if has_whole_map(stored):
+        whole, owner = stored.map_grid, stored.regions.owner
+        yield _layer("map", whole, _rgb(PAPER))
+        yield Layer("regions", _filled(owner, fills), whole.resolution, whole.origin)
+        return
+    for node in stored.record.nodes:
+        pose = Pose2(node.x, node.y, node.theta)
+        yield _layer(f"map/{node.id}", stored.grid(node.id), fills[node.id], pose)
+
+
+def _layer(name: str, grid: GridMap, free: Rgb, pose: Pose2 = IDENTITY) -> Layer:
+    rgba = np.zeros((*grid.cells.shape, 4), dtype=np.uint8)
+    rgba[grid.cells == FREE] = (*free, 255)
+    rgba[grid.cells == OCCUPIED] = (*_rgb(INK), 255)
+    return Layer(name, rgba, grid.resolution, grid.origin, pose)
+
+
+def _filled(owner: NDArray[np.integer], fills: Mapping[int, Rgb]) -> RgbaArray:
+    rgba = np.zeros((*owner.shape, 4), dtype=np.uint8)
+    for id_, colour in fills.items():
+        rgba[owner == id_] = (*colour, _FILL_ALPHA)
+    return rgba
+
+
+def _rgb(colour: Colour) -> Rgb:
+    blue, green, red = colour
+    return red, green, blue
+
+
+def driven(stored: StoredMap) -> FloatArray:
+    """(N, 3) the poses of all scans that could be registered; none of a map without a recording."""
+    path = stored.path / filenames.TRAJECTORY
+    if not path.exists():
+        return np.zeros((0, 3))
+    trajectory = read_trajectory(path, stored.limits)
+    return trajectory.poses if trajectory.lost is None else trajectory.poses[~trajectory.lost]
+
+
+def scans_of(stored: StoredMap, progress: Progress) -> AbstractContextManager[KeyframeStore | None]:
+    """The keyframes of a map, one in memory at a time; None, and a note, for one without."""
+    if (stored.path / filenames.KEYFRAMES).exists():
+        return stored.keyframes()
+    progress.note(f"{stored.path}: has no {filenames.KEYFRAMES}: written without scans")
+    return nullcontext()
+
+
+def start_of(stored: StoredMap) -> int:
+    """The stamp of the first keyframe, nanoseconds; 0 without any."""
+    if not (stored.path / filenames.LABELS).exists() or not len(stored.labels.stamps_ns):
+        return 0
+    return max(int(stored.labels.stamps_ns[0]), 0)

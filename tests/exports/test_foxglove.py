@@ -1,0 +1,167 @@
+"""The MCAP for Foxglove, decoded by mcap and protobuf with the schemas that it carries itself."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.exports.table import export_map
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.maps.store import StoredMap
+from tests.exports.conftest import BEARINGS
+from tests.exports.consumers import consumer
+
+OVER_TIME = ("/tf", "/pose", "/scan")
+
+
+def messages(stored: StoredMap, out: Path) -> dict[str, list[Any]]:
+    """The decoded messages of each topic, in the order of their log times."""
+    support = consumer("mcap_protobuf.decoder")
+    export_map(stored, "foxglove", out)
+    found = defaultdict(list)
+    with out.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[support.DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            assert schema is not None
+            assert (schema.encoding, channel.message_encoding) == ("protobuf", "protobuf")
+            assert schema.name == f"foxglove.{type(decoded).__name__}"
+            found[channel.topic].append((message.log_time, decoded))
+    return found
+
+
+def pose_of(message: Any) -> Pose2:
+    turn = message.orientation
+    return Pose2(message.position.x, message.position.y, 2.0 * math.atan2(turn.z, turn.w))
+
+
+def points(line: Any) -> list[tuple[float, float]]:
+    return [(point.x, point.y) for point in line.points]
+
+
+def test_every_keyframe_has_its_pose_and_its_scan(home: StoredMap, tmp_path: Path) -> None:
+    found = messages(home, tmp_path / "home.mcap")
+    labels = home.labels
+    for topic in OVER_TIME:
+        assert [message.timestamp.ToNanoseconds() for _, message in found[topic]] == list(
+            labels.stamps_ns
+        )
+        times = [time_ns for time_ns, _ in found[topic]]
+        assert times == sorted(set(times))
+    for row, (_, message) in enumerate(found["/pose"]):
+        assert message.frame_id == "map"
+        assert np.allclose(pose_of(message.pose)[:2], labels.poses[row, :2], atol=1e-6)
+        assert math.remainder(pose_of(message.pose).theta - labels.poses[row, 2], math.tau) < 1e-6
+    for (_, transform), (_, pose) in zip(found["/tf"], found["/pose"], strict=True):
+        assert (transform.parent_frame_id, transform.child_frame_id) == ("map", "base_link")
+        assert str(transform.rotation) == str(pose.pose.orientation)
+    _, scan = found["/scan"][4]
+    assert scan.frame_id == "base_link"
+    assert pose_of(scan.pose) == pytest.approx((0.2, 0.0, 0.0))
+    bearings = np.linspace(scan.start_angle, scan.end_angle, len(scan.ranges))
+    assert np.allclose(bearings, BEARINGS, atol=1e-5)
+    assert math.isnan(scan.ranges[0])
+    assert math.isinf(scan.ranges[1])
+    assert scan.ranges[-1] == pytest.approx(2.04, abs=1e-3)
+
+
+def test_grids_have_the_cells_and_the_colours_of_the_map(home: StoredMap, tmp_path: Path) -> None:
+    found = messages(home, tmp_path / "home.mcap")
+    whole, owner = home.map_grid, home.regions.owner
+    layers = {}
+    for topic in ("/map", "/regions"):
+        ((_, grid),) = found[topic]
+        assert [field.name for field in grid.fields] == ["red", "green", "blue", "alpha"]
+        assert grid.cell_size.x == whole.resolution
+        assert pose_of(grid.pose) == pytest.approx((*whole.origin, 0.0))
+        data = np.frombuffer(grid.data, dtype=np.uint8)
+        layers[topic] = data.reshape(-1, grid.column_count, 4)
+        assert layers[topic].shape[:2] == whole.cells.shape
+    assert (layers["/map"][whole.cells == FREE] == 255).all()
+    assert (layers["/map"][whole.cells == OCCUPIED][:, :3] < 60).all()
+    assert (layers["/map"][whole.cells == UNKNOWN] == 0).all()
+    fills = [np.unique(layers["/regions"][owner == id_], axis=0) for id_ in home.ids]
+    assert all(len(fill) == 1 for fill in fills)
+    assert len({tuple(fill[0]) for fill in fills}) == len(home.ids)
+    assert (layers["/regions"][owner < 0] == 0).all()
+
+
+def test_submaps_have_outlines_names_and_facts(home: StoredMap, tmp_path: Path) -> None:
+    ((_, scene),) = messages(home, tmp_path / "home.mcap")["/submaps"]
+    assert len(scene.entities) == len(home.record.nodes)
+    for entity, node in zip(scene.entities, home.record.nodes, strict=True):
+        assert points(entity.lines[0]) == node.polygon
+        assert entity.texts[0].text == node.name
+        assert (entity.texts[0].pose.position.x, entity.texts[0].pose.position.y) == node.anchor
+        facts = {pair.key: pair.value for pair in entity.metadata}
+        assert len(facts) == len(entity.metadata)
+        assert facts["kind"] == node.kind
+        assert float(facts["area_m2"]) == node.area_m2
+    assert facts.keys().isdisjoint({"property.owner"})
+
+
+def test_the_graph_is_the_map_s(home: StoredMap, tmp_path: Path) -> None:
+    ((_, scene),) = messages(home, tmp_path / "home.mcap")["/graph"]
+    entities = {entity.id: entity for entity in scene.entities}
+    assert len(entities) == len(scene.entities)
+    record = home.record
+    assert len([id_ for id_ in entities if id_.startswith("anchor")]) == 3
+    assert len([id_ for id_ in entities if id_.startswith("door")]) == len(record.graph.doors)
+    for edge in record.edges:
+        (line,) = entities[f"link {edge.source}-{edge.target}"].lines
+        if edge.path:
+            assert points(line) == edge.path
+            length = np.hypot(*np.diff(points(line), axis=0).T).sum()
+            assert length == pytest.approx(edge.length_m, abs=1e-5)
+    (door,) = entities["door 0"].lines
+    assert math.dist(*points(door)) == pytest.approx(0.9)
+
+
+def test_the_trajectory_is_that_of_all_scans(home: StoredMap, tmp_path: Path) -> None:
+    ((_, path),) = messages(home, tmp_path / "home.mcap")["/trajectory"]
+    found = np.array([pose_of(pose)[:2] for pose in path.poses])
+    assert np.allclose(found, home.labels.poses[:, :2], atol=1e-5)
+
+
+def test_a_divided_plan_has_a_grid_for_each_room_and_nothing_over_time(
+    rooms: StoredMap, tmp_path: Path
+) -> None:
+    found = messages(rooms, tmp_path / "rooms.mcap")
+    grids = [topic for topic in found if topic.startswith("/map/")]
+    assert len(grids) == len(rooms.record.nodes)
+    assert not {*OVER_TIME, "/trajectory"} & found.keys()
+    free = sum(
+        int((np.frombuffer(grid.data, dtype=np.uint8).reshape(-1, 4)[:, 3] == 255).sum())
+        for topic in grids
+        for _, grid in found[topic]
+    )
+    cells = sum(int((rooms.grid(node.id).cells != UNKNOWN).sum()) for node in rooms.record.nodes)
+    assert free == cells
+
+
+def test_scans_are_read_one_by_one(
+    home: StoredMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[weakref.ref[np.ndarray]] = []
+    alive: list[int] = []
+    read = KeyframeStore.scan
+
+    def counted(store: KeyframeStore, number: int) -> PlanarScan:
+        scan = read(store, number)
+        taken.append(weakref.ref(scan.ranges))
+        alive.append(sum(ref() is not None for ref in taken))
+        return scan
+
+    monkeypatch.setattr(KeyframeStore, "scan", counted)
+    export_map(home, "foxglove", tmp_path / "home.mcap")
+    assert len(taken) == 30
+    assert max(alive) <= 2

@@ -1,0 +1,107 @@
+"""The protobuf of Foxglove's schemas against Foxglove's SDK and Google's library."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from specmap_cli.exports.foxglove_schemas import FOXGLOVE
+from tests.exports.consumers import consumer
+
+TOPICS = ("Grid", "SceneUpdate", "PoseInFrame", "PosesInFrame", "FrameTransform", "LaserScan")
+
+
+def files(data: bytes) -> dict[str, Any]:
+    """The files of a description by name, without their names in JSON and the order of imports."""
+    descriptors = consumer("google.protobuf.descriptor_pb2")
+    found = {}
+    for file in descriptors.FileDescriptorSet.FromString(data).file:
+        for field in file.message_type[0].field:
+            field.ClearField("json_name")
+        found[file.name] = (
+            file.package,
+            sorted(file.dependency),
+            file.syntax,
+            [str(message) for message in file.message_type],
+        )
+    return found
+
+
+@pytest.mark.parametrize("name", TOPICS)
+def test_the_schema_is_that_of_the_sdk(name: str) -> None:
+    messages = consumer("foxglove.messages")
+    sdk = getattr(messages, name).get_schema()
+    assert (sdk.name, sdk.encoding) == (f"foxglove.{name}", "protobuf")
+    assert files(FOXGLOVE.description(f"foxglove.{name}")) == files(sdk.data)
+
+
+def test_a_message_is_what_the_sdk_encodes() -> None:
+    """Byte by byte: scalars, lists, messages within messages, text."""
+    messages = consumer("foxglove.messages")
+    pose = messages.Pose(
+        position=messages.Vector3(x=1.5, y=-2.0, z=0.25),
+        orientation=messages.Quaternion(x=0.5, y=0.5, z=0.5, w=0.5),
+    )
+    scan = messages.LaserScan(
+        timestamp=messages.Timestamp(sec=1700000000, nsec=123456789),
+        frame_id="base_link",
+        pose=pose,
+        start_angle=-1.5,
+        end_angle=1.5,
+        ranges=[1.0, math.inf, 2.5],
+    )
+    ours = {
+        "timestamp": {"seconds": 1700000000, "nanos": 123456789},
+        "frame_id": "base_link",
+        "pose": {
+            "position": {"x": 1.5, "y": -2.0, "z": 0.25},
+            "orientation": {"x": 0.5, "y": 0.5, "z": 0.5, "w": 0.5},
+        },
+        "start_angle": -1.5,
+        "end_angle": 1.5,
+        "ranges": [1.0, math.inf, 2.5],
+    }
+    assert FOXGLOVE.encode("foxglove.LaserScan", ours) == scan.encode()
+
+
+def test_a_scene_is_what_the_sdk_encodes() -> None:
+    messages = consumer("foxglove.messages")
+    entity = messages.SceneEntity(
+        id="door 3",
+        frame_id="map",
+        metadata=[messages.KeyValuePair(key="width", value="0.9 m")],
+        lines=[
+            messages.LinePrimitive(
+                type=messages.LinePrimitiveLineType.LineLoop,
+                thickness=2.0,
+                scale_invariant=True,
+                points=[messages.Point3(x=1.0, y=2.0, z=3.0)],
+                color=messages.Color(r=1.0, g=0.5, b=0.25, a=1.0),
+                indices=[1, 70000],
+            )
+        ],
+    )
+    ours = {
+        "frame_id": "map",
+        "id": "door 3",
+        "metadata": [{"key": "width", "value": "0.9 m"}],
+        "lines": [
+            {
+                "type": 1,
+                "thickness": 2.0,
+                "scale_invariant": True,
+                "points": [{"x": 1.0, "y": 2.0, "z": 3.0}],
+                "color": {"r": 1.0, "g": 0.5, "b": 0.25, "a": 1.0},
+                "indices": [1, 70000],
+            }
+        ],
+    }
+    scene = messages.SceneUpdate(entities=[entity])
+    assert FOXGLOVE.encode("foxglove.SceneUpdate", {"entities": [ours]}) == scene.encode()
+
+
+def test_a_field_that_is_none_of_a_message_is_refused() -> None:
+    with pytest.raises(KeyError, match="colour"):
+        FOXGLOVE.encode("foxglove.Color", {"colour": 1.0})
