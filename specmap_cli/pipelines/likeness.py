@@ -68,7 +68,7 @@ def build_like(
             )
         joined = alike(old, surveyed, alignment.old_from_new, config)
         counts = surveyed.tracking.counts
-        finished = remade(store, joined, config, progress, clock, counts)
+        finished = remade(store, joined, config, progress, clock, counts, surveyed.features)
         run = {
             **run_record(log.given, stream.selection, config, finished),
             "like": stored.path.resolve().name,

@@ -35,10 +35,11 @@ def remade(
     progress: Progress,
     clock: Stopwatch,
     counts: Mapping[str, int],
+    features: KeyframeFeatures | None = None,
 ) -> FinishedMap:
     """The finished map of keyframes whose layout and submaps are known, with a person's edits.
 
-    `counts` are of the messages and scans that were read for it.
+    `counts` are of the messages and scans that were read for it, `features` those known by now.
     """
     kept = joined.kept
 
@@ -54,7 +55,7 @@ def remade(
         )
         return quality_of([*kept.findings, *of_layout(evidence, config.quality)])
 
-    return divided_anew(store, kept, judge, config, progress, clock, counts)
+    return divided_anew(store, kept, judge, config, progress, clock, counts, features)
 
 
 def divided_anew(
@@ -65,6 +66,7 @@ def divided_anew(
     progress: Progress,
     clock: Stopwatch,
     counts: Mapping[str, int],
+    features: KeyframeFeatures | None = None,
 ) -> FinishedMap:
     """The finished map of keyframes, with the borders, names and forbidden links of the edits.
 
@@ -75,7 +77,7 @@ def divided_anew(
         whole, beyond = whole_grid(store, kept.layout, config)
     edited = drawn(whole, kept.labels, kept.borders, kept.edits, kept.next_id)
     labels = replace(kept.labels, submaps=edited.submaps)
-    features = KeyframeFeatures(store, config.recognition.feature_set)
+    features = features or KeyframeFeatures(store, config.recognition.feature_set)
     grids, classifiers = learn(
         store, features, edited.submaps, kept.layout.poses, config, progress, clock
     )

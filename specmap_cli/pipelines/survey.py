@@ -15,15 +15,20 @@ from specmap_cli.pipelines.kept_map import Seen, seen_of_log
 from specmap_cli.pipelines.laying_out import lay_out
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.tracking import Tracking
+from specmap_cli.recognition.features.sets import KeyframeFeatures
 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """A recording as a kept map, the audit of its layout, and what tracking counted."""
+    """A recording as a kept map, the audit of its layout, and what tracking counted.
+
+    `features` are those of its keyframes that are known by now.
+    """
 
     seen: Seen
     audited: Audited
     tracking: Tracking
+    features: KeyframeFeatures
 
 
 def survey(
@@ -47,4 +52,4 @@ def survey(
     laid = lay_out(explored, config, store, progress, clock)
     with clock.stage("grids"):
         seen = seen_of_log(explored, laid, stream.log.name, tracking.warnings, store, config)
-    return Survey(seen, laid.audited, tracking)
+    return Survey(seen, laid.audited, tracking, explored.features)

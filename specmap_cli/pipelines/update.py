@@ -172,7 +172,9 @@ def _updated(
         joined = _joined(store, old, new, alignment, config)
     _refuse_loose(joined, old, name, allow=allow_apart)
     counts = added(stored.counts, surveyed.tracking.counts)
-    return _Updated(remade(store, joined, config, progress, clock, counts), joined, alignment)
+    known = surveyed.features.among(store, len(old.kept.labels.stamps_ns))
+    finished = remade(store, joined, config, progress, clock, counts, known)
+    return _Updated(finished, joined, alignment)
 
 
 def _refuse_known(old: Seen, new: Seen, store: KeyframeStore, own: KeyframeStore) -> None:

@@ -130,6 +130,12 @@ class KeyframeFeatures:
         self.most = most
         self._rows: dict[int, NDArray[np.float32]] = {}
 
+    def among(self, store: KeyframeStore, first: int) -> KeyframeFeatures:
+        """What is known, for a store that holds the same keyframes from number `first` on."""
+        moved = KeyframeFeatures(store, self.feature_set, self.most)
+        moved._rows = {number + first: row for number, row in self._rows.items()}
+        return moved
+
     def known(self, numbers: Sequence[int]) -> list[int]:
         """Those of some keyframes whose features were computed already, in their order."""
         return [number for number in numbers if number in self._rows]

@@ -46,13 +46,12 @@ def circle(beams: int) -> FloatArray:
 class RecentScans:
     """The scans of a window of the path, thinned, from which a virtual scan is put together.
 
-    The window is the last `window_share` of `config.window_m`. `filled` is the path that the scans
-    cover as a share of it.
+    The window is the last `config.window_m`. `filled` is the path that the scans cover as a share
+    of it.
     """
 
-    def __init__(self, config: LocalizationConfig, window_share: float = 1.0) -> None:
+    def __init__(self, config: LocalizationConfig) -> None:
         self.config = config
-        self.window_m = window_share * config.window_m
         self._kept: deque[tuple[float, Pose2, FloatArray]] = deque()
         self._travelled = 0.0
         self._started = 0.0
@@ -61,7 +60,7 @@ class RecentScans:
     @property
     def filled(self) -> float:
         """Share of the window that has been driven, in [0, 1]."""
-        return min(1.0, (self._travelled - self._started) / self.window_m)
+        return min(1.0, (self._travelled - self._started) / self.config.window_m)
 
     def clear(self) -> None:
         """Forget all scans: the next pose has nothing to do with the last one."""
@@ -76,21 +75,32 @@ class RecentScans:
 
     def add_points(self, points: FloatArray, map_from_base: Pose2, base_from_laser: Pose2) -> None:
         """Take in the returns (N, 2) of one scan, in the laser's frame."""
+        if self.moves_on(map_from_base):
+            self.keep(points, map_from_base, base_from_laser)
+
+    def moves_on(self, map_from_base: Pose2) -> bool:
+        """Drive on to a pose; whether its scan, too, is to be kept: most are not."""
         if self._last is not None:
             self._travelled += (self._last.inverse() @ map_from_base).distance
         self._last = map_from_base
         before = self._kept[-1][1] if self._kept else None
         spacing = self.config.virtual_spacing_m, self.config.virtual_spacing_rad
-        if not moved(before, map_from_base, *spacing):
-            return
+        return moved(before, map_from_base, *spacing)
+
+    def keep(self, points: FloatArray, map_from_base: Pose2, base_from_laser: Pose2) -> None:
+        """Keep the returns (N, 2) of the scan at the pose that was driven to, in its own frame."""
         placed = (map_from_base @ base_from_laser).apply(points)
         self._kept.append((self._travelled, map_from_base, placed))
-        while self._kept[0][0] < self._travelled - self.window_m:
+        while self._kept[0][0] < self._travelled - self.config.window_m:
             self._kept.popleft()
 
-    def scan(self, stamp_ns: int, map_from_laser: Pose2) -> PlanarScan:
-        """The virtual scan seen from `map_from_laser`: the nearest return at each bearing."""
-        placed = [points for _, _, points in self._kept]
+    def scan(self, stamp_ns: int, map_from_laser: Pose2, share: float = 1.0) -> PlanarScan:
+        """The virtual scan seen from `map_from_laser`: the nearest return at each bearing.
+
+        Of the window its last `share` in (0, 1] counts, up to the last scan that was kept.
+        """
+        since = self._kept[-1][0] - share * self.config.window_m if self._kept else 0.0
+        placed = [points for travelled, _, points in self._kept if travelled >= since]
         points = np.vstack(placed) if placed else np.zeros((0, 2))
         seen = map_from_laser.inverse().apply(points)
         beams, reach = self.config.virtual_beams, self.config.virtual_range_m

@@ -167,17 +167,17 @@ def _along_the_track(
     localization: LocalizationConfig,
 ) -> Iterator[tuple[int, PlanarScan]]:
     """Keyframes in turn with what the window showed there, of several lengths."""
-    windows = [RecentScans(localization, share) for share in _WINDOW_SHARES]
+    window = RecentScans(localization)
     numbers = np.flatnonzero(owner != NO_SUBMAP)
     sampled = set(evenly(numbers, localization.track_samples).tolist())
     turn = 0
     for number in numbers.tolist():
         pose, mounting = Pose2(*poses[number].tolist()), store.base_from_laser(number)
-        points = store.scan(number).hits(localization.virtual_range_m)
-        for window in windows:
-            window.add_points(points, pose, mounting)
+        if window.moves_on(pose):
+            window.keep(store.scan(number).hits(localization.virtual_range_m), pose, mounting)
         if number in sampled:
-            yield number, windows[turn % len(windows)].scan(0, pose @ mounting)
+            share = _WINDOW_SHARES[turn % len(_WINDOW_SHARES)]
+            yield number, window.scan(0, pose @ mounting, share)
             turn += 1
 
 
