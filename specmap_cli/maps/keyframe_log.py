@@ -7,7 +7,8 @@ scan is keyframe i. Log times rise from scan to scan, whatever the stamps do, to
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from specmap_cli.logs.messages import (
     decode_transforms,
 )
 from specmap_cli.logs.planar import covers_circle, increment
+from specmap_cli.logs.readers.alike_transforms import AlikeTransforms
 from specmap_cli.logs.readers.encoding import Transform, in_space, scan_cdr, transforms_cdr
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message
@@ -40,6 +42,7 @@ ODOM_FRAME, BASE_FRAME, LASER_FRAME = "odom", "base_link", "laser"
 # Poses are kept to a micrometre and a quarter of a microradian, in powers of two, of which most
 # bytes are zero and cost nothing. Ranges are kept to a millimetre: no laser of a robot is finer.
 _PER_UNIT, _MM_PER_M = np.array([2.0**20, 2.0**20, 2.0**22]), 1000.0
+_FAR_M = 1e6  # of a pose that is read without further questions
 
 
 def write_keyframes(
@@ -51,14 +54,13 @@ def write_keyframes(
     """
     odom_from_base = _cut(store.poses)
     map_from_odom = _cut(compose(poses, invert(odom_from_base)))
-    chains = zip(store.stamps_ns, map_from_odom.tolist(), odom_from_base.tolist(), strict=True)
+    form = AlikeTransforms([(map_frame, ODOM_FRAME), (ODOM_FRAME, BASE_FRAME)])
+    chains = zip(_in_space(map_from_odom), _in_space(odom_from_base), strict=True)
     with LogWriter(path) as log:
         scans, time_ns = _ScanWriter(log, store), -1
-        for number, (stamp_ns, correction, pose) in enumerate(chains):
+        for number, (stamp_ns, chain) in enumerate(zip(store.stamps_ns, chains, strict=True)):
             time_ns = max(stamp_ns, time_ns + 1)
-            chain = (map_frame, ODOM_FRAME, correction), (ODOM_FRAME, BASE_FRAME, pose)
-            transforms = [_transform(*link) for link in chain]
-            log.raw(TF, TF_MESSAGE, transforms_cdr(stamp_ns, transforms), time_ns)
+            log.raw(TF, TF_MESSAGE, form.encoded(stamp_ns, chain), time_ns)
             scans.write(number, time_ns)
 
 
@@ -67,10 +69,13 @@ def _cut(poses: FloatArray) -> FloatArray:
     return np.asarray(np.round(poses * _PER_UNIT) / _PER_UNIT)
 
 
-def _transform(parent: str, child: str, pose: list[float]) -> Transform:
-    """A transform of the plane, its quaternion in single precision: with half as many bytes."""
-    place, turn = in_space(Pose2(*pose))
-    return Transform(parent, child, place, [float(np.float32(part)) for part in turn])
+def _in_space(poses: FloatArray) -> list[list[float]]:
+    """Places and quaternions of poses (n, 3), these in single precision: half as many bytes."""
+    placed = [in_space(Pose2(*pose)) for pose in poses.tolist()]
+    turns = np.array([turn for _, turn in placed], dtype=np.float32).reshape(-1, 4)
+    places = np.array([place for place, _ in placed], dtype=np.float64).reshape(-1, 3)
+    rows: list[list[float]] = np.hstack([places, turns]).tolist()
+    return rows
 
 
 class _ScanWriter:
@@ -154,7 +159,9 @@ def _scans(path: Path) -> Iterator[PosedScan]:
         with closing(McapFile(path)) as recording:
             reader = _Reader()
             for message in recording.messages([TF_STATIC, TF, SCAN_TOPIC]):
-                yield from reader.take(message)
+                scan = reader.take(message)
+                if scan is not None:
+                    yield scan
             if recording.damage:
                 raise MapError(f"{recording.damage[0]}: build the map again")
     except (LogError, BadMessageError) as error:
@@ -167,24 +174,46 @@ class _Reader:
 
     def __init__(self) -> None:
         self._lasers: dict[str, Pose2] = {}
-        self._pose: TransformRecord | None = None
+        self._pose: tuple[int, Pose2] | None = None  # with its stamp
+        self._form: AlikeTransforms | None = None
+        self._place = 0  # of the pose of the base among the transforms of a message
         self._count = 0
 
-    def take(self, message: Message) -> Iterator[PosedScan]:
-        """Take in a message; the keyframe that it completes. Raises BadMessageError."""
+    def take(self, message: Message) -> PosedScan | None:
+        """Take in a message; the keyframe that it completes, if any. Raises BadMessageError."""
         if message.topic == SCAN_TOPIC:
-            yield self._posed(decode_scan(message))
-            return
-        for record in decode_transforms(message).records:
-            if message.topic == TF_STATIC:
+            return self._posed(decode_scan(message))
+        if message.topic == TF_STATIC:
+            for record in decode_transforms(message).records:
                 self._lasers[record.child] = _mounting(Pose2.from_matrix(record.parent_from_child))
-            elif record.child == BASE_FRAME:
-                self._pose = record
+        elif not self._took_alike(message):
+            self._take_pose(decode_transforms(message).records)
+        return None
+
+    def _take_pose(self, records: Sequence[TransformRecord]) -> None:
+        """Take the pose of the base; the next messages are probably of the same frames."""
+        for place, record in enumerate(records):
+            if record.child == BASE_FRAME:
+                self._pose = record.stamp_ns, _pose(Pose2.from_matrix(record.parent_from_child))
+                self._place = place
+                self._form = AlikeTransforms([(each.parent, each.child) for each in records])
+
+    def _took_alike(self, message: Message) -> bool:
+        """Take the pose out of a message of the frames of the last one; whether it is in there."""
+        if self._form is None or message.type != TF_MESSAGE:
+            return False
+        found = self._form.decoded(message.data, self._place)
+        if found is None or not _is_level(found[1]):
+            return False
+        x, y, _, _, _, z_turn, w_turn = found[1]
+        theta = math.atan2(2.0 * w_turn * z_turn, w_turn * w_turn - z_turn * z_turn)
+        self._pose = found[0], _pose(Pose2(x, y, theta))
+        return True
 
     def _posed(self, record: ScanRecord | CloudRecord) -> PosedScan:
         if isinstance(record, CloudRecord):
             raise BadMessageError(f"scan {self._count} is a cloud")
-        if self._pose is None or self._pose.stamp_ns != record.stamp_ns:
+        if self._pose is None or self._pose[0] != record.stamp_ns:
             raise BadMessageError(f"scan {self._count} has no pose")
         if record.frame not in self._lasers:
             raise BadMessageError(f"scan {self._count} is of no known laser: {record.frame!r}")
@@ -192,16 +221,22 @@ class _Reader:
         return PosedScan(
             index=self._count - 1,
             stamp_ns=record.stamp_ns,
-            map_from_base=_pose(self._pose),
+            map_from_base=self._pose[1],
             planar=_planar(record),
             base_from_laser=self._lasers[record.frame],
         )
 
 
-def _pose(record: TransformRecord) -> Pose2:
-    """The pose in a transform, as it was before its quaternion was cut."""
-    pose = Pose2.from_matrix(record.parent_from_child)
+def _pose(pose: Pose2) -> Pose2:
+    """A pose as it was before its quaternion was cut."""
     return Pose2(*_cut(np.array(pose)).tolist())
+
+
+def _is_level(numbers: Sequence[float]) -> bool:
+    """Whether place and quaternion are of a pose in the plane, as it is written here."""
+    x, y, _, x_turn, y_turn, z_turn, w_turn = numbers
+    square = z_turn * z_turn + w_turn * w_turn
+    return x_turn == y_turn == 0.0 and 0.5 < square < 2.0 and max(abs(x), abs(y)) <= _FAR_M
 
 
 def _planar(record: ScanRecord) -> PlanarScan:

@@ -159,11 +159,14 @@ def message_definition(type_name: str) -> bytes:
 
 
 def _header(stamp_ns: int, frame_id: str) -> Any:
-    """A Header; a stamp out of the range of its type is clipped."""
-    seconds, nanoseconds = divmod(int(stamp_ns), NS_PER_S)
-    clipped = min(max(seconds, -_MAX_SECONDS - 1), _MAX_SECONDS)
-    stamp = message_class("builtin_interfaces/msg/Time")(clipped, nanoseconds)
+    stamp = message_class("builtin_interfaces/msg/Time")(*clipped_stamp(stamp_ns))
     return message_class("std_msgs/msg/Header")(stamp, frame_id)
+
+
+def clipped_stamp(stamp_ns: int) -> tuple[int, int]:
+    """Seconds and nanoseconds of a Time; a stamp out of the range of its type is clipped."""
+    seconds, nanoseconds = divmod(int(stamp_ns), NS_PER_S)
+    return min(max(seconds, -_MAX_SECONDS - 1), _MAX_SECONDS), nanoseconds
 
 
 def _cdr(type_name: str, **fields: Any) -> bytes:

@@ -227,6 +227,29 @@ def test_keyframes_have_their_features_computed_once_while_there_is_room(
     assert second.tolist() == expected[::-1].tolist()
 
 
+def test_features_that_are_known_are_known_in_a_store_of_more_keyframes() -> None:
+    with KeyframeStore() as own, KeyframeStore() as joint:
+        for k, store in enumerate((joint, joint, own, own)):
+            planar = scan(2.0 + k)
+            store.append(
+                PosedScan(
+                    index=0,
+                    stamp_ns=k,
+                    map_from_base=IDENTITY,
+                    planar=planar,
+                    base_from_laser=IDENTITY,
+                )
+            )
+        features = KeyframeFeatures(own, "table1")
+        features.of([1])
+        joint.extend(own)
+        moved = features.among(joint, 2)
+        assert moved.known(range(4)) == [3]
+        found = moved.of([0, 3])
+        expected = scans_features([joint.scan(0), joint.scan(3)], "table1")
+    assert found.tolist() == expected.tolist()
+
+
 def test_values_beyond_single_precision_are_cut() -> None:
     """Moments of four odd readings: no reason to end a run."""
     ranges = np.array([0.0, 3.0, 1.1920928955078146e-07, 1.0])

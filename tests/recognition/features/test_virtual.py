@@ -25,10 +25,10 @@ from tests.strategies import poses, seeds
 WALL = np.array([[0.0, 1.0]])
 
 
-def recent_scans(share: float = 1.0, **settings: float) -> RecentScans:
+def recent_scans(**settings: float) -> RecentScans:
     """A window of 2 m, scans 0.2 m apart, 36 beams up to 10 m."""
     chosen = {"window_m": 2.0, "virtual_beams": 36, "virtual_range_m": 10.0} | settings
-    return RecentScans(LocalizationConfig.model_validate(chosen), share)
+    return RecentScans(LocalizationConfig.model_validate(chosen))
 
 
 def drive(recent: RecentScans, metres: float, step: float = 0.25) -> Pose2:
@@ -99,11 +99,22 @@ def test_what_lies_a_window_back_is_forgotten() -> None:
     assert from_the_start.min() == pytest.approx(math.hypot(5.25, 1.0))
 
 
-@pytest.mark.parametrize(("share", "metres", "filled"), [(1.0, 1.0, 0.5), (0.5, 1.0, 1.0)])
-def test_a_share_of_the_window_fills_sooner(share: float, metres: float, filled: float) -> None:
-    recent = recent_scans(share)
-    drive(recent, metres)
-    assert recent.filled == pytest.approx(filled)
+@pytest.mark.parametrize(("share", "far_m"), [(1.0, 2.0), (0.5, 1.0), (0.1, 0.0)])
+def test_a_share_of_the_window_is_what_was_seen_last(share: float, far_m: float) -> None:
+    recent = recent_scans(virtual_beams=360)
+    here = drive(recent, 7.25)
+    seen = recent.scan(0, here, share).ranges
+    assert seen[np.isfinite(seen)].max() == pytest.approx(math.hypot(far_m, 1.0))
+    assert np.isinf(recent_scans().scan(0, here, share).ranges).all()
+
+
+def test_only_a_scan_that_is_to_be_kept_has_to_be_read() -> None:
+    recent = recent_scans(virtual_spacing_m=0.5)
+    asked = [recent.moves_on(Pose2(0.1 * k, 0.0, 0.0)) for k in range(3)]
+    assert asked == [True, True, True]  # nothing was kept
+    recent.keep(WALL, Pose2(0.2, 0.0, 0.0), IDENTITY)
+    assert [recent.moves_on(Pose2(0.1 * k, 0.0, 0.0)) for k in (4, 6, 8)] == [False, False, True]
+    assert recent.filled == pytest.approx(0.4)
 
 
 def test_scans_too_near_to_the_last_are_left_out_but_their_way_counts() -> None:
