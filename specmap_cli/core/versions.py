@@ -15,6 +15,7 @@ STANDS_ON = (
     "networkx",
     "numpy",
     "opencv-python-headless",
+    "protobuf",
     "pydantic",
     "rich",
     "rosbags",

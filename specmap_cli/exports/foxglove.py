@@ -134,7 +134,7 @@ def _scan(scan: PlanarScan, mounting: Pose2, spacing: EvenSpacing, stamp: Fields
 
 def _grid(layer: Layer, frame: str, number: int, stamp: Fields) -> Fields:
     """A grid of coloured cells; Foxglove takes such fields as they are."""
-    height, width, _ = layer.rgba.shape
+    width = layer.rgba.shape[1]
     corner = layer.pose @ Pose2(*layer.origin, 0.0)
     channels = ("red", "green", "blue", "alpha")
     return {

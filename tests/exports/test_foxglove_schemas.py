@@ -103,5 +103,5 @@ def test_a_scene_is_what_the_sdk_encodes() -> None:
 
 
 def test_a_field_that_is_none_of_a_message_is_refused() -> None:
-    with pytest.raises(KeyError, match="colour"):
+    with pytest.raises(ValueError, match="colour"):
         FOXGLOVE.encode("foxglove.Color", {"colour": 1.0})
