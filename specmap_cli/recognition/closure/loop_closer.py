@@ -24,7 +24,7 @@ from specmap_cli.recognition.closure.stay import Stay
 from specmap_cli.recognition.closure.verdict import NO_WALLS, Verdict, verdict
 from specmap_cli.recognition.closure.verification import Check, verify
 
-_PREPARED_CELLS = 500_000  # of grids prepared for matching at a time: some ten megabytes
+_PREPARED = 8  # grids prepared for matching at a time: each takes megabytes
 _NO_CLAIMS = Claims.alike(0.0, 0)
 
 
@@ -42,7 +42,7 @@ class LoopCloser:
         self._ranker = ClaimRanker(config, rng)
         self._claims: dict[int, dict[int, Claims]] = {}  # the best of two submaps, by both
         self._compared: set[tuple[int, int]] = set()
-        self._grids = PreparedGrids(config, _PREPARED_CELLS)
+        self._grids = PreparedGrids(config, _PREPARED)
 
     def consider(self, new: Stay) -> list[Closure]:
         """Compare a new stay with every old submap, and remember it as a submap of its own.

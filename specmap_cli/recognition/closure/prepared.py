@@ -111,30 +111,21 @@ def prepared(grid: GridMap, config: RecognitionConfig) -> PreparedGrid | None:
 
 
 class PreparedGrids:
-    """Grids prepared for matching by number: those last used, of `most_cells` cells together.
+    """Grids prepared for matching by number, the `most` last used of them at a time."""
 
-    At least one is kept, however large it is. A cell takes some twenty bytes.
-    """
-
-    def __init__(self, config: RecognitionConfig, most_cells: int) -> None:
+    def __init__(self, config: RecognitionConfig, most: int) -> None:
         self.config = config
-        self.most_cells = most_cells
+        self.most = most
         self._grids: OrderedDict[int, PreparedGrid | None] = OrderedDict()
-        self._cells = 0
 
     def of(self, number: int, grid: GridMap) -> PreparedGrid | None:
         """The prepared grid of one number, which is always the same."""
         if number not in self._grids:
             self._grids[number] = prepared(grid, self.config)
-            self._cells += _size(self._grids[number])
-            while self._cells > self.most_cells and len(self._grids) > 1:
-                self._cells -= _size(self._grids.popitem(last=False)[1])
+            if len(self._grids) > self.most:
+                self._grids.popitem(last=False)
         self._grids.move_to_end(number)
         return self._grids[number]
-
-
-def _size(grid: PreparedGrid | None) -> int:
-    return 0 if grid is None else grid.grid.cells.size
 
 
 def wall_direction(grid: GridMap) -> float:

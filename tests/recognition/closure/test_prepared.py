@@ -150,25 +150,14 @@ def test_coarse_layers_reward_walls_on_walls_and_punish_them_in_free_space() -> 
 
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=30))
 def test_the_last_used_grids_are_kept_and_others_prepared_again(numbers: list[int]) -> None:
+    grids = PreparedGrids(CONFIG, most=3)
     grid = GridMap(box().cells[90:110, 30:60].copy(), 0.05)
-    one = prepared(grid, CONFIG)
-    assert one is not None
-    grids = PreparedGrids(CONFIG, most_cells=3 * one.grid.cells.size)
     held: list[tuple[int, Any]] = []  # the last used one last
     for number in numbers:
         found = grids.of(number, grid)
         before = [kept for kept in held if kept[0] == number]
         assert not before or before[0][1] is found
         held = [kept for kept in held if kept[0] != number][-2:] + [(number, found)]
-
-
-def test_a_grid_that_is_larger_than_allowed_is_kept_alone() -> None:
-    grids = PreparedGrids(CONFIG, most_cells=1)
-    first = grids.of(1, box())
-    assert grids.of(1, box()) is first
-    second = grids.of(2, box())
-    assert grids.of(2, box()) is second
-    assert grids.of(1, box()) is not first
 
 
 def test_a_grid_that_cannot_be_prepared_is_remembered_too(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -179,7 +168,7 @@ def test_a_grid_that_cannot_be_prepared_is_remembered_too(monkeypatch: pytest.Mo
         asked.append(grid)
 
     monkeypatch.setattr("specmap_cli.recognition.closure.prepared.prepared", refuse)
-    grids = PreparedGrids(CONFIG, most_cells=2)
+    grids = PreparedGrids(CONFIG, most=2)
     assert grids.of(1, box()) is None
     assert grids.of(1, box()) is None
     assert len(asked) == 1
