@@ -49,7 +49,8 @@ class KeptMap:
     `stays` are the keyframes of each piece in which the robot saw the map, by number, that of its
     frame first; `closures` name these. `breaks` are the keyframes at which tracking started afresh
     or another recording begins. `findings` are those about the recordings. `edits` are what a
-    person decided, `edits_text` how it was written down, `borders` what of it the labels show.
+    person decided, `edits_text` how it was written down, `borders` what of it the labels show, and
+    `lost`, in words, what was decided about maps that are in this one and says nothing of it.
     `next_id` and what follows it are ids that no submap ever had.
     """
 
@@ -64,6 +65,7 @@ class KeptMap:
     next_id: int
     edits: Edits = field(default_factory=Edits)
     edits_text: str = ""
+    lost: tuple[str, ...] = ()
     borders: tuple[Border, ...] = ()
 
     @property

@@ -21,7 +21,7 @@ from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, seen_of_stored
-from specmap_cli.pipelines.map_joining import Joined, edits_of_both, inherit, moved_finding
+from specmap_cli.pipelines.map_joining import Joined, inherit, moved_finding
 from specmap_cli.pipelines.remaking import remade
 from specmap_cli.pipelines.run_record import BuildReport, run_record
 from specmap_cli.pipelines.stopwatch import Stopwatch
@@ -75,7 +75,7 @@ def build_like(
         }
         tell(finished.quality, progress)
         write_map(partial, finished.result(joined.kept.logs, run), store)
-    return BuildReport(out=target, run=run, quality=finished.quality)
+    return BuildReport(out=target, run=run, quality=finished.quality, unapplied=finished.unapplied)
 
 
 def alike(old: Seen, surveyed: Survey, old_from_new: Pose2, config: Config) -> Joined:
@@ -95,7 +95,7 @@ def alike(old: Seen, surveyed: Survey, old_from_new: Pose2, config: Config) -> J
         logs=kept.logs,
         findings=tuple(moved_finding(one, old_from_new) for one in kept.findings),
         next_id=max(old.kept.next_id, 1 + int(submaps.max())),
-        edits=edits_of_both(old.kept, kept, submaps, old_from_new),
+        edits=old.kept.edits,
         edits_text=old.kept.edits_text,
         borders=carried(old.kept.borders, old.kept.labels.poses, layout.poses),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,17 +19,15 @@ from specmap_cli.layout.carrying import carried, rows_of
 from specmap_cli.layout.healing import Audited, healed
 from specmap_cli.layout.joining import join_layouts, placed, without_guesses
 from specmap_cli.layout.relaxation import Layout
-from specmap_cli.maps.edits import Edits, ForbidEdit
+from specmap_cli.pipelines.joint_edits import edits_of_both, without_borders
 from specmap_cli.pipelines.kept_map import KeptMap, Seen
 from specmap_cli.pipelines.refutation import constraints_of, refute
 from specmap_cli.recognition.closure.joints import Joint
-from specmap_cli.topology.borders import heirs
 from specmap_cli.topology.inheritance import Heritage, inherited
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo
 
 _JOINED = "the maps were joined here"
-_FEW = 0.1  # share of the keyframes of a submap that may have got elsewhere
 _APART_M = 20.0  # between maps that have nothing in common: walls within it are never matched
 
 
@@ -59,7 +57,8 @@ def join(
 
     `regions` divide the cells of the old map. `found` are closures between the two: `old` is the
     number of a stay of the old map, `new` that of one of the new map. Every submap of the old map
-    keeps its keyframes and its id.
+    keeps its keyframes and its id. The borders that a person moved in the new map are edits of the
+    joint one, which are still to be made.
     """
     first, stay = len(old.labels.stamps_ns), 1 + max(old.stays, default=-1)
     later = _renumbered(new.kept, old_from_new, first, stay)
@@ -72,24 +71,25 @@ def join(
     layout = _in_frame_of(old.layout, layout)
     audited = healed(store, layout, breaks, config.relaxation, config.audit)
     layout = without_guesses(audited.layout, (*old.starts, first, *later.starts))
-    labels = Labels(
-        stamps_ns=np.array(store.stamps_ns, dtype=np.int64),
-        poses=layout.poses,
-        submaps=inherit(old, regions, new, layout.poses, old_from_new, config),
-    )
+    plain = without_borders(new)
+    submaps = inherit(old, regions, plain, layout.poses, old_from_new, config)
+    free = max(old.next_id, 1 + int(submaps.max(initial=-1)))
+    said = edits_of_both(old, plain.kept, submaps[first:], old_from_new, free)
+    stamps = np.array(store.stamps_ns, dtype=np.int64)
     kept = KeptMap(
         layout=layout,
-        labels=labels,
+        labels=Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps),
         trajectory=_trajectory(old, new.kept, layout),
         stays=stays,
         closures=(*old.closures, *later.closures, *refute(found, constraints, layout)),
         breaks=breaks,
         logs=(*old.logs, *later.logs),
         findings=(*old.findings, *later.findings),
-        edits=edits_of_both(old, new.kept, labels.submaps[first:], old_from_new),
+        edits=said.edits,
         edits_text=old.edits_text,
+        lost=(*old.lost, *said.lost),
         borders=old.borders,
-        next_id=max(old.next_id, 1 + int(labels.submaps.max(initial=-1))),
+        next_id=said.next_id,
     )
     return Joined(kept, replace(audited, layout=layout))
 
@@ -199,46 +199,6 @@ def inherit(
     divided = np.concatenate([new.regions.owners(there), new.kept.labels.submaps])
     heritage = Heritage(old.labels.poses, old.labels.submaps, regions, old.next_id)
     return inherited(heritage, poses, divided, config.segmentation.region_min_m)
-
-
-def edits_of_both(old: KeptMap, new: KeptMap, submaps: IntArray, old_from_new: Pose2) -> Edits:
-    """What a person decided; what was said of the old map's submaps counts first.
-
-    `submaps` (n,) is where each keyframe of the new map ended. Merges and splits of the new map are
-    in its labels; its forbidden doors are forbidden in the old one, too.
-    """
-    own = new.labels.submaps
-    became = {int(id_): _commonest(submaps[own == id_]) for id_ in np.unique(own[own >= 0])}
-    said = {became[id_][0]: said for id_, said in new.edits.submaps.items() if id_ in became}
-    changes = (*old.edits.changes, *_forbidden(new, became, old_from_new))
-    return Edits(submaps={**said, **old.edits.submaps}, changes=changes)
-
-
-def _commonest(submaps: IntArray) -> list[int]:
-    """The submaps that keyframes (n,) are in, the commonest first, without those of a few."""
-    found, counts = np.unique(submaps, return_counts=True)
-    order = np.argsort(-counts, kind="stable")
-    return [int(id_) for id_ in found[order] if (submaps == id_).mean() >= _FEW]
-
-
-def _forbidden(
-    new: KeptMap, became: Mapping[int, Sequence[int]], old_from_new: Pose2
-) -> list[ForbidEdit]:
-    """The forbidden doors of the new map, between what its submaps `became`, in the old frame."""
-    found = []
-    made = 0
-    for change in new.edits.changes:
-        if not isinstance(change, ForbidEdit):
-            made += 1
-            continue
-        ends = [
-            sorted({id_ for heir in heirs(end, new.borders[made:]) for id_ in became.get(heir, ())})
-            for end in change.forbid
-        ]
-        at = None if change.at is None else old_from_new.apply(np.array([change.at]))[0].tolist()
-        pairs = [(one, other) for one in ends[0] for other in ends[1] if one != other]
-        found += [ForbidEdit(forbid=pair, at=at) for pair in pairs]
-    return found
 
 
 def _trajectory(old: KeptMap, new: KeptMap, layout: Layout) -> Trajectory:

@@ -11,17 +11,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import networkx as nx
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import InputError, UsageError
-from specmap_cli.core.findings import Quality
 from specmap_cli.core.geometry import Pose2, nearest_motion
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.records import Closure
+from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
@@ -32,12 +30,14 @@ from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
+from specmap_cli.pipelines.edited import drawn
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, seen_of_stored
 from specmap_cli.pipelines.learning import whole_grid
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
+from specmap_cli.pipelines.merge_report import MergeReport
 from specmap_cli.pipelines.remaking import remade
-from specmap_cli.pipelines.run_record import OF_THE_MAP, run_record, told
+from specmap_cli.pipelines.run_record import OF_THE_MAP, run_record
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import check_feature_sets
@@ -45,46 +45,6 @@ from specmap_cli.topology.borders import fences_of
 from specmap_cli.topology.regions import divide
 
 Meetings = Mapping[tuple[int, int], Alignment]  # of maps i < j: where j lies in i
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MergeReport:
-    """What `merge` did: the map directory and its run.json.
-
-    `parts` are the names of the maps that hang together, a list a part. `ids` tells, map by map,
-    which submap of the result each submap became.
-    """
-
-    out: Path
-    run: Mapping[str, Any]
-    quality: Quality
-    parts: tuple[tuple[str, ...], ...]
-    ids: Mapping[str, Mapping[int, int]]
-
-    def as_dict(self) -> dict[str, Any]:
-        """The same for a machine."""
-        return {
-            "out": str(self.out),
-            **self.run["counts"],
-            "parts": [list(part) for part in self.parts],
-            "ids": {
-                name: {str(old): new for old, new in own.items()} for name, own in self.ids.items()
-            },
-            "quality": self.run["quality"],
-            "warnings": self.run["warnings"],
-        }
-
-    def lines(self) -> list[str]:
-        """A summary: what makes the map doubtful or poor comes first."""
-        counts = self.run["counts"]
-        parts = "; ".join(", ".join(part) for part in self.parts)
-        apart = f"{self.out}: {len(self.parts)} parts that do not meet: {parts}"
-        made = (
-            f"{self.out}: {counted(len(self.ids), 'map')} merged: "
-            f"{counted(counts['submaps'], 'submap')}, {counted(counts['scans'], 'scan')} over "
-            f"{counts['path_m']:.0f} m"
-        )
-        return told(self.out, self.quality, *([apart] if len(self.parts) > 1 else []), made)
 
 
 def merge_maps(
@@ -129,7 +89,11 @@ def merge_maps(
         run=run,
         quality=finished.quality,
         parts=tuple(tuple(names[k] for k in sorted(part)) for part in _parts(len(seen), meetings)),
-        ids={names[k]: merging.ids_of(k, seen[k].kept) for k in range(len(seen))},
+        ids={
+            names[k]: merging.ids_of(k, seen[k].kept, finished.labels.submaps)
+            for k in range(len(seen))
+        },
+        unapplied=finished.unapplied,
     )
 
 
@@ -219,11 +183,14 @@ class _Merging:
     whole: GridMap
     firsts: Mapping[int, tuple[int, int]]
 
-    def ids_of(self, number: int, kept: KeptMap) -> dict[int, int]:
-        """The submap of the result that most keyframes of each submap of one map are in."""
+    def ids_of(self, number: int, kept: KeptMap, submaps: IntArray) -> dict[int, int]:
+        """The submap of the result that most keyframes of each submap of one map are in.
+
+        `submaps` (n,) are those of all keyframes in the result.
+        """
         first, _ = self.firsts[number]
         own = kept.labels.submaps
-        now = self.joined.kept.labels.submaps[first : first + len(own)]
+        now = submaps[first : first + len(own)]
         return {
             int(id_): int(np.bincount(now[own == id_]).argmax()) for id_ in np.unique(own[own >= 0])
         }
@@ -245,13 +212,23 @@ def _merged(
     """All maps in one, their keyframes in `store` in the order of joining."""
     (_, first), *steps = _steps(len(seen), meetings)
     _copy(maps[first], store)
-    kept = seen[first].kept
+    whole = seen[first].known.whole
+    kept = _edited(seen[first].kept, whole)
     nothing = Audited(kept.layout, Audit(compared=0, disagreements=()))
-    merging = _Merging(Joined(kept, nothing), seen[first].known.whole, {first: (0, 0)})
+    merging = _Merging(Joined(kept, nothing), whole, {first: (0, 0)})
     for parent, child in steps:
         _copy(maps[child], store)
         merging = _with(merging, parent, child, seen, meetings, store, config)
     return merging
+
+
+def _edited(kept: KeptMap, whole: GridMap) -> KeptMap:
+    """A map with the borders that its edits ask for; what cannot be made is told in the end."""
+    found = drawn(whole, kept.labels, kept.borders, kept.edits, kept.next_id)
+    labels = replace(kept.labels, submaps=found.submaps)
+    return replace(
+        kept, labels=labels, borders=found.borders, edits=found.edits, next_id=found.next_id
+    )
 
 
 def _copy(stored: StoredMap, store: KeyframeStore) -> None:
@@ -284,7 +261,9 @@ def _with(
     }
     regions = divide(merging.whole, joint.labels, fences_of(joint.borders))
     joined = join(store, joint, regions, new, where, found, config)
-    return _Merging(joined, whole_grid(store, joined.kept.layout, config)[0], firsts)
+    whole = whole_grid(store, joined.kept.layout, config)[0]
+    edited = replace(joined, kept=_edited(joined.kept, whole))
+    return _Merging(edited, whole, firsts)
 
 
 def _motion(meetings: Meetings, parent: int, child: int) -> Pose2:

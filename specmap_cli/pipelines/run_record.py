@@ -22,17 +22,22 @@ OF_THE_MAP = frozenset({"scans", "keyframes", "submaps", "edges", "merges", "pat
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildReport:
-    """What `build` did, for a person and for a machine: the map directory and its run.json."""
+    """What `build` did, for a person and for a machine: the map directory and its run.json.
+
+    With `--like` a map `unapplied` tells which of a person's edits of it do not apply.
+    """
 
     out: Path
     run: Mapping[str, Any]
     quality: Quality
+    unapplied: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The counts, what is thought of the map, and the directory."""
         return {
             "out": str(self.out),
             **self.run["counts"],
+            "unapplied": list(self.unapplied),
             "quality": self.run["quality"],
             "warnings": self.run["warnings"],
         }

@@ -15,6 +15,7 @@ import pytest
 from specmap_cli import build_map, read_map
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.geometry import nearest_motion
 from specmap_cli.core.progress import Silent
 from specmap_cli.exports.table import export_map
 from specmap_cli.grids.gridmap import GridMap
@@ -363,3 +364,40 @@ def test_a_merged_map_has_the_edits_of_both(built: Built, own: Path, tmp_path: P
     assert "Annex" in both.names.values()
     assert sum(edge.forbidden for edge in both.record.edges) == 1
     assert read_map(own).topology.next_id - 1 in both.ids
+
+
+def test_borders_moved_in_a_later_map_are_moved_in_the_merged_one(
+    built: Built, own: Path, tmp_path: Path
+) -> None:
+    """Though the first map divides the same place in its own way; and they can be undone there."""
+    build_map(built.again, tmp_path / "second", QUICK)
+    second = read_map(tmp_path / "second")
+    ends = [end for edge in second.record.edges for end in (edge.source, edge.target)]
+    corridor = max(set(ends), key=ends.count)
+    room = next(id_ for id_ in second.ids if id_ != corridor)
+    plain = merge_maps([own, second], tmp_path / "plain", QUICK)
+    changes = (split(second, corridor), {"merge": [corridor, room]})
+    new = max(edit_map(second, Wishes(changes=changes)).names)
+    edit_map(read_map(second.path), Wishes(names={new: "Far end", corridor: "Hall"}))
+    edit_map(own, Wishes(names={plain.ids["second"][corridor]: "Lobby"}))
+    with (second.path / "edits.toml").open("a", encoding="utf-8") as file:
+        file.write(f"\n[[changes]]\nmerge = [{corridor}, 99]\n")
+    report = merge_maps([own, second.path], tmp_path / "both", QUICK)
+    both, edited = read_map(tmp_path / "both"), read_map(second.path)
+    assert report.unapplied == (
+        f"in the map of second.mcap: merge 99 into {corridor}: there is no submap 99",
+        f"in the map of second.mcap: submaps.{corridor}: 'Hall' is 'Lobby' in an earlier map",
+    )
+    assert report.as_dict()["unapplied"] == list(report.unapplied)
+    far, near = report.ids["second"][new], report.ids["second"][corridor]
+    assert (both.names[far], both.names[near]) == ("Far end", "Lobby")
+    assert far not in read_map(own).ids
+    assert near == plain.ids["second"][corridor]
+    assert plain.ids["second"][room] not in both.ids, "it is a part of the corridor now"
+    places = both.map_grid.centres_of(np.argwhere(both.regions.owner == far))
+    motion = nearest_motion(
+        edited.labels.poses[:, :2], both.labels.poses[-len(edited.labels.poses) :, :2]
+    )
+    assert (edited.regions.owners(motion.inverse().apply(places)) == new).mean() > 0.8
+    undone = edit_map(both, Wishes(undo=(1, 2)), tmp_path / "undone")
+    assert sorted(undone.names) == read_map(tmp_path / "plain").ids

@@ -17,7 +17,8 @@ from specmap_cli.evaluation.trajectories import read_tum, reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.likeness import build_like
-from specmap_cli.pipelines.merge import MergeReport, merge_maps
+from specmap_cli.pipelines.merge import merge_maps
+from specmap_cli.pipelines.merge_report import MergeReport
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.simulation.simulator import SimulationOptions
 
