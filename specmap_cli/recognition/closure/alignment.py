@@ -8,7 +8,7 @@ themselves, when what both maps saw agrees under it, and when no other explains 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +38,7 @@ _LEAST_SCORE = 0.5  # of all that both saw; halls of other buildings that touch 
 _MOST_ODD = 0.2  # of the walls: one room of five was rebuilt; more may be another floor
 _LEAST_AREA_M2, _LEAST_WALLS_M = 10.0, 10.0  # a small room: less says nothing about a building
 _MOST_RIVAL = 0.6  # of the walls that the best transform explains: look-alike rows come near it
+_MISFITS = 4.0  # times as much that does not fit: a building that is nearly the same when turned
 _LEAST_PARTY = 3  # submaps that speak for a transform by themselves: two offices look alike
 # With fewer: as much as a floor of a house, and nothing else like it.
 _LARGE_M2, _LARGE_WALLS_M, _LARGE_RIVAL = 100.0, 100.0, 0.3
@@ -52,7 +53,7 @@ class Alignment:
     `joints` are the pairs of submaps that match under it. `votes` of these had found it by
     themselves, for `party` submaps of either map. `ground` is what both maps saw under the best
     transform there was, `area_m2` the free space that both saw, `rival` how much of its walls
-    another transform explains, in [0, 1].
+    another transform explains, in [0, 1], of those that are not clearly worse.
     """
 
     old_from_new: Pose2 | None
@@ -77,6 +78,11 @@ class _Candidate:
     merit_m: float
     party: Party | None
 
+    @property
+    def strength(self) -> int:
+        """How many submaps of either map found it by themselves."""
+        return 0 if self.party is None else self.party.strength
+
 
 def align(old: KnownMap, new: KnownMap, config: Config) -> Alignment:
     """The transform between two maps, or the reason why there is none."""
@@ -91,19 +97,23 @@ def align(old: KnownMap, new: KnownMap, config: Config) -> Alignment:
     ranked = _candidates(wholes[0], wholes[1], floors, parties, recognition)
     if not ranked:
         return Alignment(old_from_new=None, reason="no place of one map was found in the other")
+    sides = (pieces[0], wholes[0]), (pieces[1], wholes[1])
+
+    def ground(candidate: _Candidate) -> CommonGround:
+        return common_ground(*sides, candidate.old_from_new, recognition)
+
     best = ranked[0]
+    rivals = _rivals(ranked, ground)
     found = Alignment(
         old_from_new=best.old_from_new,
         reason="",
         votes=0 if best.party is None else len(best.party.votes),
-        party=0 if best.party is None else best.party.strength,
-        ground=common_ground(
-            (pieces[0], wholes[0]), (pieces[1], wholes[1]), best.old_from_new, recognition
-        ),
+        party=best.strength,
+        ground=ground(best),
         area_m2=floors.common_m2(best.old_from_new),
-        rival=ranked[1].merit_m / best.merit_m if len(ranked) > 1 else 0.0,
+        rival=rivals[0].merit_m / best.merit_m if rivals else 0.0,
     )
-    doubt = _doubt(found, ranked)
+    doubt = _doubt(found, best, rivals)
     if doubt:
         return replace(found, old_from_new=None, reason=doubt)
     agreed = joints(*pieces, best.old_from_new, recognition)
@@ -192,7 +202,29 @@ def _about_their_middle(
     return found.pose @ Pose2(-x, -y, 0.0)
 
 
-def _doubt(found: Alignment, ranked: Sequence[_Candidate]) -> str:
+def _rivals(
+    ranked: Sequence[_Candidate], ground: Callable[[_Candidate], CommonGround]
+) -> list[_Candidate]:
+    """The transforms but the best that are to be weighed against it, in their order.
+
+    Not those that are clearly worse, though they explain much, as in a building that looks nearly
+    the same when it is turned: several submaps speak for the best one alone, with the walls of as
+    many rooms, and a few times as much as under that does not fit.
+    """
+    best, *others = ranked
+    if not others or others[0].merit_m <= _MOST_RIVAL * best.merit_m:
+        return others
+    misfit = 1.0 - ground(best).score
+    return [
+        other
+        for other in others
+        if best.strength - other.strength < _LEAST_PARTY
+        or best.merit_m - other.merit_m < _LEAST_PARTY * _LEAST_WALLS_M
+        or 1.0 - ground(other).score < _MISFITS * misfit
+    ]
+
+
+def _doubt(found: Alignment, best: _Candidate, rivals: Sequence[_Candidate]) -> str:
     """Why a transform is not to be believed; empty when it is."""
     ground = found.ground
     assert ground is not None
@@ -212,7 +244,7 @@ def _doubt(found: Alignment, ranked: Sequence[_Candidate]) -> str:
             "in submaps that do not fit: another floor of one plan, or a part that was rebuilt"
         ).replace("%", " %")
     if found.rival > _MOST_RIVAL:
-        return f"ambiguous: the maps fit in more than one way, {_gap(ranked)}"
+        return f"ambiguous: the maps fit in more than one way, {_gap(best, rivals[0])}"
     if found.party < _LEAST_PARTY and not _is_large(found, ground):
         return (
             "too few submaps were recognised: a few rooms that look alike may be of two buildings"
@@ -230,9 +262,9 @@ def _is_large(found: Alignment, ground: CommonGround) -> bool:
     )
 
 
-def _gap(ranked: Sequence[_Candidate]) -> str:
-    """How far apart the first two transforms are, in words."""
-    away = ranked[0].old_from_new.inverse() @ ranked[1].old_from_new
+def _gap(best: _Candidate, rival: _Candidate) -> str:
+    """How far apart two transforms are, in words."""
+    away = best.old_from_new.inverse() @ rival.old_from_new
     turn = math.degrees(abs(wrap_angle(away.theta)))
     return f"{away.distance:.1f} m and {turn:.0f} degrees apart"
 

@@ -110,6 +110,31 @@ def test_some_of_a_row_of_equal_offices_are_ambiguous() -> None:
     assert found.rival > 0.9
 
 
+def turned_twice(plan: Floor) -> Floor:
+    """A floor, and below it the same floor turned by half a circle: it looks so from both ends."""
+    height, width = (side * CELL_M for side in plan.cells.shape)
+    cells = np.vstack([plan.cells[::-1, ::-1], plan.cells])
+    above = [(a, b + height, c, d + height) for a, b, c, d in plan.rooms]
+    below = [(width - c, height - d, width - a, height - b) for a, b, c, d in plan.rooms]
+    return Floor(cells, (*above, *below))
+
+
+@pytest.mark.parametrize(("furnished", "known"), [(0, False), (1, False), (5, True)])
+def test_a_building_that_is_nearly_the_same_when_turned(furnished: int, known: bool) -> None:
+    plain = turned_twice(random_floor(7, rooms=7))
+    boxes = [(a + 0.4, b + 0.9, a + 1.6, b + 1.9) for a, b, _, _ in plain.rooms[:furnished]]
+    plan, frame = plain.with_boxes(*boxes), Pose2(1.0, -2.0, 0.4)
+    rooms = range(len(plan.rooms))
+    found = aligned(seen(plan, rooms, IDENTITY), seen(plan, rooms, frame))
+    if known:
+        assert_right(found, frame)
+        assert found.rival < 0.6
+    else:
+        assert found.old_from_new is None
+        assert "ambiguous: the maps fit in more than one way" in found.reason
+        assert "180 degrees apart" in found.reason
+
+
 def test_one_empty_room_is_not_enough() -> None:
     plan = floor([(3.0, 4.0), (5.0, 4.5)], [0.5, 0.2])
     found = aligned(seen(plan, [0, 1, 2], IDENTITY), seen(plan, [0], Pose2(0.0, 0.0, 0.3)))
