@@ -22,6 +22,7 @@ from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.readers.typestore import SCAN_TYPES
 
 MAP_EVERY, BUILD_EVERY, CONVERT_EVERY = 20, 20, 20  # every so many cases
+KEEPERS = ("compare", "update", "merge", "edit", "like")  # what maps that are kept go through
 _NEEDLE_BYTES = 24  # from the middle of a scan: where they are left, so is most of the scan
 
 
@@ -47,7 +48,10 @@ class LogCase:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapCase:
-    """A damaged map directory; `deeds` are done to its files once they are written."""
+    """A damaged map directory; `deeds` are done to its files once they are written.
+
+    `keeper` is the command that it is given to of those that make another map of it.
+    """
 
     number: int
     name: str
@@ -55,6 +59,7 @@ class MapCase:
     files: Files
     deeds: tuple[str, ...]
     plot: bool
+    keeper: str = KEEPERS[0]
 
 
 Case = LogCase | MapCase
@@ -83,6 +88,7 @@ def _map_case(seeds: Seeds, rng: random.Random, number: int) -> MapCase:
         files=files,
         deeds=tuple(deeds),
         plot=rng.random() < 0.3,
+        keeper=KEEPERS[number // MAP_EVERY % len(KEEPERS)],
     )
 
 

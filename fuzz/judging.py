@@ -6,7 +6,7 @@ import json
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,15 @@ from typing import Any
 from fuzz.cases import Case, LogCase, MapCase
 from fuzz.map_changes import write_map
 from fuzz.running import Run, captured, has_command, place_of, run_command
+from fuzz.seeds import INTACT, LOCALIZED
 from specmap_cli.core.errors import SpecmapError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.exports.table import export_map, exporters
 from specmap_cli.logs import open_log
 from specmap_cli.logs.readers.typestore import SCAN_TYPES
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.maps.store import read_map
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.kept_map import seen_of_stored
 
 CODES = {0, 2, 3, 4}  # that a command may end with on a damaged input; 1 is a bug
 _LEFT_OUT = ("unusable_scans", "other_sensor", "unusable_odometry")  # counts of a stream
@@ -56,10 +58,11 @@ class Reading:
     bug: BaseException | None = field(default=None, compare=False)
 
 
-def judge(case: Case, folder: Path, settings: Sequence[str], localized: Path) -> list[Failure]:
+def judge(case: Case, folder: Path, settings: Sequence[str], intact: Path) -> list[Failure]:
     """Run a case in an empty folder; what was wrong, nothing for a case that passes.
 
-    `settings` are options of quick settings for `build`, `localized` the log to localise in maps.
+    `settings` are options of quick settings for `build`; `intact` is the folder of the inputs that
+    `write_intact` wrote.
     """
     temporary = folder / "tmp"
     temporary.mkdir()
@@ -68,7 +71,7 @@ def judge(case: Case, folder: Path, settings: Sequence[str], localized: Path) ->
         if isinstance(case, LogCase):
             found = [*_judge_log(case, folder, settings)]
         else:
-            found = [*_judge_map(case, folder, localized)]
+            found = [*_judge_map(case, folder, intact)]
         return [*found, *_left_behind(folder)]
     except MemoryError:
         return [Failure("memory", "more than the bound was asked for")]
@@ -90,15 +93,23 @@ def log_commands(case: LogCase, folder: Path, settings: Sequence[str]) -> Iterat
         yield ["build", log, "-o", str(folder / "map"), "--json", *settings]
 
 
-def map_commands(case: MapCase, folder: Path, localized: Path) -> Iterator[list[str]]:
+def map_commands(case: MapCase, folder: Path, intact: Path) -> Iterator[list[str]]:
     """The commands that a damaged map is given to."""
     out, plot = str(folder / "out.csv"), str(folder / "out.png")
     plotted = ["--plot", plot] if case.plot else []
-    where = str(folder / "damaged")
-    yield ["localize", str(localized), "--map", where, "--metric", "--out", out, *plotted]
+    where, log, other = str(folder / "damaged"), str(intact / LOCALIZED), str(intact / INTACT)
+    yield ["localize", log, "--map", where, "--metric", "--out", out, *plotted]
     if has_command("export"):
         graph = str(folder / "out.graphml")
         yield ["export", where, "--format", "graphml", "--out", graph]
+    made = ["--out", str(folder / "out.made"), "--json"]
+    yield {
+        "compare": ["compare", where, other, *made],
+        "update": ["update", where, log, "--allow-apart", *made],
+        "merge": ["merge", other, where, *made],
+        "edit": ["edit", where, "--undo", "2", *made],
+        "like": ["build", log, "--like", where, *made],
+    }[case.keeper]
 
 
 def _judge_log(case: LogCase, folder: Path, settings: Sequence[str]) -> Iterator[Failure]:
@@ -252,9 +263,9 @@ def _check_converted(path: Path, reading: Reading) -> Iterator[Failure]:
         yield Failure("silent loss", f"convert wrote {scans} of {len(reading.stamps_ns)} scans")
 
 
-def _judge_map(case: MapCase, folder: Path, localized: Path) -> Iterator[Failure]:
+def _judge_map(case: MapCase, folder: Path, intact: Path) -> Iterator[Failure]:
     write_map(folder / "damaged", case.files, list(case.deeds))
-    for command in map_commands(case, folder, localized):
+    for command in map_commands(case, folder, intact):
         run = run_command(command)
         yield from check_run(run)
         outputs = [Path(word) for word in command if word.startswith(str(folder / "out."))]
@@ -280,21 +291,39 @@ def _check_export(folder: Path) -> Iterator[Failure]:
 
 def _check_contents(folder: Path) -> Iterator[Failure]:
     """What an update needs of a map, by the library: all of it, or refused in one line."""
-    for name in ("topology", "keyframes"):
+    for name, read in _CONTENTS.items():
         try:
             stored = read_map(folder / "damaged")
-            if name == "topology":
-                _ = stored.topology
-                continue
-            with stored.keyframes() as keyframes:
-                scans = [keyframes.scan(number) for number in range(len(keyframes))]
-                if len(scans) != len(stored.labels.stamps_ns):
-                    yield Failure("silent loss", f"{len(scans)} keyframes")
+            found = read(stored)
+            if found != len(stored.labels.stamps_ns):
+                yield Failure("silent loss", f"{name}: {found} keyframes")
         except SpecmapError as error:
             if "\n" in str(error):
                 yield Failure("error line", f"{name}: {error}")
         except Exception as error:
             yield _bug(error, name)
+
+
+def _in_topology(stored: StoredMap) -> int:
+    _ = stored.topology
+    return len(stored.labels.stamps_ns)
+
+
+def _in_keyframes(stored: StoredMap) -> int:
+    with stored.keyframes() as keyframes:
+        return len([keyframes.scan(number) for number in range(len(keyframes))])
+
+
+def _in_layout(stored: StoredMap) -> int:
+    return len(seen_of_stored(stored).kept.layout.poses)
+
+
+# What a map is read for, and how many keyframes that tells of.
+_CONTENTS: Mapping[str, Callable[[StoredMap], int]] = {
+    "topology": _in_topology,
+    "keyframes": _in_keyframes,
+    "layout": _in_layout,
+}
 
 
 def _left_behind(folder: Path) -> Iterator[Failure]:

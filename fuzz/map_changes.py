@@ -64,6 +64,40 @@ _CELLS = (
     "\x1b[31m",
     "-9" + "9" * 19,
 )
+_TOML_VALUES = (
+    "",
+    "0",
+    "-1",
+    "true",
+    "nan",
+    "1e300",
+    "9" * 5000,
+    '"text"',
+    '"\\u001b[31m"',
+    "'" + "a" * 5000 + "'",
+    "[]",
+    "[0, 0]",
+    "[0, 99]",
+    "[1, 0]",
+    "[[1.0, -0.5], [1.0, -0.5]]",
+    "[[1e308, 0.0], [-1e308, 0.0]]",
+    "[[0.0, 0.0], [nan, inf]]",
+    "[" * 2000,
+    "{ floor = 2 }",
+    "1979-05-27",
+)
+_TOML_LINES = (
+    "[[changes]]",
+    "[submaps.0]",
+    "[submaps.99]",
+    "[submaps.text]",
+    "[changes]",
+    "[[changes]]\nmerge = [0, 1]",
+    "[[changes]]\nmerge = [1, 0]",
+    "[[changes]]\nsplit = 0\nline = [[1.0, -1.5], [3.0, -1.5]]",
+    "[[changes]]\nforbid = [0, 1]\nat = [1e9, 0]",
+    "\x00",
+)
 _YAML_VALUES = (
     "0",
     "-1",
@@ -99,7 +133,7 @@ def change_map(
     if kind < 0.22:
         change = change_bytes(rng, files[name])
         return {**files, name: change.data}, [], f"{name}: {change.note}"
-    family = rng.choice(["json", "json", "json", "csv", "yaml", "png", "mcap"])
+    family = rng.choice(_OFTEN)
     name = rng.choice([name for name in whole if _family(name) == family] or [name])
     family = _family(name)
     if family == "other":
@@ -123,8 +157,7 @@ def write_map(folder: Path, files: Mapping[str, bytes], deeds: list[str]) -> Non
 def _family(name: str) -> str:
     if name in ("run.json", "topology.json", "classifiers.json"):
         return "json"
-    known = {".csv": "csv", ".yaml": "yaml", ".png": "png", ".mcap": "mcap"}
-    return known.get(Path(name).suffix, "other")
+    return _FAMILIES.get(Path(name).suffix, "other")
 
 
 def _change_json(rng: random.Random, data: bytes) -> tuple[bytes, str]:
@@ -198,18 +231,57 @@ def _change_png(rng: random.Random, data: bytes) -> tuple[bytes, str]:
     return data[:12] + header + crc + data[33:], note
 
 
+def _change_words(rng: random.Random, data: bytes) -> tuple[bytes, str]:
+    """A word of a line, or a line, dropped, twice or another: of trajectories and pose graphs."""
+    lines = data.decode().split("\n")
+    row, kind = rng.randrange(len(lines)), rng.random()
+    if kind < 0.2:
+        new = rng.choice([[], [lines[row]] * 2, [rng.choice(lines)]])
+        return "\n".join(replaced(lines, row, *new)).encode(), f"line {row}: {len(new)} lines"
+    words = lines[row].split(" ")
+    place = rng.randrange(len(words))
+    value = rng.choice([[], [words[place]] * 2] if kind < 0.3 else [[cell] for cell in _CELLS])
+    changed = " ".join(replaced(words, place, *value))
+    note = f"line {row}, word {place} = {value!r:.40}"
+    return "\n".join(replaced(lines, row, changed)).encode(), note
+
+
+def _change_toml(rng: random.Random, data: bytes) -> tuple[bytes, str]:
+    """A value of edits.toml, or a line dropped, twice or added."""
+    lines = data.decode().split("\n")
+    row = rng.randrange(len(lines))
+    key, equals, _ = lines[row].partition("=")
+    if equals and rng.random() < 0.7:
+        new = [f"{key}= {rng.choice(_TOML_VALUES)}"]
+    else:
+        new = rng.choice([[], [lines[row]] * 2, [lines[row], rng.choice(_TOML_LINES)]])
+    return "\n".join(replaced(lines, row, *new)).encode(), f"line {row}: {new!r:.60}"
+
+
 def _change_mcap(rng: random.Random, data: bytes) -> tuple[bytes, str]:
     """Records of a recording, or other bytes."""
     change = change_bytes(rng, data) if rng.random() < 0.3 else change_records(rng, data, "mcap")
     return change.data, change.note
 
 
+_FAMILIES = {
+    ".csv": "csv",
+    ".yaml": "yaml",
+    ".png": "png",
+    ".mcap": "mcap",
+    ".toml": "toml",
+    ".g2o": "words",
+    ".tum": "words",
+}
+_OFTEN = [*["json"] * 3, "csv", "yaml", "png", *["mcap", "toml", "words"] * 2]
 _CHANGES = {
     "json": _change_json,
     "csv": _change_csv,
     "yaml": _change_yaml,
     "png": _change_png,
     "mcap": _change_mcap,
+    "toml": _change_toml,
+    "words": _change_words,
 }
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from fuzz.cases import LogCase, case_of
 from fuzz.judging import log_commands, map_commands
 from fuzz.map_changes import write_map
-from fuzz.seeds import Seeds, settings
+from fuzz.seeds import Seeds, settings, write_intact
 from fuzz.workers import Outcome
 
 _NUMBER = re.compile(r"\d+")
@@ -73,7 +73,7 @@ def case_lines(seeds: Seeds, seed: int, number: int, keep: Path | None) -> list[
         (keep / "log").write_bytes(case.data)
         commands = list(log_commands(case, keep, settings()))
     else:
-        (keep / "localized").write_bytes(seeds.localized)
+        write_intact(seeds, keep)
         write_map(keep / "damaged", case.files, list(case.deeds))
-        commands = list(map_commands(case, keep, keep / "localized"))
+        commands = list(map_commands(case, keep, keep))
     return [*told, *(shlex.join(["specmap", *command]) for command in commands)]

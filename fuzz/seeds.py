@@ -10,8 +10,14 @@ from pathlib import Path
 
 from fuzz.containers import Variant, variants
 from fuzz.drives import Drive, drives, planar_drive
+from fuzz.map_changes import write_map
 from fuzz.running import run_command
 
+# What a person decides about that map: so it has edits of every kind.
+EDITS = (
+    ("--split", "0", "1,-0.5,3,-0.5", "--rename", "0", "Hall", "--set-property", "0", "floor=2"),
+    ("--kind", "1", "room", "--forbid-door", "0", "1"),
+)
 # A map good enough to be read and localised in, from settings that cost little.
 QUICK_SETTINGS = (
     "grid.resolution_m=0.1",
@@ -21,13 +27,14 @@ QUICK_SETTINGS = (
 )
 _MAP_DRIVE_S, _MAP_BEAMS = 20.0, 60
 _LOCALIZED_S = 2.0
+LOCALIZED, INTACT = "localized", "intact"  # what `write_intact` writes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seeds:
     """Everything intact: drives by name, their files by variant and drive, a map's files.
 
-    `localized` is the tiny log that is localised in damaged maps.
+    `localized` is the tiny log that is localised in damaged maps. The map has edits of a person.
     """
 
     drives: Mapping[str, Drive]
@@ -58,6 +65,12 @@ def make_seeds(*, with_map: bool = True) -> Seeds:
     )
 
 
+def write_intact(seeds: Seeds, folder: Path) -> None:
+    """Write what the commands take beside the damaged input: a log, and the intact map."""
+    (folder / LOCALIZED).write_bytes(seeds.localized)
+    write_map(folder / INTACT, seeds.map_files, [])
+
+
 def _map_files() -> dict[str, bytes]:
     log = variants()["mcap-zstd"].encode(planar_drive(_MAP_DRIVE_S, _MAP_BEAMS).messages)
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
@@ -74,8 +87,9 @@ def _map_files() -> dict[str, bytes]:
 
 
 def _build(log: Path, out: Path) -> None:
-    run = run_command(["build", str(log), "-o", str(out), "--quiet", *settings()])
-    raise SystemExit(run.code)
+    built = run_command(["build", str(log), "-o", str(out), "--quiet", *settings()])
+    edited = [run_command(["edit", str(out), *words, "--quiet"]) for words in EDITS]
+    raise SystemExit(max(run.code for run in (built, *edited)))
 
 
 def settings() -> list[str]:

@@ -23,7 +23,7 @@ import cv2
 from fuzz.cases import case_of
 from fuzz.judging import Failure, judge
 from fuzz.running import preload, prepare
-from fuzz.seeds import Seeds, settings
+from fuzz.seeds import Seeds, settings, write_intact
 
 _FILE_BYTES = 2 << 30  # the largest file a case may write
 _POLL_S = 0.2
@@ -111,7 +111,7 @@ class Pool:
         pending = iter(numbers)
         with tempfile.TemporaryDirectory(prefix="fuzz-") as place:
             folder = Path(place)
-            (folder / "localized").write_bytes(self.seeds.localized)
+            write_intact(self.seeds, folder)
             try:
                 for number in islice(pending, self.jobs):
                     self._workers.append(self._started(folder))
@@ -216,7 +216,7 @@ def run_case(seeds: Seeds, seed: int, number: int, place: Path) -> Outcome:
     folder = place / f"case-{number}"
     folder.mkdir()
     try:
-        failures = judge(case, folder, settings(), place / "localized")
+        failures = judge(case, folder, settings(), place)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return Outcome(

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from fuzz.__main__ import main
-from fuzz.cases import LogCase, MapCase, case_of
+from fuzz.cases import KEEPERS, LogCase, MapCase, case_of
 from fuzz.judging import Failure, judge
 from fuzz.report import Tally
-from fuzz.seeds import Seeds, make_seeds
+from fuzz.seeds import Seeds, make_seeds, write_intact
 from fuzz.workers import Limits, Outcome, Pool
 from specmap_cli.core.errors import UsageError
 from specmap_cli.logs.readers.chunked import ChunkedFile
@@ -201,12 +201,18 @@ def test_intact_inputs_pass(seeds: Seeds, tmp_path: Path) -> None:
 
 
 def test_an_intact_map_passes(seeds: Seeds, tmp_path: Path) -> None:
-    (tmp_path / "localized").write_bytes(seeds.localized)
+    write_intact(seeds, tmp_path)
     files = dict(seeds.map_files)
-    case = MapCase(number=0, name="map", notes=(), files=files, deeds=(), plot=True)
-    (tmp_path / "case").mkdir()
-    assert judge(case, tmp_path / "case", (), tmp_path / "localized") == []
-    assert (tmp_path / "case" / "out.png").exists()
+    assert "edits.toml" in files
+    for keeper in KEEPERS:
+        case = MapCase(
+            number=0, name="map", notes=(), files=files, deeds=(), plot=True, keeper=keeper
+        )
+        folder = tmp_path / keeper
+        folder.mkdir()
+        assert judge(case, folder, (), tmp_path) == [], keeper
+        assert (folder / "out.png").exists()
+        assert (folder / "out.made").exists() == (keeper in {"compare", "update", "edit"})
 
 
 def test_only_damage_without_a_trace_is_excused(seeds: Seeds) -> None:
