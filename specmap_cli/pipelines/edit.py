@@ -42,6 +42,7 @@ from specmap_cli.pipelines.relabelling import carry_over, quality_of_stored, wri
 from specmap_cli.pipelines.remaking import divided_anew
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.wishes import Wishes, with_wishes
+from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
 
 # What no border changes: copied, so that nothing is rounded again.
@@ -185,10 +186,15 @@ def _refuse_unapplied(unapplied: Sequence[str], found: Drawn, wishes: Wishes) ->
 def _relabelled(stored: StoredMap, found: Drawn, directory: Path) -> _Edited:
     """The map with its borders as they are."""
     bordered = replace(stored.topology, borders=found.borders, next_id=found.next_id)
-    topology, unapplied = named(bordered, found.edits, found.skipped)
+    topology, unapplied = named(bordered, _regions(stored), found.edits, found.skipped)
     edits = written(found.edits, edits_text(stored.path, stored.limits))
     write_relabelled(directory, stored, topology, edits)
     return _Edited(topology, unapplied)
+
+
+def _regions(stored: StoredMap) -> Regions | None:
+    """The division of a map; None for one of a finished grid, which keeps none of the whole."""
+    return stored.regions if (stored.path / filenames.LABELS).exists() else None
 
 
 def _made_anew(

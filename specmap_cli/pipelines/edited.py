@@ -17,8 +17,10 @@ from specmap_cli.maps.edit_conversion import borders_in, said_in, said_of
 from specmap_cli.maps.edits import Edits, ForbidEdit, SplitEdit, SubmapEdit, read_edits
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.topology.borders import Border, Split
+from specmap_cli.topology.detours import with_detours
 from specmap_cli.topology.forbidding import Forbidden, Shut, shut_by, with_shut
 from specmap_cli.topology.redrawing import redrawn
+from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import Said, TopologicalMap, default_name
 
 
@@ -79,18 +81,19 @@ def drawn(
 
 
 def named(
-    topology: TopologicalMap, edits: Edits, skipped: Mapping[int, str]
+    topology: TopologicalMap, regions: Regions | None, edits: Edits, skipped: Mapping[int, str]
 ) -> tuple[TopologicalMap, tuple[str, ...]]:
     """The map with names, kinds, properties and forbidden links, and what does not apply, in words.
 
-    `topology` has the borders of the edits; `skipped` are the changes that could not be made.
+    `topology` and its `regions` have the borders of the edits; `skipped` are the changes that could
+    not be made. Where the regions are known ways lead round forbidden doors.
     """
     said = {id_: each for id_, each in said_in(edits).items() if id_ in topology.submaps}
     submaps = {}
     for id_, submap in topology.submaps.items():
         own = said.get(id_, Said())
         submaps[id_] = replace(submap, name=own.name, kind=own.kind, properties=own.properties)
-    allowed, unlinked = _forbidden(topology, edits, skipped)
+    allowed, unlinked = _forbidden(topology, regions, edits, skipped)
     gone = sorted(set(said_in(edits)) - set(said))
     told = [f"submaps.{id_}: there is no submap {id_}" for id_ in gone]
     why = sorted({**skipped, **unlinked}.items())
@@ -117,7 +120,7 @@ def _with_id(change: object, made: Border | None) -> object:
 
 
 def _forbidden(
-    topology: TopologicalMap, edits: Edits, skipped: Mapping[int, str]
+    topology: TopologicalMap, regions: Regions | None, edits: Edits, skipped: Mapping[int, str]
 ) -> tuple[TopologicalMap, dict[int, str]]:
     """The map with its forbidden doors and links, and why a change forbids none, by its place."""
     shut = Shut()
@@ -128,6 +131,8 @@ def _forbidden(
             unlinked[place] = found
         else:
             shut |= found
+    if regions is not None:
+        topology = with_detours(topology, regions, shut.doors)
     return with_shut(topology, shut), unlinked
 
 

@@ -86,7 +86,7 @@ def divided_anew(
         bare = linked(labels, kept.stays, kept.breaks, kept.closures, grids, kept.starts)
         bordered = replace(bare, borders=edited.borders, next_id=edited.next_id)
         linked_up = with_ways(bordered, regions, config.ways, kept.layout.poses)
-    topology, skipped = named(linked_up, edited.edits, edited.skipped)
+    topology, skipped = named(linked_up, regions, edited.edits, edited.skipped)
     unapplied = (*skipped, *kept.lost)
     tell_unapplied(unapplied, progress)
     return FinishedMap(

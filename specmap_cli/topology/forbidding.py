@@ -61,7 +61,7 @@ def shut_by(topology: TopologicalMap, wish: Forbidden) -> Shut | str:
 def with_shut(topology: TopologicalMap, shut: Shut) -> TopologicalMap:
     """The map in which these links and doors are forbidden, and no others.
 
-    A link is forbidden, too, when its way leads through a forbidden door.
+    A link is forbidden, too, when its way leads through a forbidden door: see `with_detours`.
     """
     return replace(
         topology,

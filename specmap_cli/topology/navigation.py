@@ -52,7 +52,7 @@ def with_ways(
             for id_, submap in topology.submaps.items()
         },
         edges={
-            pair: _with_way(edge, there.get(pair, NO_WAY), doors.get(pair, ()))
+            pair: with_way(edge, there.get(pair, NO_WAY), doors.get(pair, ()))
             for pair, edge in edges.items()
         },
         doors=found.doors,
@@ -102,7 +102,7 @@ def _anchored(space: Space, submap: Submap, anchor: Anchor | None) -> Submap:
     return replace(submap, anchor=place, anchor_clearance_m=anchor.clearance_m)
 
 
-def _with_way(edge: Edge, way: Way, doors: Sequence[Door]) -> Edge:
+def with_way(edge: Edge, way: Way, doors: Sequence[Door]) -> Edge:
     """An edge with its way and the doors that it goes through.
 
     An edge without a path names all doors between its submaps: the robot is too wide for them, or
