@@ -169,7 +169,8 @@ def _named_in(change: Change) -> tuple[int, ...]:
 
 
 def _commonest(submaps: IntArray) -> list[int]:
-    """The submaps that keyframes (n,) are in, the commonest first, without those of a few."""
+    """The submaps that keyframes (n,) are in, the commonest first, the others if not of a few."""
     found, counts = np.unique(submaps, return_counts=True)
-    order = np.argsort(-counts, kind="stable")
-    return [int(id_) for id_ in found[order] if (submaps == id_).mean() >= _FEW]
+    first, *others = np.argsort(-counts, kind="stable")
+    kept = [first, *(k for k in others if counts[k] >= _FEW * len(submaps))]
+    return [int(found[k]) for k in kept]
