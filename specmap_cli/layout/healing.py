@@ -21,11 +21,12 @@ from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.evidence import Healing, bends, part_moves
 from specmap_cli.layout.judging import judge
 from specmap_cli.layout.parts import loose_starts
+from specmap_cli.layout.pass_matching import match_passes
 from specmap_cli.layout.path_graph import Draft, Graph, joined
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.layout.solving import settle, tighten
-from specmap_cli.layout.wall_matching import match_walls, nearby_link
+from specmap_cli.layout.wall_matching import nearby_link
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 
 
@@ -140,8 +141,9 @@ def _claims(
         old, new = (_row_at(graph, number) for number in (one.earlier, one.later))
         moved = compose(np.array(one.offset), draft.poses[new])
         guess = Pose2(*compose(invert(draft.poses[old]), moved).tolist())
-        source, target = (walls.around(row, PLACE_NODES, draft.poses) for row in (new, old))
-        fit = match_walls(source, target, guess, config.loop_search_m, config)
+        newer, older = ((row, PLACE_NODES) for row in (new, old))
+        drift_m = config.loop_search_m
+        fit = match_passes(walls, draft.poses, newer, older, guess, drift_m, config)
         if fit is not None:
             claims.append(nearby_link(graph, old, new, fit))
     return claims

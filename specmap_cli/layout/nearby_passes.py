@@ -16,12 +16,13 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.agreement import Ends
+from specmap_cli.layout.pass_matching import match_passes
 from specmap_cli.layout.path_graph import Draft, Graph, Pair
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.solving import renewed
 from specmap_cli.layout.strays import Search, rejoin
 from specmap_cli.layout.uncertainty import misfit
-from specmap_cli.layout.wall_matching import match_walls, nearby_link
+from specmap_cli.layout.wall_matching import nearby_link
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 
 _NEWER_NODES = 3  # as PLACE_NODES, for the newer pass: its own drift must not blur it
@@ -139,9 +140,8 @@ def passes_at(
         guesses[old, node] = guess
         if _is_new(guess, tried.get((old, node))):
             matched += 1
-            source = walls.around(node, _NEWER_NODES, poses)
-            target = walls.around(old, PLACE_NODES, poses)
-            fit = match_walls(source, target, guess, reach_m, config)
+            newer, older = (node, _NEWER_NODES), (old, PLACE_NODES)
+            fit = match_passes(walls, poses, newer, older, guess, reach_m, config)
             if fit is not None:
                 links.append(nearby_link(graph, old, node, fit))
         is_tied = bool(links) or (old, node) in linked
