@@ -5,8 +5,8 @@
 The floor plans of $SPECMAP_DATA/rooms stand side by side, joined by corridors to those next to
 them; where there are more rooms to have than plans, mirrored ones follow. A robot with odometry
 tours the building once. `specmap build` makes the map, `specmap localize` labels another tour of
-200 s. Costs are of processor time; a label is right when a keyframe of that submap was taken within
-a metre of the scan.
+200 s. Costs are of processor time; a label is right when a keyframe of that submap was taken in
+sight of the scan and within a metre, or, where none was so near, is the nearest one in sight.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.evaluation.rooms import map_scores
 from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.ray_casting import cast_rays
 from specmap_cli.maps.store import read_map
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.room_truth import RoomTruth
@@ -41,7 +42,7 @@ PLANS = (
 _GAP = 30  # cells between two plans, at the least
 _CORRIDOR = 25  # cells
 _JOINTS = 2  # corridors from a plan to those before it: there are ways round
-_NEAR_M = 1.0
+_NEAR_M, _SIGHT_M = 1.0, 10.0  # of keyframes, from another scan
 _TOUR = {"beams": 361, "rate_hz": 4.0, "speed_mps": 0.8, "spacing_m": 3.0}
 _AGAIN_S = 200.0
 
@@ -102,18 +103,25 @@ def _localized(world: GridMap, folder: Path) -> str:
     cost = measure(command, folder)
     names = np.genfromtxt(folder / "labels.csv", delimiter=",", names=True, dtype=None)
     labels = np.array(names["filtered_submap"], dtype=np.float64)
-    right = np.mean(list(_right(labels, read_tum(again.truth).poses, folder)))
+    right = np.mean(list(_right(labels, read_tum(again.truth).poses, world, folder)))
     return f"{right:15.3f} {again.scans / cost.processor_s:8.0f}"
 
 
-def _right(labels: FloatArray, places: FloatArray, folder: Path) -> Iterator[bool]:
+def _right(labels: FloatArray, places: FloatArray, world: GridMap, folder: Path) -> Iterator[bool]:
     """Whether each label (n,), NaN where unknown, is that of a keyframe near its true place."""
     stored, true = read_map(folder / "map"), read_tum(folder / "tour.tum")
     labelled, row = associate(true.stamps_ns, stored.labels.stamps_ns)
-    submaps = stored.labels.submaps[labelled]
-    near = cKDTree(true.poses[row, :2]).query_ball_point(places[:, :2], _NEAR_M)
-    for label, keyframes in zip(labels, near, strict=True):
-        yield bool(np.isin(label, submaps[keyframes]))
+    submaps, spots = stored.labels.submaps[labelled], true.poses[row, :2]
+    walls = world.obstacle_distance()
+    around = cKDTree(spots).query_ball_point(places[:, :2], _SIGHT_M)
+    for label, place, keyframes in zip(labels, places[:, :2], around, strict=True):
+        away = spots[keyframes] - place
+        metres, angles = np.hypot(*away.T), np.arctan2(away[:, 1], away[:, 0])
+        starts = np.tile(place, (len(away), 1))
+        clear = cast_rays(walls, world, starts, angles, _SIGHT_M) >= metres
+        reach_m = max(_NEAR_M, float(metres[clear].min(initial=np.inf)))
+        near = clear & (metres <= min(reach_m, _SIGHT_M))
+        yield bool(np.isin(label, submaps[keyframes][near]))
 
 
 def building(count: int) -> Building:
