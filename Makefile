@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 LOWEST := .venv-lowest
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-lowest lint format bench fuzz sample-logs constraints-lowest clean
+.PHONY: demo pictures test test-lowest lint format bench fuzz sample-logs constraints-lowest clean
 
 demo: $(VENV)/installed
 	$(BIN)/specmap build sample_logs/office.mcap --out demo/map --overwrite
@@ -48,6 +48,10 @@ SEED ?= 1
 JOBS ?= 2
 fuzz: $(VENV)/installed-dev
 	$(BIN)/python -m fuzz --cases $(CASES) --seed $(SEED) --jobs $(JOBS)
+
+# The pictures of the documents, made of the sample logs.
+pictures: $(VENV)/installed
+	$(BIN)/python docs/pictures.py
 
 sample-logs: $(VENV)/installed
 	$(BIN)/python sample_logs/draw_office.py

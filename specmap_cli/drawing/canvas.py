@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
+from functools import cache
 from typing import Any, Literal
 
 import cv2
@@ -21,6 +23,12 @@ _FARTHEST = 2**26  # in such steps; OpenCV's own sums overflow beyond
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _CAPITALS = 21.0  # height of this font's capitals at scale one, pixels
 _RIM = 2  # pixels
+# The outline of a zero: a curve between an ellipse and a rectangle. Drawn this much larger, then
+# made smaller, it is smooth.
+_ANGLES = np.linspace(0.0, 2.0 * math.pi, 64, endpoint=False)
+_WAY_ROUND = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+_ROUND = np.sign(_WAY_ROUND) * np.abs(_WAY_ROUND) ** 0.75
+_FINE = 8
 
 
 class Canvas:
@@ -28,6 +36,13 @@ class Canvas:
 
     def __init__(self, width: int, height: int, colour: Colour = PAPER) -> None:
         self.image: Image = np.full((height, width, 3), colour, dtype=np.uint8)
+
+    @classmethod
+    def over(cls, image: Image) -> Canvas:
+        """A canvas that draws on a picture which is there."""
+        canvas = cls(0, 0)
+        canvas.image = image
+        return canvas
 
     def line(self, points: NDArray[Any], colour: Colour, width: int = 1) -> None:
         """A polyline through `points` (N, 2)."""
@@ -71,12 +86,24 @@ class Canvas:
         bold: bool = False,
     ) -> None:
         """Words of capitals `height` pixels high, centred on `y`."""
-        thickness = text_weight(height, bold)
         shift = {"left": 0.0, "centre": 0.5, "right": 1.0}[anchor] * text_width(words, height, bold)
-        place = _near(x - shift), _near(y + height / 2)
-        cv2.putText(
-            self.image, words, place, _FONT, _text_scale(height), colour, thickness, cv2.LINE_AA
-        )
+        left, base = _near(x - shift), _near(y + height / 2)
+        scale, thickness = _text_scale(height), text_weight(height, bold)
+        for begun, piece in _around_zeros(words):
+            ahead = text_width(begun + piece, height, bold) - text_width(piece, height, bold)
+            place = left + ahead, base
+            if piece == "0":
+                self._blot(place, _zero(height, thickness), colour)
+            else:
+                cv2.putText(self.image, piece, place, _FONT, scale, colour, thickness, cv2.LINE_AA)
+
+    def _blot(self, place: tuple[int, int], cover: FloatArray, colour: Colour) -> None:
+        """A colour, as much of it as `cover` (H, W) says, with its lower left corner at a place."""
+        rows, own_rows = _overlap(place[1] - cover.shape[0], cover.shape[0], self.image.shape[0])
+        columns, own_columns = _overlap(place[0], cover.shape[1], self.image.shape[1])
+        share = cover[own_rows, own_columns, None]
+        window = self.image[rows, columns]
+        window[:] = np.round(window * (1.0 - share) + np.array(colour) * share).astype(np.uint8)
 
     def upright_text(self, x: float, y: float, words: str, height: float) -> None:
         """Words that read upwards, centred on `x`, their first letter at `y`."""
@@ -91,10 +118,52 @@ class Canvas:
         np.minimum(window, turned[own_rows, own_columns], out=window)
 
 
+@cache
+def _zero(height: float, thickness: int) -> FloatArray:
+    """How far each pixel (H, W) is covered by a zero that stands on the last row.
+
+    The zeros of some versions of the font have a stroke in them, and read as another letter.
+    """
+    scale = _text_scale(height)
+    (width, _), _ = cv2.getTextSize("0", _FONT, scale, thickness)
+    stem = _stem(scale, thickness)
+    rows, inset = math.ceil(height), stem * 0.5
+    cover = np.zeros((_FINE * rows, _FINE * (width + 1)), dtype=np.float32)
+    centre = np.array([width / 2.0, rows - height / 2.0])
+    outer = np.array([width / 2.0 - inset, height / 2.0])
+    rings = [
+        np.round(_FINE * (centre + half * _ROUND)).astype(int) for half in (outer, outer - stem)
+    ]
+    cv2.fillPoly(cover, rings, 1.0)
+    small = cv2.resize(cover, (width + 1, rows), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float64)
+
+
+def _stem(scale: float, thickness: int) -> float:
+    """The width of an upright stroke of the font, in pixels."""
+    (width, height), _ = cv2.getTextSize("I", _FONT, scale, thickness)
+    strip = np.zeros((3 * height, width + 2 * height), dtype=np.uint8)
+    cv2.putText(strip, "I", (height, 2 * height), _FONT, scale, (255.0,), thickness, cv2.LINE_AA)
+    return float(strip[round(1.5 * height)].sum() / 255.0)
+
+
+def _around_zeros(words: str) -> list[tuple[str, str]]:
+    """The zeros in some words and what stands between them, each with the words before it."""
+    pieces = [piece for piece in re.split("(0)", words) if piece]
+    return [("".join(pieces[:k]), piece) for k, piece in enumerate(pieces)]
+
+
 def text_width(words: str, height: float, bold: bool = False) -> int:
     """Pixels that `words` take across."""
     size, _ = cv2.getTextSize(words, _FONT, _text_scale(height), text_weight(height, bold))
     return int(size[0])
+
+
+def fitting_height(words: str, height: float, width: float, bold: bool = False) -> float:
+    """The largest height, `height` at the most, at which words are no wider than `width`."""
+    while height > 1.0 and text_width(words, height, bold) > width:
+        height *= 0.97
+    return height
 
 
 def text_weight(height: float, bold: bool) -> int:

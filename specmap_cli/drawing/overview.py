@@ -21,6 +21,7 @@ from specmap_cli.topology.topological_map import Edge, LogInfo, TopologicalMap, 
 _STRAY_M = 2.0  # a centroid farther from the robot's way lies behind glass, not in the room
 _UNREACHED = 0.005  # share of the free cells that must be nobody's to be worth a word
 _BESIDE_M = 0.3  # of paper on the other side of a way that leads out of the grid
+_ONE_LEAF_M = 1.3  # wider doors are drawn with two
 _ROUNDS = 100  # of moving badges apart; a dense map settles within a dozen
 
 
@@ -149,6 +150,9 @@ def _draw_graph(
     ids = sorted(nodes)
     centres = spread(sheet.pixels(np.array([nodes[id_] for id_ in ids])), symbols.BADGE_GAP)
     at = dict(zip(ids, centres, strict=True))
+    doors = [(door, sheet.pixels(np.array(door.sides))) for door in topology.doors]
+    for _, sides in doors:
+        symbols.gap(sheet.canvas, sides)
     for pair in sorted(topology.edges):
         edge = topology.edges[pair]
         crossing = [] if edge.crossing is None else [edge.crossing]
@@ -157,8 +161,9 @@ def _draw_graph(
         )
         points = np.array([at[edge.source], *between, at[edge.target]])
         symbols.edge(sheet.canvas, points, drawn_as(topology, edge))
-    for door in topology.doors:
-        symbols.door(sheet.canvas, sheet.pixels(np.array(door.sides)), door.driven or not driven)
+    for door, sides in doors:
+        wide = door.width_m > _ONE_LEAF_M
+        symbols.door(sheet.canvas, sides, door.driven or not driven, wide)
     for place in _forbidden_places(topology, at, sheet):
         symbols.no_entry(sheet.canvas, place)
     for id_ in ids:

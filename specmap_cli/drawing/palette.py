@@ -1,15 +1,12 @@
-"""Colours of submaps, chosen so that neighbours differ strongly."""
+"""Colours of submaps: neighbours differ for all eyes, and a submap keeps its colour."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from functools import cache
+from collections.abc import Iterable, Mapping
 
-import cv2
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.labels import neighbours
+from specmap_cli.core.labels import Neighbours, neighbours
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
 from specmap_cli.topology.topological_map import TopologicalMap
 
@@ -19,25 +16,31 @@ INK: Colour = (46, 42, 38)
 PAPER: Colour = (255, 255, 255)
 SHADE: Colour = (236, 236, 236)
 QUIET: Colour = (130, 124, 118)
-TRAVERSED: Colour = (160, 88, 24)
+TRAVERSED: Colour = (190, 112, 40)
 RIGHT: Colour = (92, 52, 20)
 CLOSURE: Colour = (48, 30, 196)
 WRONG: Colour = (40, 24, 214)
 LOOSE: Colour = (0, 110, 214)
+BORDER: Colour = (104, 98, 92)
 DOOR: Colour = (36, 74, 122)
 
-_FILLS = (
-    "8fc7ea", "f9c06a", "92d3a2", "f3a0a0", "c6b1ee", "f1e37a",
-    "74cfc6", "f1addb", "bfd870", "98a9ea", "dfb48c", "aeb9c2",
-)  # fmt: skip
-FILLS: tuple[Colour, ...] = tuple(
-    (int(code[4:], 16), int(code[2:4], 16), int(code[:2], 16)) for code in _FILLS
-)
+# Fills of regions, and a dark line for each. Found by a search for pale colours of which any two
+# are CIEDE2000 15 apart for eyes of the usual kind and for each kind of colour blindness
+# (protanopia, deuteranopia, tritanopia, by Machado et al., 2009), and the lines, too. With eight
+# colours some would have to be muddy; the map of a floor needs six at the most.
+_FILLS = ("afadff", "ffc8c5", "73a682", "f6f599", "cc86ac", "a1f3ff", "b2b651")
+_LINES = ("5242e2", "f3527b", "0b6f4d", "7b8a00", "722f5c", "009ab5", "414704")
+
+
+def _bgr(code: str) -> Colour:
+    return int(code[4:], 16), int(code[2:4], 16), int(code[:2], 16)
+
+
+FILLS: tuple[Colour, ...] = tuple(map(_bgr, _FILLS))
+LINES: tuple[Colour, ...] = tuple(map(_bgr, _LINES))
+_STEP = 3  # from a fill that is taken to the next one tried
 # Regions this near, across a wall, are neighbours; looked for on cells of this size.
 _NEAR_M, _THINNED_M = 0.6, 0.15
-_VIVID = (1.0, 2.2, 0.82)  # factors of hue, saturation and value, by eye
-# Two fills further apart than this in CIELAB are told apart at a glance.
-DISTINCT = 40.0
 
 
 def darker(colour: Colour, share: float = 0.55) -> Colour:
@@ -55,17 +58,13 @@ def paler(colour: Colour, share: float = 0.55) -> Colour:
     return blue, green, red
 
 
-def vivid(colour: Colour) -> Colour:
-    """The same hue, saturated and darker: for lines on a pale ground."""
-    hsv = cv2.cvtColor(np.array([[colour]], dtype=np.float32) / 255.0, cv2.COLOR_BGR2HSV)
-    hsv *= np.array(_VIVID, dtype=np.float32)
-    bgr = cv2.cvtColor(np.minimum(hsv, (360.0, 1.0, 1.0)).astype(np.float32), cv2.COLOR_HSV2BGR)
-    blue, green, red = (round(float(channel) * 255.0) for channel in bgr[0, 0])
-    return blue, green, red
+def vivid(fill: Colour) -> Colour:
+    """The line that goes with one of the FILLS: of its hue, dark enough for a pale ground."""
+    return LINES[FILLS.index(fill)]
 
 
 def colours_of(topology: TopologicalMap, regions: Regions) -> dict[int, Colour]:
-    """A fill for each submap: far from those of its neighbours, then the least used.
+    """A fill for each submap, which its neighbours do not have.
 
     Neighbours are submaps with an edge, and regions that touch or lie across a wall.
     """
@@ -76,21 +75,50 @@ def colours_of(topology: TopologicalMap, regions: Regions) -> dict[int, Colour]:
 
 
 def colour_graph(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> dict[int, Colour]:
-    """A fill for each of the `ids`, in their order, greedily: the same one every time.
+    """A fill for each of the `ids`, in their order: no pair shares one, as far as that can be.
 
-    Pairs with an end that is none of the ids are left out.
+    Each id has a fill of its own, which it leaves only to an earlier neighbour. So nearly all ids
+    keep their colours when the map grows, or when a wall moves. Where the neighbours of one wear
+    all fills, the fewest of them that can do so change. Pairs with an end that is none of the ids
+    are left out.
     """
     order = list(ids)
     near_to = neighbours(order, (pair for pair in pairs if set(pair) <= set(order)))
-    chosen: dict[int, int] = {}
-    uses = np.zeros(len(FILLS), dtype=np.int64)
+    worn: dict[int, int] = {}
     for id_ in order:
-        near = sorted({chosen[other] for other in near_to[id_] if other in chosen})
-        gaps = fill_distances()[:, near].min(axis=1) if near else np.full(len(FILLS), DISTINCT)
-        rank = np.lexsort((uses, -np.minimum(gaps, DISTINCT)))
-        chosen[id_] = int(rank[0])
-        uses[chosen[id_]] += 1
-    return {id_: FILLS[index] for id_, index in chosen.items()}
+        free = _free(id_, near_to, worn)
+        worn |= {id_: free[0]} if free else _made_room(id_, near_to, worn)
+    return {id_: FILLS[worn[id_]] for id_ in order}
+
+
+def _wishes(id_: int) -> list[int]:
+    """The numbers of all fills, in the order in which an id would like to have them."""
+    return [(id_ + _STEP * k) % len(FILLS) for k in range(len(FILLS))]
+
+
+def _free(
+    id_: int, near_to: Neighbours, worn: Mapping[int, int], without: int | None = None
+) -> list[int]:
+    """The fills that no neighbour of an id wears, but for `without`, in the order of its wishes."""
+    taken = {worn[other] for other in near_to[id_] if other in worn} | {without}
+    return [fill for fill in _wishes(id_) if fill not in taken]
+
+
+def _made_room(id_: int, near_to: Neighbours, worn: Mapping[int, int]) -> dict[int, int]:
+    """A fill for an id whose neighbours wear them all, and others for those that wear this one.
+
+    When nobody can change, the id shares the fill that the fewest of its neighbours wear.
+    """
+    wearers = {
+        fill: [other for other in sorted(near_to[id_]) if worn.get(other) == fill]
+        for fill in _wishes(id_)
+    }
+    by_number = sorted(wearers, key=lambda fill: len(wearers[fill]))
+    for fill in by_number:
+        others = {other: _free(other, near_to, worn, fill) for other in wearers[fill]}
+        if all(others.values()):
+            return {id_: fill} | {other: free[0] for other, free in others.items()}
+    return {id_: by_number[0]}
 
 
 def touching(owner: OwnerArray, reach: int) -> set[tuple[int, int]]:
@@ -102,11 +130,3 @@ def touching(owner: OwnerArray, reach: int) -> set[tuple[int, int]]:
             ends = np.stack([np.minimum(a[border], b[border]), np.maximum(a[border], b[border])])
             found.update((int(low), int(high)) for low, high in np.unique(ends, axis=1).T)
     return found
-
-
-@cache
-def fill_distances() -> FloatArray:
-    """(F, F) CIELAB distances between the fills."""
-    fills = np.array(FILLS, dtype=np.float32)[None] / 255.0
-    lab = cv2.cvtColor(fills, cv2.COLOR_BGR2Lab)[0].astype(np.float64)
-    return np.asarray(np.linalg.norm(lab[:, None] - lab[None], axis=-1))

@@ -13,12 +13,11 @@ from specmap_cli.core.text import legible
 from specmap_cli.drawing import symbols
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.palette import (
+    PAPER,
     WRONG,
     Colour,
     colour_graph,
     colours_of,
-    darker,
-    paler,
     vivid,
 )
 from specmap_cli.drawing.sheet import Sheet, extent_of
@@ -28,7 +27,7 @@ from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import TopologicalMap
 
 _BORDER_M = 1.0  # of paper round the trajectory
-_ID_LETTERS = 22.0  # pixels: the ids on the ground are larger than those on the badges
+_CLEAR_OF_BADGES = 3.0 * symbols.BADGE_RADIUS  # of an id on the ground
 _SAME_ID_GAP = 5.0  # badges of one submap are this many times farther apart than others
 
 
@@ -38,18 +37,21 @@ def render_labels(
     title: str,
     figures: str = "",
     *,
+    fills: Mapping[int, Colour] | None = None,
     map_with_regions: tuple[TopologicalMap, Regions] | None = None,
     truth: IntArray | None = None,
 ) -> Image:
     """The trajectory `places` (n, 2) in the colours of the predicted `submaps` (n,).
 
-    NO_SUBMAP is unknown. With a map, `places` are in its frame and lie over its regions; without
-    one they may be in any frame. `truth` (n,) marks the scans that were told another submap. Scans
-    without a place (NaN) are left out.
+    NO_SUBMAP is unknown. With a map, `places` are in its frame and lie over its regions, in the
+    colours of its overview. Without one they may be in any frame; `fills` are then the colours, by
+    `colours_of` a map, else such that differ along the trajectory. `truth` (n,) marks the scans
+    that were told another submap. Scans without a place (NaN) are left out.
     """
     known = np.isfinite(places[:, :2]).all(axis=1)
     places, submaps = np.asarray(places)[known, :2], np.asarray(submaps)[known]
-    fills = _fills(submaps, map_with_regions)
+    if fills is None:
+        fills = _fills(submaps, map_with_regions)
     legend = symbols.labels_legend(
         with_map=map_with_regions is not None,
         with_unknown=bool((submaps == NO_SUBMAP).any()),
@@ -57,13 +59,13 @@ def render_labels(
     )
     sheet = Sheet(*_extent(places, map_with_regions), legend)
     if map_with_regions is not None:
-        _draw_ground(sheet, map_with_regions[1], fills)
+        sheet.ground(map_with_regions[1], fills)
     if truth is not None:
         wrong = (submaps != np.asarray(truth)[known]) & (submaps != NO_SUBMAP)
         _draw_wrong(sheet, places, wrong)
-    _draw_predicted(sheet, places, submaps, fills)
+    badges = _draw_predicted(sheet, places, submaps, fills)
     if map_with_regions is not None:
-        _draw_names(sheet, *map_with_regions)
+        _draw_names(sheet, *map_with_regions, badges)
     sheet.title(title, figures)
     return sheet.canvas.image
 
@@ -91,44 +93,42 @@ def _extent(
     return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
-def _draw_ground(sheet: Sheet, regions: Regions, fills: Mapping[int, Colour]) -> None:
-    """The regions, pale, with their ids."""
-    sheet.ground(regions, {id_: paler(fill) for id_, fill in fills.items()})
-    for id_, outline in sorted(regions.outlines.items()):
-        if outline.centroid is not None:
-            x, y = sheet.pixels(outline.centroid[None])[0]
-            sheet.canvas.text(
-                x, y, str(id_), _ID_LETTERS, darker(fills[id_], 0.8), "centre", bold=True
-            )
-
-
-def _draw_names(sheet: Sheet, topology: TopologicalMap, regions: Regions) -> None:
-    """The names that a person gave, under the ids."""
+def _draw_names(
+    sheet: Sheet, topology: TopologicalMap, regions: Regions, badges: FloatArray
+) -> None:
+    """The ids on the ground, where no badge is near, and the names that a person gave."""
     for id_, submap in sorted(topology.submaps.items()):
         centroid = regions.outline(id_).centroid
-        if centroid is not None:
-            place = sheet.pixels(centroid[None])[0]
-            symbols.name_under(sheet.canvas, place, legible(submap.given_name))
+        if centroid is None:
+            continue
+        place = sheet.pixels(centroid[None])[0]
+        if (np.linalg.norm(badges - place, axis=1) > _CLEAR_OF_BADGES).all():
+            symbols.ground_id(sheet.canvas, place, id_)
+        symbols.name_under(sheet.canvas, place, legible(submap.given_name))
 
 
 def _draw_wrong(sheet: Sheet, places: FloatArray, wrong: BoolArray) -> None:
     for stroke in strokes(places, wrong):
         if wrong[stroke.first]:
             way = sheet.pixels(places[stroke.first : stroke.drawn_to])
-            sheet.canvas.line(way, WRONG, 2 * symbols.PREDICTED)
+            sheet.canvas.line(way, WRONG, symbols.MISTAKEN)
 
 
 def _draw_predicted(
     sheet: Sheet, places: FloatArray, submaps: IntArray, fills: Mapping[int, Colour]
-) -> None:
-    """Runs of one prediction in its colour, each with a badge where there is room for one."""
+) -> FloatArray:
+    """Runs of one prediction in its colour, each with a badge where there is room for one.
+
+    Returns the places of the badges (N, 2), in pixels.
+    """
     pixels = sheet.pixels(places)
     drawn = strokes(places, submaps)
-    for stroke in drawn:
-        id_ = int(submaps[stroke.first])
-        if id_ != NO_SUBMAP:
-            way = pixels[stroke.first : stroke.drawn_to]
-            sheet.canvas.line(way, vivid(fills[id_]), symbols.PREDICTED)
+    told = [stroke for stroke in drawn if submaps[stroke.first] != NO_SUBMAP]
+    for stroke in told:
+        sheet.canvas.line(pixels[stroke.first : stroke.drawn_to], PAPER, symbols.RIM)
+    for stroke in told:
+        way = pixels[stroke.first : stroke.drawn_to]
+        sheet.canvas.line(way, vivid(fills[int(submaps[stroke.first])]), symbols.PREDICTED)
     for pixel in pixels[submaps == NO_SUBMAP]:
         symbols.unknown(sheet.canvas, pixel)
     taken: list[tuple[int, FloatArray]] = []
@@ -139,6 +139,7 @@ def _draw_predicted(
             taken.append((id_, middle))
     if len(pixels):
         symbols.start(sheet.canvas, pixels[0])
+    return np.array([middle for _, middle in taken]).reshape(-1, 2)
 
 
 def _has_room(id_: int, middle: FloatArray, taken: list[tuple[int, FloatArray]]) -> bool:

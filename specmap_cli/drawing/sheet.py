@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.drawing.canvas import Canvas, text_width
-from specmap_cli.drawing.palette import INK, PAPER, QUIET, SHADE, Colour
+from specmap_cli.drawing.canvas import Canvas, fitting_height, text_width
+from specmap_cli.drawing.palette import BORDER, INK, PAPER, QUIET, SHADE, Colour
 from specmap_cli.drawing.symbols import Legend, Symbol
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
@@ -22,11 +22,15 @@ LONG_SIDE = 1800  # of the map
 NARROWEST = 1100  # of what is between the margins: the legend needs room, too
 MARGIN = 56
 TITLE = 122  # of paper above the map
-_BELOW = 44.0  # from the map to the scale bar
+_BELOW = 32.0  # from the map to the scale bar
+_BAR = 62  # from the map to the first row of the legend, less a row
 _ROW = 44  # of the legend
 _LETTERS = 14.0
 _SYMBOL_AT, _WORDS_AT, _ENTRY_GAP = 22, 52.0, 38.0  # inside and after an entry of the legend
 _SCALE_BAR = 360.0  # at the most
+_PARTS = {1: 5, 2: 4, 5: 5}  # of a scale bar, by the first figure of its length
+_FIGURES = 26.0  # from the bar to the figures below it
+_BORDER_BLUR, _BORDER_STRENGTH = 0.8, 1.5  # sigma in pixels; two pixels are then nearly full
 _WALL_STRENGTH = 1.6  # a wall of one cell is drawn as if it were at least this wide
 _SQUARES_FROM = 16.0  # larger cells have sharp edges: smooth ones would blur over the margin
 _LEAST_EXTENT_M = 0.5  # a map of a few cells, or of none, is drawn as if it were this large
@@ -47,7 +51,7 @@ class Sheet:
         self.left = (total - width) // 2
         rows = _legend_rows(legend, total - 2 * MARGIN)
         self.canvas = Canvas(
-            total, TITLE + self.map_height + 30 + _ROW * (len(rows) + 1) + MARGIN // 2
+            total, TITLE + self.map_height + _BAR + _ROW * (len(rows) + 1) + MARGIN // 2
         )
         self._draw_scale_bar()
         self._draw_legend(rows)
@@ -64,12 +68,13 @@ class Sheet:
             (words, 46.0, 24.0, INK, True),
             (below, 90.0, 15.0, QUIET, False),
         ):
-            fitting = height * min(1.0, width / max(1, text_width(text, height, bold)))
+            fitting = fitting_height(text, height, width, bold)
             self.canvas.text(MARGIN, y, text, fitting, colour, bold=bold)
 
     def ground(self, regions: Regions, fills: Mapping[int, Colour]) -> None:
-        """Paint regions in their colours, unowned free cells grey, walls dark."""
+        """Paint regions in their colours with borders, unowned free cells grey, walls dark."""
         self.floor(regions, fills)
+        self.borders(regions)
         self.walls(regions.grid, regions.grid.occupied, INK)
 
     def floor(self, regions: Regions, fills: Mapping[int, Colour]) -> None:
@@ -84,6 +89,20 @@ class Sheet:
         painted = self._to_scale(colours, grid, PAPER)
         self.canvas.image[inside] = painted[inside]
 
+    def borders(self, regions: Regions) -> None:
+        """Lines where one region ends and another begins without a wall."""
+        grid, owner = _at_most_a_pixel_each(regions, self.pixels_per_m)
+        owned = np.where(grid.cells == FREE, owner, NOBODY).astype(np.float32) + 1.0
+        labels = self._to_scale(owned, grid, edges=cv2.INTER_NEAREST)
+        line = np.zeros(labels.shape, dtype=np.float32)
+        here, right, below = labels[:-1, :-1], labels[:-1, 1:], labels[1:, :-1]
+        for other in (right, below):
+            line[:-1, :-1][(here != other) & (here > 0.0) & (other > 0.0)] = 1.0
+        # two pixels wide, and no staircase of cells
+        line = np.minimum(1.0, cv2.GaussianBlur(line, (0, 0), _BORDER_BLUR) * _BORDER_STRENGTH)
+        inside = slice(TITLE, TITLE + self.map_height)
+        self._blend(inside, line[inside], BORDER)
+
     def walls(self, grid: GridMap, walls: BoolArray, colour: Colour) -> None:
         """Paint some cells (H, W) of a grid in one colour over what is there."""
         step = _thinning(grid, self.pixels_per_m)
@@ -92,17 +111,24 @@ class Sheet:
         by_block = padded.reshape(height // step, step, width // step, step)
         blocks = np.asarray(by_block.any(axis=(1, 3)))
         thinned = GridMap(blocks.astype(np.uint8), grid.resolution * step, grid.origin)
-        cover = self._to_scale(blocks.astype(np.float32), thinned)[..., None]
+        cover = self._to_scale(blocks.astype(np.float32), thinned)
         scale = thinned.resolution * self.pixels_per_m
         cover = np.minimum(cover * max(1.0, _WALL_STRENGTH / scale), 1.0)
         inside = slice(TITLE, TITLE + self.map_height)
-        painted = self.canvas.image[inside]
-        inked = painted * (1.0 - cover[inside])
-        inked = inked + np.array(colour, dtype=np.float32) * cover[inside]
-        self.canvas.image[inside] = np.round(inked).astype(np.uint8)
+        self._blend(inside, cover[inside], colour)
+
+    def _blend(self, rows: slice, cover: NDArray[Any], colour: Colour) -> None:
+        """Colour some rows of the canvas, as far as `cover` (rows, W) says."""
+        painted, share = self.canvas.image[rows], cover[..., None]
+        inked = painted * (1.0 - share) + np.array(colour, dtype=np.float32) * share
+        self.canvas.image[rows] = np.round(inked).astype(np.uint8)
 
     def _to_scale(
-        self, picture: NDArray[Any], grid: GridMap, border: Colour = (0, 0, 0)
+        self,
+        picture: NDArray[Any],
+        grid: GridMap,
+        border: Colour = (0, 0, 0),
+        edges: int | None = None,
     ) -> NDArray[Any]:
         """A picture of the cells of a grid, as large as the canvas and where it belongs."""
         scale = grid.resolution * self.pixels_per_m
@@ -115,25 +141,34 @@ class Sheet:
             ]
         )
         size = (self.canvas.image.shape[1], self.canvas.image.shape[0])
-        edges = cv2.INTER_NEAREST if scale > _SQUARES_FROM else cv2.INTER_LINEAR
+        if edges is None:
+            edges = cv2.INTER_NEAREST if scale > _SQUARES_FROM else cv2.INTER_LINEAR
         return cv2.warpAffine(picture, to_pixels, size, flags=edges, borderValue=border)
 
     def _draw_scale_bar(self) -> None:
-        """A bar of a round length, alternately dark and light."""
-        length = _round_length(_SCALE_BAR / self.pixels_per_m)
+        """A bar of a round length, its dark and light parts round as well, with figures below."""
+        length, parts = round_length(_SCALE_BAR / self.pixels_per_m)
         y = TITLE + self.map_height + _BELOW
-        step = length * self.pixels_per_m / 4
-        for i in range(4):
+        step = length * self.pixels_per_m / parts
+        for i in range(parts):
             x = MARGIN + i * step
             self.canvas.box(np.array([x, y]), np.array([x + step, y + 9]), INK)
             if i % 2:
                 self.canvas.box(np.array([x, y + 2]), np.array([x + step - 2, y + 7]), PAPER)
-        end = MARGIN + 4 * step
-        self.canvas.text(end + 12, y + 4, f"{length:g} m", _LETTERS)
+        self._draw_figures(y + _FIGURES, step, length, parts)
+
+    def _draw_figures(self, y: float, step: float, length: float, parts: int) -> None:
+        """The lengths at the beginning of the scale bar, after its first part and at its end."""
+        self.canvas.text(MARGIN, y, "0", _LETTERS)
+        first, end = f"{length / parts:g}", f"{length:g}"
+        if text_width(first, _LETTERS) < step:
+            self.canvas.text(MARGIN + step, y, first, _LETTERS, anchor="centre")
+        x = MARGIN + parts * step - text_width(end, _LETTERS) / 2
+        self.canvas.text(x, y, f"{end} m", _LETTERS)
 
     def _draw_legend(self, rows: Sequence[Legend]) -> None:
         for number, row in enumerate(rows):
-            x, y = float(MARGIN), TITLE + self.map_height + _BELOW + _ROW * (number + 1)
+            x, y = float(MARGIN), TITLE + self.map_height + _BAR + 14.0 + _ROW * (number + 1)
             for words, symbol in row:
                 symbol(self.canvas, x + _SYMBOL_AT, y)
                 self.canvas.text(x + _WORDS_AT, y, words, _LETTERS)
@@ -197,7 +232,11 @@ def _legend_rows(legend: Legend, width: int) -> list[Legend]:
     return [tuple(row) for row in rows]
 
 
-def _round_length(length: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten up to `length`."""
+def round_length(length: float) -> tuple[float, int]:
+    """The largest of 1, 2, 5 times a power of ten up to `length`, and into how many parts it goes.
+
+    The parts are of a round length, too.
+    """
     power = 10.0 ** math.floor(math.log10(length))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
+    step = max(step for step in _PARTS if step * power <= length * (1 + 1e-9))
+    return float(power * step), _PARTS[step]

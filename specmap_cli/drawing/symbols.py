@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Collection
 from typing import Any, Literal
 
@@ -17,6 +19,7 @@ from specmap_cli.drawing.palette import (
     INK,
     LOOSE,
     PAPER,
+    QUIET,
     SHADE,
     TRAVERSED,
     WRONG,
@@ -35,15 +38,18 @@ PATH: Colour = (88, 82, 76)
 BADGE_RADIUS = 17.0
 _DOUBT_RADIUS = 14.0
 _NAME_LETTERS, _LONGEST_NAME = 11.0, 24
+_ID_LETTERS = 20.0
 BADGE_GAP = 2.0 * BADGE_RADIUS + 6.0
-PREDICTED = 6  # width of the line of predictions; the mark of wrong ones shows on both sides
+# Width of the line of predictions; the mark of wrong ones shows on both sides of its rim of paper.
+PREDICTED, RIM, MISTAKEN = 6, 10, 18
 _LINK, _LINK_HALO = 3, 7  # width of a link, and of the paper under it
 _DASH, _DASH_GAP = 16.0, 10.0  # of a closure
 _DOT, _DOT_GAP = 5, 12.0  # of a guess
 _SEEN_DASH, _SEEN_GAP = 6.0, 7.0  # of a way that was only seen
-_DOOR, _DOOR_HALO = 5, 9  # width of the line of a door, and of its rim
+_DOOR, _GAP = 5, 9  # width of the leaf of a door, and of the gap that it shuts
+_SWING, _JAMB = 1, 4.0  # width of the way that it swings, and radius of a jamb
 _SHORTEST_DOOR = 14.0  # on a sheet of a large building
-_REACH = 20  # half the width of a line in the legend
+_REACH, _DOOR_REACH = 20, 12  # half the width of a line in the legend, and of a door
 _EDGE_WORDS: dict[LinkKind, str] = {
     "traversed": "crossed by the robot",
     "closure": "loop closure",
@@ -73,13 +79,47 @@ def edge(canvas: Canvas, points: NDArray[Any], kind: LinkKind) -> None:
         canvas.line(points, TRAVERSED, _LINK)
 
 
-def door(canvas: Canvas, sides: NDArray[Any], driven: bool) -> None:
-    """A door from wall to wall (2, 2): filled if the robot drove through it, else hollow."""
+def door(canvas: Canvas, sides: NDArray[Any], driven: bool, wide: bool = False) -> None:
+    """A door between its jambs (2, 2), as in the plan of a house.
+
+    It stands open if the robot drove through it, with two leaves if it is wide; one that was only
+    seen is shut.
+    """
+    jambs = _jambs(sides)
+    opening = jambs[1] - jambs[0]
+    if driven:
+        _leaf(canvas, jambs[0], opening / 2.0 if wide else opening)
+        if wide:
+            _leaf(canvas, jambs[1], -opening / 2.0)
+    else:
+        canvas.line(jambs, DOOR, _DOOR - 2)
+    for jamb in jambs:
+        canvas.disc(jamb, _JAMB, DOOR, PAPER)
+
+
+def gap(canvas: Canvas, sides: NDArray[Any]) -> None:
+    """The opening in the wall for a door (2, 2): what leads through it is drawn over it."""
+    canvas.line(_jambs(sides), PAPER, _GAP)
+
+
+def _jambs(sides: NDArray[Any]) -> FloatArray:
+    """The ends (2, 2) of a door, far enough apart to be seen."""
     middle, half = sides.mean(axis=0), (sides[1] - sides[0]) / 2.0
     half *= max(1.0, _SHORTEST_DOOR / 2.0 / max(1.0, float(np.linalg.norm(half))))
-    line = np.array([middle - half, middle + half])
-    canvas.line(line, DOOR, _DOOR_HALO)
-    canvas.line(line, DOOR if driven else PAPER, _DOOR)
+    return np.array([middle - half, middle + half])
+
+
+def _leaf(canvas: Canvas, hinge: FloatArray, shut: FloatArray) -> None:
+    """A leaf that stands open at a right angle to where it would be shut, and the way it swings."""
+    across = np.array([shut[1], -shut[0]])
+    if shut[0] + shut[1] < 0.0:  # two leaves open to one side
+        across = -across
+    turn = np.linspace(0.0, math.pi / 2.0, 16)[:, None]
+    swing = hinge + np.cos(turn) * shut + np.sin(turn) * across
+    canvas.line(swing, PAPER, _SWING + 3)
+    canvas.line(np.array([hinge, hinge + across]), PAPER, _DOOR + 2)
+    canvas.line(swing, DOOR, _SWING)
+    canvas.line(np.array([hinge, hinge + across]), DOOR, _DOOR - 1)
 
 
 def badge(canvas: Canvas, centre: NDArray[Any], name: str, fill: Colour) -> None:
@@ -87,6 +127,14 @@ def badge(canvas: Canvas, centre: NDArray[Any], name: str, fill: Colour) -> None
     canvas.disc(centre, BADGE_RADIUS, PAPER, darker(fill))
     height = 12.0 if len(name) < 3 else 9.0
     canvas.text(float(centre[0]), float(centre[1]), name, height, INK, "centre", bold=True)
+
+
+def ground_id(canvas: Canvas, centre: NDArray[Any], id_: int) -> None:
+    """The id of a region, larger than those on the badges, with a rim of paper round it."""
+    x, y = float(centre[0]), float(centre[1])
+    for dx, dy in itertools.product((-2, 0, 2), repeat=2):
+        canvas.text(x + dx, y + dy, str(id_), _ID_LETTERS, PAPER, "centre", bold=True)
+    canvas.text(x, y, str(id_), _ID_LETTERS, QUIET, "centre", bold=True)
 
 
 def name_under(canvas: Canvas, centre: NDArray[Any], name: str) -> None:
@@ -206,7 +254,8 @@ def _link(kind: LinkKind) -> Symbol:
 
 def _door(driven: bool) -> Symbol:
     def draw(canvas: Canvas, x: float, y: float) -> None:
-        door(canvas, _level(x, y), driven)
+        sides = np.array([[x - _DOOR_REACH, y], [x + _DOOR_REACH, y]]) + (0.0, _DOOR_REACH * driven)
+        door(canvas, sides, driven)
 
     return draw
 
@@ -234,8 +283,10 @@ def _predicted(canvas: Canvas, x: float, y: float) -> None:
 
 
 def _wrong(canvas: Canvas, x: float, y: float) -> None:
-    canvas.line(_level(x, y), WRONG, 2 * PREDICTED)
-    canvas.line(_level(x, y), vivid(FILLS[0]), PREDICTED)
+    way = np.array([[x - _REACH + 4, y], [x + _REACH - 4, y]])
+    canvas.line(way, WRONG, MISTAKEN)
+    canvas.line(way, PAPER, RIM)
+    canvas.line(way, vivid(FILLS[0]), PREDICTED)
 
 
 def _unreached(canvas: Canvas, x: float, y: float) -> None:

@@ -125,8 +125,12 @@ def csv_text(report: LocalizationReport, metric: bool) -> str:
 
 
 def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> NDArray[np.uint8]:
-    """The predicted submap along the trajectory, over the map where scans were matched in it."""
-    from specmap_cli.drawing.predictions import render_labels  # slow to load, and seldom wanted
+    """The predicted submap along the trajectory, over the map where scans were matched in it.
+
+    The colours are those of the map's overview.
+    """
+    from specmap_cli.drawing.palette import colours_of  # slow to load, and seldom wanted
+    from specmap_cli.drawing.predictions import render_labels
 
     submaps = np.array(
         [
@@ -137,7 +141,8 @@ def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> N
     title = f"{report.log}: predicted submaps"
     if not metric:
         track = np.array([scan.track_from_base[:2] for scan in report.scans])
-        return render_labels(track, submaps, title)
+        fills = colours_of(stored.topology, stored.regions)
+        return render_labels(track, submaps, title, fills=fills)
     places = _steady(np.array([_place(scan, stored) for scan in report.scans]), report.scans)
     ground = (stored.topology, stored.regions)
     return render_labels(places, submaps, title, map_with_regions=ground)

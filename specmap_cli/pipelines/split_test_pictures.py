@@ -9,7 +9,7 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.drawing.split_tests import draw_test
 from specmap_cli.grids.map_server import write_png
-from specmap_cli.segmentation.online import Observer
+from specmap_cli.segmentation.online import Observer, Occasion
 from specmap_cli.segmentation.splitting import SplitTest
 
 _NAMES = "test_*.png"
@@ -27,9 +27,9 @@ def split_test_pictures(
     _make_room(folder, overwrite)
     numbers = count(1)
 
-    def draw(test: SplitTest, split: bool) -> None:
+    def draw(test: SplitTest, split: bool, occasion: Occasion) -> None:
         if test.grid.cells.size:  # one outside the grid has nothing to show
-            picture = draw_test(test, config.split_eigenvalue, split)
+            picture = draw_test(test, config.split_eigenvalue, split, occasion)
             write_png(folder / f"test_{next(numbers):04d}.png", picture)
 
     return draw

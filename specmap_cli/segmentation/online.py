@@ -13,7 +13,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.segmentation.coarse_submap import CoarseSubmap, way_driven
 from specmap_cli.segmentation.splitting import SplitTest, examine
 
-Observer = Callable[[SplitTest, bool], None]
+Observer = Callable[[SplitTest, bool, "Occasion"], None]
 
 # Of the least part that a test can split off a long way: so much later may a test find it.
 _LATER = 0.25
@@ -32,10 +32,19 @@ class Region:
     continues: int | None
 
 
+@dataclass(frozen=True, slots=True)
+class Occasion:
+    """When a submap was tested: its first and latest keyframe, and the time since the log began."""
+
+    first: int
+    latest: int
+    seconds: float
+
+
 class OnlineSegmenter:
     """Takes keyframes into the current submap and says which regions were left.
 
-    `observer` is called after every test with the test and whether the submap was split.
+    `observer` is called after every test with the test, whether the submap was split, and when.
     """
 
     def __init__(
@@ -99,10 +108,15 @@ class OnlineSegmenter:
             for side in (keyframes[~stays], keyframes[stays])
         )
         if self.observer is not None:
-            self.observer(test, split)
+            self.observer(test, split, self._occasion())
         if not split:
             return lost
         return [*lost, self._finish(self._split(stays))]
+
+    def _occasion(self) -> Occasion:
+        first, latest = self._current.keyframes[0], self._current.keyframes[-1]
+        stamps_ns = self._store.stamps_ns
+        return Occasion(first, latest, (stamps_ns[latest] - stamps_ns[0]) / 1e9)
 
     def _split(self, stays: BoolArray) -> CoarseSubmap:
         """Keep the keyframes (p,) that stay in the current submap; the others, which were left."""

@@ -170,3 +170,31 @@ def test_lines_far_outside_are_cut_off() -> None:
     assert of_colour(canvas.image, INK)[5].all()
     assert of_colour(canvas.image, TRAVERSED)[20:23].all()
     assert near(canvas.image, CLOSURE) == 0
+
+
+@pytest.mark.parametrize("height", [9.0, 14.0, 24.0])
+@pytest.mark.parametrize("bold", [False, True])
+def test_a_zero_is_a_ring_without_a_stroke(height: float, bold: bool) -> None:
+    canvas = Canvas(60, 60)
+    canvas.text(30.0, 30.0, "0", height, INK, "centre", bold)
+    dark = canvas.image.mean(axis=-1) < 160
+    left, right, top, bottom = bounds(dark)
+    assert bottom - top == pytest.approx(height, abs=2)
+    assert right - left < bottom - top
+    assert (canvas.image[30, (left + right) // 2] == 255).all()  # where the stroke would be
+    hollow = ~dark[top : bottom + 1, left : right + 1]
+    inner = hollow[hollow.shape[0] // 4 : -(hollow.shape[0] // 4)]
+    assert all(pieces(~row) == 2 for row in inner)
+
+
+@pytest.mark.parametrize("words", ["10 m", "0", "fr079", "0.904", "100 0"])
+def test_words_with_zeros_are_as_wide_as_measured(words: str) -> None:
+    canvas = Canvas(300, 60)
+    canvas.text(20.0, 30.0, words, 16.0)
+    left, right, _, _ = bounds(inked(canvas.image))
+    assert right - left == pytest.approx(text_width(words, 16.0), abs=4)
+
+
+def test_a_zero_over_the_edge_is_cut_off() -> None:
+    for x, y in ((-3.0, 10.0), (38.0, 10.0), (20.0, -2.0), (20.0, 21.0), (-90.0, 90.0)):
+        Canvas(40, 20).text(x, y, "0", 14.0, INK, "centre")

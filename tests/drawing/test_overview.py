@@ -191,7 +191,7 @@ def test_a_link_with_a_way_follows_it_and_its_door_is_drawn() -> None:
     bare = TopologicalMap(submaps=anchored, robot_radius_m=0.2)
     topology = dataclasses.replace(bare, edges={(0, 1): edge}, doors=(door,))
     image = render_segmentation(topology, regions, LogInfo("plan"))
-    for place, colour in (((2.0, 3.0), palette.TRAVERSED), ((4.0, 1.7), palette.DOOR)):
+    for place, colour in (((2.0, 3.0), palette.TRAVERSED), ((4.0, 1.5), palette.DOOR)):
         x, y = places_on(regions, [place]).astype(int)[0].tolist()
         assert near(image[y - 9 : y + 10, x - 9 : x + 10], colour) > 4
     without = render_segmentation(bare, regions, LogInfo("plan"))

@@ -21,7 +21,7 @@ def straight(count: int = 120, length_m: float = 10.0) -> FloatArray:
 
 def thirds(*ids: int, count: int = 120) -> IntArray:
     """(n,) labels that change along the way, each for as long."""
-    return np.repeat(np.array(ids, dtype=np.int64), count // len(ids))
+    return np.repeat(np.array(ids, dtype=np.int64), count // max(1, len(ids)))
 
 
 def test_each_scan_has_the_colour_of_its_submap(result: MapResult) -> None:
@@ -29,7 +29,7 @@ def test_each_scan_has_the_colour_of_its_submap(result: MapResult) -> None:
     image = render_labels(labels.poses, labels.submaps, "t", map_with_regions=ground)
     for fill in palette.colours_of(*ground).values():
         assert near(image, palette.vivid(fill)) > 50
-        assert near(image, palette.paler(fill)) > 5000  # the region itself
+        assert near(image, fill) > 5000  # the region itself
     assert near(image, palette.WRONG) == 0
     assert is_framed(image)
 
@@ -83,9 +83,30 @@ def test_unknown_scans_are_rings() -> None:
     ink = [near(image[TITLE:-160], palette.INK) for image in (known, some, none)]
     assert ink[0] < ink[1] < ink[2]
     lines = [
-        near(image[TITLE:-160], palette.vivid(palette.FILLS[0])) for image in (known, some, none)
+        near(image[TITLE:-160], palette.vivid(palette.FILLS[4])) for image in (known, some, none)
     ]
     assert lines[0] > 1.5 * lines[1] > lines[2] == 0
+
+
+def test_without_a_map_the_colours_are_those_given() -> None:
+    """Those of the overview of a map, though its neighbours are not those along the way."""
+    fills = palette.colour_graph([1, 2, 3, 8], [(1, 8), (2, 3)])
+    image = render_labels(straight(), thirds(8, 2), "t", fills=fills)
+    for id_ in (8, 2):
+        assert near(image, palette.vivid(fills[id_])) > 200
+    assert fills[8] != palette.colour_graph([8, 2], [(8, 2)])[8]
+
+
+def test_an_id_stands_on_the_ground_where_no_badge_is_near(result: MapResult) -> None:
+    ground = (result.topology, result.regions)
+    nowhere = np.zeros((0, 2))
+    alone = render_labels(nowhere, thirds(), "t", map_with_regions=ground)
+    quiet = near(alone[TITLE:-160], palette.QUIET)
+    centroid = result.regions.outline(0).centroid
+    assert centroid is not None
+    beside = np.linspace(centroid - 0.05, centroid + 0.05, 20)
+    badge = render_labels(beside, np.zeros(20, dtype=np.int64), "t", map_with_regions=ground)
+    assert 0 < near(badge[TITLE:-160], palette.QUIET) < quiet
 
 
 @pytest.mark.parametrize("shift", [(64.0, -128.0), (4096.0, 0.0)])

@@ -2,30 +2,45 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.drawing.canvas import Image
+from specmap_cli.drawing.palette import INK
 from specmap_cli.drawing.split_tests import draw_segmentation, draw_test
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.division import Segmentation
+from specmap_cli.segmentation.online import Occasion
 from specmap_cli.segmentation.spectral import Spectrum
 from specmap_cli.segmentation.splitting import SplitTest
-from tests.drawing.looking import bounds, near, of_colour, pixel
+from tests.drawing.looking import bounds, inked, near, of_colour, pixel
 
 ORANGE, BLUE = (60, 110, 235), (200, 120, 30)  # the robot's side, the side it left
 DARK, RED = (40, 40, 40), (60, 60, 200)
 HEIGHT = 240  # of the map in the picture of a test: 8 m x 4 m, 480 pixels wide
-SPECTRUM = 150  # pixels below it
+SPECTRUM = 150  # pixels at the bottom
+WORDS = 82  # between them: three lines
+WHEN = Occasion(120, 312, 125.34)
+TOP, FLOOR, RIGHT = (
+    12,
+    126,
+    438,
+)  # of the spectrum: the highest bar, the lowest row, the last column
+
+
+def drawn(test: SplitTest, threshold: float = 0.6, split: bool = True) -> Image:
+    return draw_test(test, threshold, split, WHEN)
 
 
 def corridor() -> GridMap:
     """A corridor of 8 m x 4 m with cells of 10 cm, its lower left corner at (10, -2)."""
     cells = np.full((40, 80), FREE, dtype=np.uint8)
     cells[[0, -1]], cells[:, [0, -1]] = OCCUPIED, OCCUPIED
-    cells[1:5, 1:5] = UNKNOWN
+    cells[-5:-1, 1:5] = UNKNOWN
     return GridMap(cells, 0.1, (10.0, -2.0))
 
 
@@ -56,14 +71,14 @@ def bars(image: Image) -> list[int]:
     """The heights of the bars of the spectrum, in pixels."""
     spectrum = image[-SPECTRUM:]
     filled = of_colour(spectrum, (170, 170, 170), 0) | of_colour(spectrum, ORANGE, 0)
-    floor = filled[137]
+    floor = filled[FLOOR - 3]
     starts = np.flatnonzero(np.diff(np.concatenate([[0], floor.astype(int)])) == 1)
     return [int(filled[:, start + 2].sum()) for start in starts]
 
 
 def test_nodes_have_the_colour_of_their_side_and_fade_towards_the_border() -> None:
-    image = draw_test(split_test([-1.0, -0.5, 0.0, 0.5, 1.0], [1.0, 0.8]), 0.6, True)
-    assert image.shape == (HEIGHT + SPECTRUM, 480, 3)
+    image = drawn(split_test([-1.0, -0.5, 0.0, 0.5, 1.0], [1.0, 0.8]), 0.6, True)
+    assert image.shape == (HEIGHT + WORDS + SPECTRUM, 480, 3)
     seen = [pixel(image, spot(x, 0.0)) for x in (11.0, 12.5, 14.0, 15.5, 17.0)]
     assert seen[0] == pytest.approx(BLUE, abs=2)
     assert seen[4] == pytest.approx(ORANGE, abs=2)
@@ -73,7 +88,7 @@ def test_nodes_have_the_colour_of_their_side_and_fade_towards_the_border() -> No
 
 
 def test_the_way_ends_in_a_dot_where_the_robot_is() -> None:
-    image = draw_test(split_test([-1.0, 1.0], [1.0, 0.8]), 0.6, True)
+    image = drawn(split_test([-1.0, 1.0], [1.0, 0.8]), 0.6, True)
     for x in np.arange(11.1, 16.9, 0.2).tolist():
         column, row = spot(x, -1.0).astype(int).tolist()
         assert of_colour(image[row - 1 : row + 2, column : column + 1], DARK, 60).any()
@@ -83,8 +98,8 @@ def test_the_way_ends_in_a_dot_where_the_robot_is() -> None:
 
 
 def test_the_map_is_white_grey_and_black() -> None:
-    image = draw_test(split_test([-1.0, 1.0], [1.0, 0.8]), 0.6, False)
-    free, unknown, wall = spot(14.0, 1.5), spot(10.3, -1.7), spot(10.05, 0.0)
+    image = drawn(split_test([-1.0, 1.0], [1.0, 0.8]), 0.6, False)
+    free, unknown, wall = spot(14.0, 1.5), spot(10.3, 1.7), spot(10.05, 0.0)
     assert pixel(image, free) == (255, 255, 255)
     assert pixel(image, unknown) == (215, 215, 215)
     assert pixel(image, wall) == DARK
@@ -92,41 +107,73 @@ def test_the_map_is_white_grey_and_black() -> None:
 
 def test_bars_are_as_high_as_the_eigenvalues() -> None:
     values = [1.0, 0.75, 0.5, 0.25]
-    heights = bars(draw_test(split_test([-1.0, 1.0], values), 0.6, True))
+    heights = bars(drawn(split_test([-1.0, 1.0], values), 0.6, True))
     assert len(heights) == 4
     np.testing.assert_allclose(np.array(heights) / heights[0], values, atol=0.03)
 
 
 @pytest.mark.parametrize("chosen", [0, 1, 3])
 def test_the_bar_of_the_chosen_eigenvalue_stands_out(chosen: int) -> None:
-    image = draw_test(split_test([-1.0, 1.0], [1.0, 0.9, 0.8, 0.7], chosen), 0.6, True)
+    image = drawn(split_test([-1.0, 1.0], [1.0, 0.9, 0.8, 0.7], chosen), 0.6, True)
     orange = of_colour(image[-SPECTRUM:], ORANGE, 0)
     assert orange.any() == bool(chosen)
     if chosen:
         left = bounds(orange)[0]
-        assert left == pytest.approx(8 + chosen * 464 / 12, abs=1)
+        assert left == pytest.approx(8 + chosen * 430 / 12, abs=1)
 
 
 @pytest.mark.parametrize("threshold", [0.2, 0.6, 0.95])
 def test_the_threshold_is_a_line_across(threshold: float) -> None:
-    image = draw_test(split_test([-1.0, 1.0], [1.0, 0.9]), threshold, True)
-    left, right, top, bottom = bounds(of_colour(image[-SPECTRUM:], RED, 0))
-    assert (left, right) == (8, 472)
-    assert top == bottom == pytest.approx(138 - threshold * 106, abs=1)
+    image = drawn(split_test([-1.0, 1.0], [1.0, 0.9]), threshold)
+    line = of_colour(image[-SPECTRUM:], RED, 0)[:, : RIGHT + 1]
+    assert bounds(line) == pytest.approx(
+        (8, RIGHT, *[FLOOR - threshold * (FLOOR - TOP)] * 2), abs=1
+    )
+    figure = of_colour(image[-SPECTRUM:], RED, 60)[:, RIGHT + 2 :]
+    assert figure.any()
 
 
-def test_the_caption_tells_the_decision() -> None:
+def lines_of(image: Image) -> list[Image]:
+    """The three lines of words."""
+    start = image.shape[0] - SPECTRUM - WORDS + 8
+    return [image[start + 22 * k : start + 22 * (k + 1)] for k in range(3)]
+
+
+def test_the_words_tell_the_decision_and_when_it_was_made() -> None:
+    """What changes changes one line, and neither the map nor the spectrum."""
     test = split_test([-1.0, 1.0], [1.0, 0.9])
-    split, whole = draw_test(test, 0.6, True), draw_test(test, 0.6, False)
-    np.testing.assert_array_equal(split[: HEIGHT + 1], whole[: HEIGHT + 1])
-    assert (split[HEIGHT : HEIGHT + 28] != whole[HEIGHT : HEIGHT + 28]).any()
-    np.testing.assert_array_equal(split[HEIGHT + 28 :], whole[HEIGHT + 28 :])
+    usual = drawn(test)
+    changed = {
+        0: drawn(test, split=False),
+        1: draw_test(test, 0.6, True, dataclasses.replace(WHEN, seconds=126.0)),
+        2: draw_test(test, 0.6, True, dataclasses.replace(WHEN, first=121)),
+    }
+    for line, image in changed.items():
+        same = [
+            np.array_equal(*pair) for pair in zip(lines_of(image), lines_of(usual), strict=True)
+        ]
+        assert same == [k != line for k in range(3)]
+        np.testing.assert_array_equal(image[:HEIGHT], usual[:HEIGHT])
+        np.testing.assert_array_equal(image[-SPECTRUM:], usual[-SPECTRUM:])
+
+
+def test_the_words_fit() -> None:
+    test, late = split_test([-1.0, 1.0], [1.0, 0.9]), Occasion(100_000, 200_000, 90_061.0)
+    for line in lines_of(draw_test(test, 0.123456, False, late)):
+        left, right, *_ = bounds(inked(line))
+        assert 7 <= left < right <= 473
+
+
+def test_the_scale_is_that_of_the_map() -> None:
+    image = drawn(split_test([-1.0, 1.0], [1.0, 0.9]))
+    left, right, _, _ = bounds(of_colour(image[HEIGHT - 18 : HEIGHT - 14, :80], INK, 0))
+    assert right - left == pytest.approx(60.0, abs=2)  # a metre
 
 
 @pytest.mark.parametrize("eigenvector", [[], [0.0], [0.0, 0.0]])
 def test_a_test_without_a_division_is_drawn(eigenvector: list[float]) -> None:
-    image = draw_test(split_test(eigenvector, [1.0][: len(eigenvector)], 0), 0.6, False)
-    assert near(image, ORANGE) == 0
+    image = drawn(split_test(eigenvector, [1.0][: len(eigenvector)], 0), 0.6, False)
+    assert near(image[:HEIGHT], ORANGE) == 0
     assert len(bars(image)) == min(len(eigenvector), 1)
 
 
@@ -152,7 +199,7 @@ def test_nodes_of_a_division_have_a_colour_a_region() -> None:
     assert image.shape[1] == 900
     scale = 900 / 80 / 0.1
     seen = [
-        pixel(image, np.array([(x - 10.0) * scale, image.shape[0] - SPECTRUM - 2.0 * scale]))
+        pixel(image, np.array([(x - 10.0) * scale, image.shape[0] - SPECTRUM - 60 - 2.0 * scale]))
         for x in (11.0, 13.0, 15.0, 17.0)
     ]
     assert seen[0] == seen[1]
@@ -186,5 +233,5 @@ def test_the_picture_shows_the_free_part_of_a_large_map() -> None:
 def test_a_map_without_free_cells_is_drawn_whole() -> None:
     grid = GridMap(np.full((30, 60), UNKNOWN, dtype=np.uint8), 0.1)
     image = draw_segmentation(grid, segmentation([], []), 0.75)
-    assert image.shape == (450 + SPECTRUM, 900, 3)
-    assert (image[:450] == 215).all()
+    assert image.shape == (450 + 60 + SPECTRUM, 900, 3)
+    assert (image[:420] == 215).all()

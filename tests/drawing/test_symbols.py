@@ -66,15 +66,33 @@ def test_links_are_set_off_from_the_ground_by_paper(kind: EdgeKind) -> None:
 
 
 @pytest.mark.parametrize("driven", [True, False])
-def test_a_door_lies_from_wall_to_wall_filled_when_driven(driven: bool) -> None:
-    canvas = Canvas(120, 80, SHADE)
-    symbols.door(canvas, np.array([[30.0, 40.0], [90.0, 40.0]]), driven)
+def test_a_door_lies_from_wall_to_wall_open_when_driven(driven: bool) -> None:
+    canvas = Canvas(120, 120, SHADE)
+    symbols.door(canvas, np.array([[30.0, 80.0], [90.0, 80.0]]), driven)
     left, right, top, bottom = bounds(of_colour(canvas.image, DOOR, 60))
     assert (left, right) == pytest.approx((26, 94), abs=4)
-    assert bottom - top < 14
-    assert pixel(canvas.image, np.array([60, 40])) == pytest.approx(
-        DOOR if driven else PAPER, abs=30
-    )
+    assert bottom - top == pytest.approx(64 if driven else 8, abs=4)
+    for jamb in ((30, 80), (90, 80)):
+        assert pixel(canvas.image, np.array(jamb)) == pytest.approx(DOOR, abs=8)
+    shut = pixel(canvas.image, np.array([60, 80])) == pytest.approx(DOOR, abs=8)
+    assert shut is not driven
+
+
+def test_a_wide_door_has_two_leaves_that_open_to_one_side() -> None:
+    canvas = Canvas(140, 140, SHADE)
+    symbols.door(canvas, np.array([[30.0, 70.0], [110.0, 70.0]]), True, wide=True)
+    drawn = of_colour(canvas.image, DOOR, 60)
+    left, right, top, bottom = bounds(drawn)
+    assert (left, right, top, bottom) == pytest.approx((26, 114, 30, 74), abs=4)
+    np.testing.assert_array_equal(np.flatnonzero(drawn[45, :50]).size > 2, True)
+    np.testing.assert_array_equal(np.flatnonzero(drawn[45, 90:]).size > 2, True)
+
+
+def test_the_gap_of_a_door_is_paper_in_the_wall() -> None:
+    canvas = Canvas(120, 80, INK)
+    symbols.gap(canvas, np.array([[30.0, 40.0], [90.0, 40.0]]))
+    assert pixel(canvas.image, np.array([60, 40])) == PAPER
+    assert pixel(canvas.image, np.array([15, 40])) == INK
 
 
 def test_a_door_of_a_large_building_can_still_be_seen() -> None:

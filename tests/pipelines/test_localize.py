@@ -19,6 +19,7 @@ from specmap_cli.core.errors import LogError, MapError, UsageError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.drawing.palette import colours_of, vivid
 from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.localization_report import (
@@ -258,6 +259,17 @@ class TestReport:
         picture = cv2.imread(str(tmp_path / "track.png"))
         assert picture is not None
         assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 3
+
+    @pytest.mark.parametrize("with_poses", [False, True])
+    def test_its_picture_has_the_colours_of_the_map(
+        self, stored: StoredMap, with_poses: bool
+    ) -> None:
+        fills = colours_of(stored.topology, stored.regions)
+        at = [Pose2(0.05 * k, 0.0, 0.0) for k in range(40)]
+        for id_ in sorted(fills)[-2:]:
+            image = picture_of(labelled([id_] * 40, at), stored, with_poses)
+            seen = {fill: (image == vivid(fill)).all(axis=-1).sum() for fill in fills.values()}
+            assert max(seen, key=seen.__getitem__) == fills[id_]
 
     def test_the_table_and_the_picture_are_written_together(
         self, stored: StoredMap, tmp_path: Path

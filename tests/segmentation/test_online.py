@@ -19,7 +19,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.ray_casting import cast_ranges
 from specmap_cli.segmentation.coarse_submap import CoarseSubmap, way_driven
-from specmap_cli.segmentation.online import OnlineSegmenter, Region
+from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, Region
 from specmap_cli.segmentation.splitting import SplitTest, examine
 
 DEFAULT = SegmentationConfig()
@@ -117,7 +117,7 @@ def test_what_no_sight_line_joins_any_more_is_a_region_once_the_robot_is_gone(
 ) -> None:
     tests: list[SplitTest] = []
     segmenter = OnlineSegmenter(
-        DEFAULT, GridConfig(), three_rooms, lambda test, _: tests.append(test)
+        DEFAULT, GridConfig(), three_rooms, lambda test, *_: tests.append(test)
     )
     regions = run(segmenter, len(three_rooms))
     x, y = three_rooms.poses[:, :2].T
@@ -167,10 +167,10 @@ def test_tests_come_by_the_way_travelled_or_by_keyframes(two_room_tour: Keyframe
     tests: list[SplitTest] = []
     count = len(two_room_tour)
     whole = way_driven(two_room_tour, range(count))
-    run(OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour, lambda t, _: tests.append(t)), count)
+    run(OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour, lambda t, *_: tests.append(t)), count)
     assert len(tests) == pytest.approx(whole / DEFAULT.test_metres, abs=0.1 * whole)
     tests.clear()
-    run(OnlineSegmenter(PAPER, GridConfig(), two_room_tour, lambda t, _: tests.append(t)), count)
+    run(OnlineSegmenter(PAPER, GridConfig(), two_room_tour, lambda t, *_: tests.append(t)), count)
     assert len(tests) == count // PAPER.test_keyframes
 
 
@@ -189,7 +189,7 @@ def test_the_longer_the_way_in_one_submap_the_rarer_the_tests(
                 config,
                 GridConfig(),
                 store,
-                lambda test, _: ways.append(float(step_lengths(test.poses).sum())),
+                lambda test, *_: ways.append(float(step_lengths(test.poses).sum())),
             )
             assert len(run(segmenter, len(store))) == 1
         return ways
@@ -206,7 +206,7 @@ def test_the_paper_compares_the_second_eigenvalue(two_room_tour: KeyframeStore) 
     tests: list[tuple[SplitTest, bool]] = []
     run(
         OnlineSegmenter(
-            PAPER, GridConfig(), two_room_tour, lambda t, split: tests.append((t, split))
+            PAPER, GridConfig(), two_room_tour, lambda t, split, _: tests.append((t, split))
         ),
         len(two_room_tour),
     )
@@ -257,14 +257,14 @@ def test_a_test_is_drawn(two_room_tour: KeyframeStore) -> None:
             DEFAULT,
             GridConfig(),
             two_room_tour,
-            lambda test, split: pictures.append((draw_test(test, 0.6, split), split)),
+            lambda *told: pictures.append((draw_test(told[0], 0.6, *told[1:]), told[1])),
         ),
         len(two_room_tour),
     )
     orange, blue = (60, 110, 235), (200, 120, 30)
     assert any(split for _, split in pictures)
-    for picture, split in pictures:
-        assert picture.shape[2] == 3
+    for whole, split in pictures:
+        picture = whole[:-232]  # without the words and the spectrum
         assert near_colour(picture, orange)
         assert near_colour(picture, blue) or not split
 
@@ -308,14 +308,23 @@ def test_regions_are_told_once_and_in_the_order_in_which_they_were_left(
 
 def test_the_observer_sees_what_is_split(two_room_tour: KeyframeStore) -> None:
     seen: list[tuple[SplitTest, bool]] = []
-    segmenter = OnlineSegmenter(
-        DEFAULT, GridConfig(), two_room_tour, lambda test, split: seen.append((test, split))
-    )
+    occasions: list[Occasion] = []
+
+    def observe(test: SplitTest, split: bool, occasion: Occasion) -> None:
+        seen.append((test, split))
+        occasions.append(occasion)
+
+    segmenter = OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour, observe)
     for keyframe in range(len(two_room_tour)):
         before = len(seen)
         left = segmenter.add(keyframe)
         assert len(seen) - before <= 1
         assert len(left) == sum(split for _, split in seen[before:])
+        for occasion in occasions[before:]:
+            assert occasion.latest == keyframe
+            stamps_ns = two_room_tour.stamps_ns
+            assert occasion.seconds == (stamps_ns[keyframe] - stamps_ns[0]) / 1e9
+            assert len(seen[-1][0].poses) == keyframe - occasion.first + 1
         for region in left:
             test, _ = seen[-1]
             gone = two_room_tour.poses_of(region.keyframes)

@@ -1,0 +1,80 @@
+"""Makes the pictures of the documents from the sample logs: `make pictures`.
+
+docs/images/compare.png is of a building that `benchmarks.keeping` simulates, and not made here.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+ROOT = Path(__file__).parent.parent
+SAMPLES, IMAGES = ROOT / "sample_logs", ROOT / "docs" / "images"
+WIDTH = 1400  # pixels at the most
+SPLIT_TESTS = (5, 6, 7, 8)  # one region, a side that is too short, and two splits
+GAP = 24
+
+
+def specmap(*arguments: object) -> None:
+    """Run a command as a user would."""
+    subprocess.run(
+        [sys.executable, "-m", "specmap_cli", *map(str, arguments), "--quiet"], check=True
+    )
+
+
+def put(picture: Path, name: str) -> None:
+    """A picture among those of the documents, no wider than a page."""
+    image = cv2.imread(str(picture))
+    if image is None:
+        raise SystemExit(f"{picture}: was not written")
+    scale = min(1.0, WIDTH / image.shape[1])
+    save(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), name)
+
+
+def side_by_side(pictures: Sequence[Path], name: str) -> None:
+    """Pictures in a row, the lower ends level."""
+    images = [cv2.imread(str(picture)) for picture in pictures]
+    high = max(image.shape[0] for image in images)
+    white = (255, 255, 255)
+    row = [
+        cv2.copyMakeBorder(
+            image, high - image.shape[0], 0, 0, GAP, cv2.BORDER_CONSTANT, value=white
+        )
+        for image in images
+    ]
+    save(np.hstack(row)[:, :-GAP], name)
+
+
+def save(image: np.ndarray, name: str) -> None:
+    """Write a picture as small as PNG can."""
+    cv2.imwrite(str(IMAGES / name), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    print(IMAGES / name)
+
+
+def main() -> None:
+    """All of them."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        specmap("build", SAMPLES / "office.mcap", "-o", out / "map", "--explain", out / "tests")
+        put(out / "map" / "overview.png", "office.png")
+        side_by_side(
+            [out / "tests" / f"test_{number:04d}.png" for number in SPLIT_TESTS],
+            "segmentation_tests.png",
+        )
+        again = ["localize", SAMPLES / "office_again.mcap", "--map", out / "map", "--metric"]
+        specmap(*again, "-o", out / "again.csv", "--plot", out / "again.png")
+        put(out / "again.png", "office_again.png")
+        nodes = ["--explain", out / "nodes.png"]
+        specmap("segment", SAMPLES / "office.yaml", "-o", out / "plan", *nodes)
+        put(out / "plan" / "overview.png", "office_plan.png")
+        put(out / "nodes.png", "segmentation_nodes.png")
+
+
+if __name__ == "__main__":
+    main()
