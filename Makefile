@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 LOWEST := .venv-lowest
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo pictures test test-lowest lint format bench fuzz sample-logs constraints-lowest clean
+.PHONY: demo pictures docs dist test test-lowest lint format bench fuzz sample-logs constraints-lowest clean
 
 demo: $(VENV)/installed
 	$(BIN)/specmap build sample_logs/office.mcap --out demo/map --overwrite
@@ -49,6 +49,23 @@ JOBS ?= 2
 fuzz: $(VENV)/installed-dev
 	$(BIN)/python -m fuzz --cases $(CASES) --seed $(SEED) --jobs $(JOBS)
 
+# The site of the documents, in site/: every link is checked.
+docs: $(VENV)/installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	$(BIN)/python -m pytest tests/test_site.py
+	@echo "The site is in site/: open site/index.html"
+
+# Wheel and source archive, in dist/: checked, and the wheel installed into an environment of its own.
+dist: $(VENV)/installed-dist
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/python -m twine check --strict dist/*
+	$(BIN)/python -m pytest tests/test_distribution.py
+	$(PYTHON) -m venv --clear dist/.try
+	dist/.try/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
+	cd dist && .try/bin/specmap --version && .try/bin/specmap info ../sample_logs/office.mcap
+	rm -rf dist/.try
+
 # The pictures of the documents, made of the sample logs.
 pictures: $(VENV)/installed
 	$(BIN)/python docs/pictures.py
@@ -65,7 +82,7 @@ constraints-lowest: $(LOWEST)/created
 		--python-version 3.11 --custom-compile-command "make $@" pyproject.toml --output-file constraints-lowest.txt
 
 clean:
-	rm -rf $(VENV) $(LOWEST) demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(LOWEST) demo site dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 $(VENV)/created:
 	@if [ -z "$(PYTHON)" ]; then echo "make: no Python 3.11 or newer with the venv module found: install python3 and python3-venv, or say make PYTHON=/path/to/python3" >&2; exit 2; fi
@@ -78,6 +95,14 @@ $(VENV)/installed: $(VENV)/created pyproject.toml constraints.txt
 
 $(VENV)/installed-dev: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,consumers]'
+	@touch $@
+
+$(VENV)/installed-docs: $(VENV)/installed-dev
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	@touch $@
+
+$(VENV)/installed-dist: $(VENV)/installed-dev
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dist]'
 	@touch $@
 
 $(LOWEST)/created:

@@ -25,6 +25,12 @@ RERUN = [Requirement(line) for line in PROJECT["optional-dependencies"]["rerun"]
 BOTH_ENDS = [*RUNTIME, *DEVELOPMENT]  # tested with the lowest versions, too
 PINNED = [*BOTH_ENDS, *CONSUMERS]
 DECLARED = [*PINNED, *RERUN]
+# For the site and for archives: pinned as the others, and no part of what is tested at both ends.
+TOOLS = [
+    Requirement(line)
+    for extra in ("docs", "dist")
+    for line in PROJECT["optional-dependencies"][extra]
+]
 
 
 def pins(name: str) -> dict[str, Version]:
@@ -53,8 +59,13 @@ def test_the_usual_pins_are_allowed(requirement: Requirement) -> None:
     assert usual >= floor(requirement)
 
 
+@pytest.mark.parametrize("requirement", TOOLS, ids=lambda found: found.name)
+def test_the_tools_are_pinned_as_allowed(requirement: Requirement) -> None:
+    assert pins("constraints.txt")[canonicalize_name(requirement.name)] in requirement.specifier
+
+
 def test_nothing_is_declared_twice() -> None:
-    names = [canonicalize_name(requirement.name) for requirement in DECLARED]
+    names = [canonicalize_name(requirement.name) for requirement in [*DECLARED, *TOOLS]]
     assert len(names) == len(set(names))
 
 
@@ -81,7 +92,7 @@ def test_the_package_imports_what_is_declared_and_nothing_else() -> None:
     assert undeclared == set()
 
 
-@pytest.mark.parametrize("requirement", DECLARED, ids=lambda found: found.name)
+@pytest.mark.parametrize("requirement", [*DECLARED, *TOOLS], ids=lambda found: found.name)
 def test_the_documents_say_what_it_is_for(requirement: Requirement) -> None:
     text = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
     assert re.search(rf"(?<![\w-]){re.escape(requirement.name)}(?![\w-])", text)
