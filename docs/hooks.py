@@ -10,8 +10,6 @@ from __future__ import annotations
 import json
 import posixpath
 import re
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -105,15 +103,14 @@ def settings_page() -> str:
 
 def _printed(*arguments: str) -> str:
     """What a command prints, at the width of a page."""
-    done = subprocess.run(
-        [sys.executable, "-m", "specmap_cli", *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"COLUMNS": "100", "PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT)},
-    )
-    return done.stdout
+    from typer.testing import CliRunner
+
+    from specmap_cli.cli.app import app
+
+    done = CliRunner().invoke(app, list(arguments), prog_name="specmap", env={"COLUMNS": "100"})
+    if done.exit_code:
+        raise RuntimeError(f"specmap {' '.join(arguments)}: {done.output}")
+    return done.output
 
 
 def schemas_page() -> str:

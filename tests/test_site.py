@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -94,6 +95,7 @@ def test_the_page_of_schemas_has_every_object_and_its_links_hold() -> None:
     assert set(re.findall(r"\]\(#([^)]*)\)", page)) <= anchors
 
 
+@cache
 def texts_of_the_program() -> str:
     """All texts in the code; what is put into one when it runs is left out."""
     found = []
