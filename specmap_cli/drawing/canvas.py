@@ -23,6 +23,7 @@ _FARTHEST = 2**26  # in such steps; OpenCV's own sums overflow beyond
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _CAPITALS = 21.0  # height of this font's capitals at scale one, pixels
 _RIM = 2  # pixels
+_STRUCK_ZERO = hasattr(cv2, "FontFace")  # the font of OpenCV 5, not that of OpenCV 4
 # The outline of a zero: a curve between an ellipse and a rectangle. Drawn this much larger, then
 # made smaller, it is smooth.
 _ANGLES = np.linspace(0.0, 2.0 * math.pi, 64, endpoint=False)
@@ -122,7 +123,7 @@ class Canvas:
 def _zero(height: float, thickness: int) -> FloatArray:
     """How far each pixel (H, W) is covered by a zero that stands on the last row.
 
-    The zeros of some versions of the font have a stroke in them, and read as another letter.
+    Those of the font of OpenCV 5 have a stroke in them, and read as another letter.
     """
     scale = _text_scale(height)
     (width, _), _ = cv2.getTextSize("0", _FONT, scale, thickness)
@@ -149,7 +150,7 @@ def _stem(scale: float, thickness: int) -> float:
 
 def _around_zeros(words: str) -> list[tuple[str, str]]:
     """The zeros in some words and what stands between them, each with the words before it."""
-    pieces = [piece for piece in re.split("(0)", words) if piece]
+    pieces = [piece for piece in re.split("(0)", words) if piece] if _STRUCK_ZERO else [words]
     return [("".join(pieces[:k]), piece) for k, piece in enumerate(pieces)]
 
 

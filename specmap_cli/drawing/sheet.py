@@ -94,14 +94,14 @@ class Sheet:
         grid, owner = _at_most_a_pixel_each(regions, self.pixels_per_m)
         owned = np.where(grid.cells == FREE, owner, NOBODY).astype(np.float32) + 1.0
         labels = self._to_scale(owned, grid, edges=cv2.INTER_NEAREST)
-        line = np.zeros(labels.shape, dtype=np.float32)
+        line = np.zeros(labels.shape, dtype=np.uint8)
         here, right, below = labels[:-1, :-1], labels[:-1, 1:], labels[1:, :-1]
         for other in (right, below):
-            line[:-1, :-1][(here != other) & (here > 0.0) & (other > 0.0)] = 1.0
-        # two pixels wide, and no staircase of cells
-        line = np.minimum(1.0, cv2.GaussianBlur(line, (0, 0), _BORDER_BLUR) * _BORDER_STRENGTH)
+            line[:-1, :-1][(here != other) & (here > 0.0) & (other > 0.0)] = 255
+        # two pixels wide, and no staircase of cells; of whole numbers, which all processors blur alike
+        blurred = cv2.GaussianBlur(line, (0, 0), _BORDER_BLUR)
         inside = slice(TITLE, TITLE + self.map_height)
-        self._blend(inside, line[inside], BORDER)
+        self._blend(inside, np.minimum(1.0, blurred[inside] * _BORDER_STRENGTH / 255.0), BORDER)
 
     def walls(self, grid: GridMap, walls: BoolArray, colour: Colour) -> None:
         """Paint some cells (H, W) of a grid in one colour over what is there."""

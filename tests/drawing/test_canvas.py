@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -174,6 +175,7 @@ def test_lines_far_outside_are_cut_off() -> None:
 
 @pytest.mark.parametrize("height", [9.0, 14.0, 24.0])
 @pytest.mark.parametrize("bold", [False, True])
+@pytest.mark.skipif(not hasattr(cv2, "FontFace"), reason="OpenCV 4's zero is a ring as it is")
 def test_a_zero_is_a_ring_without_a_stroke(height: float, bold: bool) -> None:
     canvas = Canvas(60, 60)
     canvas.text(30.0, 30.0, "0", height, INK, "centre", bold)
@@ -192,7 +194,7 @@ def test_words_with_zeros_are_as_wide_as_measured(words: str) -> None:
     canvas = Canvas(300, 60)
     canvas.text(20.0, 30.0, words, 16.0)
     left, right, _, _ = bounds(inked(canvas.image))
-    assert right - left == pytest.approx(text_width(words, 16.0), abs=4)
+    assert right - left == pytest.approx(text_width(words, 16.0), abs=8)
 
 
 def test_a_zero_over_the_edge_is_cut_off() -> None:

@@ -159,3 +159,20 @@ def test_entries_of_the_legend_do_not_touch() -> None:
         gaps = np.diff(np.flatnonzero(line))
         entries += 1 + int((gaps > 30).sum())
     assert entries >= len(EVERYTHING)
+
+
+def test_a_border_is_drawn_where_regions_touch_and_nowhere_else() -> None:
+    cells = np.full((40, 60), FREE, dtype=np.uint8)
+    cells[:, 30] = OCCUPIED
+    owner = np.where(np.arange(40)[:, None] < 20, 0, 1) * np.ones((1, 60), dtype=np.int64)
+    owner[:, 30:] = NOBODY
+    regions = Regions(GridMap(cells, 0.1), owner, {})
+    sheet = Sheet(*extent_of(regions), ())
+    sheet.ground(regions, {0: palette.FILLS[0], 1: palette.FILLS[1]})
+    border, region, wall = sheet.pixels(np.array([[1.5, 2.0], [1.5, 1.5], [3.05, 2.0]])).astype(int)
+    x, y = border
+    assert of_colour(sheet.canvas.image[y - 2 : y + 3, x], palette.BORDER, 40).any()
+    assert pixel(sheet.canvas.image, region) == palette.FILLS[0]
+    assert pixel(sheet.canvas.image, wall) == palette.INK
+    beyond = sheet.pixels(np.array([[4.5, 2.0]])).astype(int)[0]
+    assert pixel(sheet.canvas.image, beyond) == palette.SHADE
