@@ -39,8 +39,9 @@ def _bgr(code: str) -> Colour:
 FILLS: tuple[Colour, ...] = tuple(map(_bgr, _FILLS))
 LINES: tuple[Colour, ...] = tuple(map(_bgr, _LINES))
 _STEP = 3  # from a fill that is taken to the next one tried
-# Regions this near, across a wall, are neighbours; looked for on cells of this size.
-_NEAR_M, _THINNED_M = 0.6, 0.15
+# Regions this near, across a wall, are neighbours; looked for on cells of this size. Two thin walls
+# with a shaft between them are 0.6 m thick in many plans.
+_NEAR_M, _THINNED_M = 0.9, 0.15
 
 
 def darker(colour: Colour, share: float = 0.55) -> Colour:

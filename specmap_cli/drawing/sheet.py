@@ -98,7 +98,7 @@ class Sheet:
         here, right, below = labels[:-1, :-1], labels[:-1, 1:], labels[1:, :-1]
         for other in (right, below):
             line[:-1, :-1][(here != other) & (here > 0.0) & (other > 0.0)] = 255
-        # two pixels wide, and no staircase of cells; of whole numbers, which all processors blur alike
+        # two pixels wide, and no staircase of cells; whole numbers are blurred alike everywhere
         blurred = cv2.GaussianBlur(line, (0, 0), _BORDER_BLUR)
         inside = slice(TITLE, TITLE + self.map_height)
         self._blend(inside, np.minimum(1.0, blurred[inside] * _BORDER_STRENGTH / 255.0), BORDER)

@@ -10,10 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
+from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.drawing import palette
 from specmap_cli.drawing.palette import Colour
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.writing import MapResult
-from specmap_cli.topology.regions import NOBODY
+from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.topological_map import Submap, TopologicalMap
 from tests.drawing.seeing import ciede2000, least_difference
 from tests.strategies import seeds
 
@@ -194,3 +197,15 @@ def test_submaps_of_a_map_differ_from_those_linked_and_those_beside(result: MapR
     fills = palette.colours_of(result.topology, result.regions)
     assert sorted(fills) == [0, 1, 2]
     assert len(set(fills.values())) == 3
+
+
+def test_rooms_behind_a_thick_wall_are_neighbours() -> None:
+    """Both ids would like the same colour."""
+    first, second = 0, len(palette.FILLS)
+    owner = np.full((40, 93), NOBODY)
+    owner[:, :40], owner[:, 53:] = first, second  # 0.65 m apart
+    cells = np.where(owner == NOBODY, OCCUPIED, FREE).astype(np.uint8)
+    grid = GridMap(cells, 0.05)
+    submaps = {id_: Submap(id=id_, map_from_submap=IDENTITY, grid=grid) for id_ in (first, second)}
+    fills = palette.colours_of(TopologicalMap(submaps=submaps), Regions.of(grid, owner))
+    assert fills[first] != fills[second]

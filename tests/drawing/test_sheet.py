@@ -171,7 +171,7 @@ def test_a_border_is_drawn_where_regions_touch_and_nowhere_else() -> None:
     sheet.ground(regions, {0: palette.FILLS[0], 1: palette.FILLS[1]})
     border, region, wall = sheet.pixels(np.array([[1.5, 2.0], [1.5, 1.5], [3.05, 2.0]])).astype(int)
     x, y = border
-    assert of_colour(sheet.canvas.image[y - 2 : y + 3, x], palette.BORDER, 40).any()
+    assert of_colour(sheet.canvas.image[y - 2 : y + 3, x - 1 : x + 2], palette.BORDER, 40).any()
     assert pixel(sheet.canvas.image, region) == palette.FILLS[0]
     assert pixel(sheet.canvas.image, wall) == palette.INK
     beyond = sheet.pixels(np.array([[4.5, 2.0]])).astype(int)[0]
