@@ -53,7 +53,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "drawing": _STAGE | {"topology", "segmentation"},
     "exports": _STAGE | {"topology", "layout", "maps", "drawing"},
     "checking": _STAGE | {"topology", "maps"},
-    "pipelines": {*_ORDER, "checking"},
+    "report": _STAGE | {"topology", "maps", "drawing"},
+    "pipelines": {*_ORDER, "checking", "report"},
     "evaluation": {*_ORDER, "pipelines"},
     "cli": {*_ORDER, "pipelines", "evaluation", "exports", "checking"},
 }
@@ -61,6 +62,7 @@ MOST_ROOMS, MOST_FLOORS = 22, 10
 # what `specmap --help` must not load
 HEAVY = {
     "cv2",
+    "jinja2",
     "kiss_icp",
     "mcap",
     "networkx",

@@ -19,6 +19,7 @@ from specmap_cli.cli import (
     info,
     localize,
     merge,
+    report,
     segment,
     simulate,
     update,
@@ -78,6 +79,7 @@ def _options(
     specmap info log.mcap                        what a recording holds
     specmap build log.mcap -o map                its topological map
     specmap localize other.mcap --map map        where another log was recorded
+    specmap report map -o map.html               a page about the map, for people
     specmap COMMAND --help                       all about a command
     """
     if context.invoked_subcommand is None:
@@ -94,6 +96,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "compare": compare.compare,
     "check": check.check,
     "edit": edit.edit,
+    "report": report.report,
     "segment": segment.segment,
     "evaluate": evaluate.evaluate,
     "simulate": simulate.simulate,

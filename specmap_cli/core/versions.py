@@ -9,6 +9,7 @@ from specmap_cli import __version__
 
 # The distributions that the program needs when it runs, as pyproject.toml names them.
 STANDS_ON = (
+    "jinja2",
     "kiss-icp",
     "lz4",
     "mcap",

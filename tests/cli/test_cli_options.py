@@ -29,6 +29,7 @@ WRITERS = {
     "compare",
     "merge",
     "edit",
+    "report",
 }
 SETTLED = READERS | {
     "segment",
@@ -39,6 +40,7 @@ SETTLED = READERS | {
     "compare",
     "merge",
     "edit",
+    "report",
 }
 ALL = READERS | WRITERS | {"config"}
 HAVE = {

@@ -1,0 +1,50 @@
+"""The report on a map: a page for people, made of a map directory alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from specmap_cli.core.arguments import path_of
+from specmap_cli.core.progress import Progress, Silent
+from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.compare import Comparison, compare_maps
+from specmap_cli.pipelines.map_evidence import evidence_of
+from specmap_cli.report.evidence import Changes
+from specmap_cli.report.page import render
+
+
+def report_map(
+    map_: StoredMap | Path | str,
+    compare: StoredMap | Path | str | None = None,
+    limits: LimitsConfig | None = None,
+    progress: Progress | None = None,
+) -> str:
+    """The report on a map directory, or on one that was read, as the text of one HTML page.
+
+    `compare` is an older map of the same building. `limits` bound the files that are read. Raises
+    MapError for a damaged map, NoResultError when the two maps cannot be aligned.
+    """
+    progress = progress or Silent()
+    stored = _opened(map_, "map_", limits)
+    if stored.note:
+        progress.note(stored.note)
+    changes = None
+    if compare is not None:
+        older = _opened(compare, "compare", limits)
+        changes = _changes(compare_maps(older, stored, progress=progress))
+    return render(stored, evidence_of(stored, progress), changes)
+
+
+def _opened(given: StoredMap | Path | str, name: str, limits: LimitsConfig | None) -> StoredMap:
+    return given if isinstance(given, StoredMap) else read_map(path_of(given, name), limits)
+
+
+def _changes(found: Comparison) -> Changes:
+    """A comparison as the report draws it: on the new map."""
+    return Changes(
+        old=found.old,
+        record=found.record,
+        lines=tuple(found.lines()),
+        new_from_old=found.old_from_new.inverse(),
+    )

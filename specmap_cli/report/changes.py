@@ -1,0 +1,97 @@
+"""What differs from an older map, drawn on the new one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from specmap_cli.core.records import BoolArray
+from specmap_cli.grids.bent import BentMotion
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.maps.comparison import DoorRecord, ThingRecord
+from specmap_cli.report.evidence import Changes
+from specmap_cli.report.frame import Frame, path_data
+from specmap_cli.report.ground import Ground
+from specmap_cli.report.tracing import outlines
+
+_LEAST_DOOR_CM = 40.0  # of the mark of a way that was closed or opened
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One difference, of a kind `appeared`, `vanished`, `closed` or `opened`, and its place."""
+
+    kind: str
+    words: str
+    line: str
+    place: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OldMap:
+    """The older map in the drawing of the new one: its walls, and the submaps that are no more."""
+
+    name: str
+    walls: str
+    gone: str
+    added: tuple[int, ...]
+    changes: tuple[Change, ...]
+    lines: tuple[str, ...]
+    identical: bool
+
+
+def old_map(changes: Changes, ground: Ground) -> OldMap:
+    """The older map and what differs."""
+    old, record, frame = Ground(changes.old), changes.record, ground.frame
+    lost = [*record.submaps.gone, *record.submaps.unseen]
+    return OldMap(
+        name=changes.old.path.resolve().name,
+        walls=_carried(old.regions.grid.occupied, old.regions.grid, changes.new_from_old, frame),
+        gone=_carried(
+            np.isin(old.regions.owner, lost), old.regions.grid, changes.new_from_old, frame
+        ),
+        added=tuple(record.submaps.new),
+        changes=tuple(_changes(changes, frame)),
+        lines=changes.lines,
+        identical=record.identical,
+    )
+
+
+def _carried(cells: BoolArray, grid: GridMap, motion: BentMotion, frame: Frame) -> str:
+    """Cells of the old map as path data in the drawing of the new one."""
+    rings = [frame.places(motion.apply(ring)) for ring in outlines(cells, grid)]
+    return path_data(rings, closed=True)
+
+
+def _changes(changes: Changes, frame: Frame) -> Iterable[Change]:
+    record, motion = changes.record, changes.new_from_old
+    for kind, things in (
+        ("appeared", record.things.appeared),
+        ("vanished", record.things.vanished),
+    ):
+        yield from (_thing(kind, thing, motion, frame) for thing in things)
+    for kind, doors in (("closed", record.doors.closed), ("opened", record.doors.opened)):
+        yield from (_door(kind, door, motion, frame) for door in doors)
+
+
+def _thing(kind: str, thing: ThingRecord, motion: BentMotion, frame: Frame) -> Change:
+    corners = frame.places(motion.apply(np.array(thing.corners)))
+    words = f"{kind}: {thing.length_m:.1f} m × {thing.width_m:.1f} m"
+    return Change(kind, words, path_data([corners], closed=True), _middle(corners.tolist()))
+
+
+def _door(kind: str, door: DoorRecord, motion: BentMotion, frame: Frame) -> Change:
+    place = frame.places(motion.apply(np.array([[door.x, door.y]])))[0]
+    half = max(door.width_m * 50.0, _LEAST_DOOR_CM)
+    cross = np.array([[-half, -half], [half, half], [-half, half], [half, -half]])
+    lines = np.rint(place + cross).astype(np.int64)
+    words = f"way {kind}: {door.width_m:.1f} m wide"
+    x, y = place.tolist()
+    return Change(kind, words, path_data([lines[:2], lines[2:]]), (x, y))
+
+
+def _middle(corners: Sequence[Sequence[int]]) -> tuple[int, int]:
+    x, y = np.mean(corners, axis=0).tolist()
+    return round(x), round(y)

@@ -1,0 +1,86 @@
+"""Figures as a person reads them, and what the features of a scan are called."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime
+
+from specmap_cli.core.text import legible
+
+_EPOCH_S = 1e8  # stamps below this count from the start of a robot or of a simulation
+_MINUTE, _HOUR = 60, 3600
+
+# The families of features by the beginning of their columns; the first that fits counts.
+_FAMILIES = (
+    ("difference_", "how much neighbouring beams differ"),
+    ("gaps_over_", "leaps between neighbouring beams"),
+    ("range_quantile_", "quantile of the ranges"),
+    ("range_extent", "longest against shortest range"),
+    ("range_", "spread of the ranges"),
+    ("area_convexity", "how convex the outline is"),
+    ("perimeter_convexity", "how convex the outline is"),
+    ("area", "area seen"),
+    ("perimeter", "length of the outline"),
+    ("circularity", "how round the outline is"),
+    ("compactness", "how round the outline is"),
+    ("hu_", "shape of the area, Hu's moments"),
+    ("no_return_share", "beams without a return"),
+    ("aspect_ratio", "long or square"),
+    ("centroid_distance", "distance of the walls from their middle"),
+    ("second_derivative", "how bumpy the outline is"),
+    ("fine_distance_", "pairs of points this far apart"),
+    ("distance_", "pairs of points this far apart"),
+    ("pieces", "smooth pieces of the outline"),
+    ("piece_", "smooth pieces of the outline"),
+    ("share_below_", "beams shorter than this"),
+    ("clipped_", "ranges cut at this length"),
+    ("pairs_", "pairs of wall points by distance and angle"),
+    ("boundary_", "length of the walls seen"),
+    ("ring_", "walls at this distance"),
+    ("harmonic_", "rhythm of the ranges round the robot"),
+)
+
+
+def feature_words(feature: str) -> str:
+    """What a feature is about; empty for one of another package."""
+    return next((words for start, words in _FAMILIES if feature.startswith(start)), "")
+
+
+def clock(seconds: float) -> str:
+    """`7:05`, or `1:02:03`."""
+    whole = round(seconds)
+    hours, rest = divmod(whole, _HOUR)
+    minutes, left = divmod(rest, _MINUTE)
+    return f"{hours}:{minutes:02d}:{left:02d}" if hours else f"{minutes}:{left:02d}"
+
+
+def lasting(seconds: float) -> str:
+    """`42 s`, `7 min`, `1 h 5 min`."""
+    if seconds < 2 * _MINUTE:
+        return f"{seconds:.0f} s"
+    hours, minutes = divmod(round(seconds / _MINUTE), 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min"
+
+
+def moment(stamp_s: float | None) -> str:
+    """A stamp as date and time in UTC; as seconds where it counts from no known day."""
+    if stamp_s is None:
+        return ""
+    if stamp_s < _EPOCH_S:
+        return f"{stamp_s:.1f} s"
+    return datetime.fromtimestamp(stamp_s, tz=UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def percent(share: float | None) -> str:
+    """`93 %`."""
+    return "" if share is None else f"{100.0 * share:.0f} %"
+
+
+def figure(value: float | None, places: int = 2) -> str:
+    """A number with some decimals; a dash where there is none. The minus is a real one."""
+    return "–" if value is None else f"{value:,.{places}f}".replace("-", "−")
+
+
+def shown(text: str) -> str:
+    """A person's text on one line: no control characters, no endless blanks."""
+    return legible(re.sub(r"\s+", " ", text).strip())

@@ -1,0 +1,125 @@
+"""Pages of the small house, and of a map that was built of a recording; each made once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.config import load_config
+from specmap_cli.core.findings import Finding, Quality
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.map_server import write_grid
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.pipelines.build import build_map
+from specmap_cli.pipelines.report import report_map
+from specmap_cli.pipelines.simulate import SimulationResult
+from specmap_cli.report.evidence import Evidence, Learned, Likeness, Look, SplitLook
+from specmap_cli.report.page import render
+from specmap_cli.topology.topological_map import Door
+from tests.report.browser import Browser, installed
+
+# A name that somebody typed, and that would be markup if nobody minded.
+HOSTILE = "\"'><script>alert(1)</script>&"
+
+
+@pytest.fixture
+def house(tmp_path: Path, result: MapResult) -> StoredMap:
+    """The map directory of the small house: hostile texts, two doors, findings."""
+    topology = result.topology
+    submaps = dict(topology.submaps)
+    submaps[1] = replace(submaps[1], name=HOSTILE, properties={HOSTILE: HOSTILE, "floor": 2})
+    closures = tuple(replace(each, reason=f"{HOSTILE} {each.reason}") for each in topology.closures)
+    doors = (
+        Door(id=0, x=-3.0, y=1.25, width_m=0.9, theta=1.5, between=(0, 1)),
+        Door(id=1, x=3.0, y=1.5, width_m=0.8, theta=1.5, between=(0, 2), forbidden=True),
+    )
+    findings = (
+        Finding(code="hole-in-log", severity="note", message=f"a gap {HOSTILE}"),
+        Finding(code="walls-disagree", severity="doubtful", message="walls", place=(1.0, 0.5)),
+    )
+    changed = replace(topology, submaps=submaps, closures=closures, doors=doors)
+    logs = tuple(replace(log, name=f"{HOSTILE}.mcap") for log in result.logs)
+    out = tmp_path / "house"
+    out.mkdir()
+    quality = Quality(findings=findings)
+    write_map(out, replace(result, topology=changed, logs=logs, quality=quality))
+    return read_map(out)
+
+
+@pytest.fixture
+def evidence() -> Evidence:
+    """What might be found out about the house."""
+    looks = (Look("area", 0.5), Look(HOSTILE, 0.25))
+    nodes = np.array([[0.0, 0.0], [1.0, 0.5], [-3.0, 3.5]])
+    tests = tuple(
+        SplitLook(
+            keyframe=keyframe,
+            eigenvalues=np.array([1.0, 0.9, 0.4]),
+            chosen=chosen,
+            split=bool(chosen),
+            nodes=nodes,
+            sides=np.array([1.0, 0.5, -1.0]),
+        )
+        for keyframe, chosen in ((5, 0), (12, 1), (20, 2))
+    )
+    return Evidence(
+        learned={1: Learned(looks=looks, scans=10, right=0.9, alike=(Likeness(2, 0.7),))},
+        fit=np.linspace(0.4, 1.0, 30),
+        tests=tests,
+        threshold=0.8,
+        notes=(f"a note {HOSTILE}",),
+    )
+
+
+@pytest.fixture
+def page(house: StoredMap, evidence: Evidence) -> str:
+    """The page of the house."""
+    return render(house, evidence)
+
+
+@pytest.fixture(scope="session")
+def flat_map(flat_log: SimulationResult, tmp_path_factory: pytest.TempPathFactory) -> StoredMap:
+    """The map of two laps through the flat. Not to be changed."""
+    out = tmp_path_factory.mktemp("report") / "flat"
+    overrides = {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
+    build_map(flat_log.log, out, load_config(overrides=overrides))
+    return read_map(out)
+
+
+@pytest.fixture
+def plan_yaml(flat: GridMap, tmp_path: Path) -> Path:
+    """The plan of the flat as a map file."""
+    write_grid(tmp_path / "plan", flat)
+    return tmp_path / "plan.yaml"
+
+
+@pytest.fixture(scope="session")
+def flat_page(flat_map: StoredMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its page as a file."""
+    path = tmp_path_factory.mktemp("page") / "flat.html"
+    path.write_text(report_map(flat_map), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Browser]:
+    """A headless Chromium; without one the test is skipped."""
+    program = installed()
+    if program is None:
+        pytest.skip("no Chromium is installed: the page is not tried in a browser")
+    with Browser(program) as browser:
+        yield browser
+
+
+@pytest.fixture
+def browser(chromium: Browser, flat_page: Path) -> Browser:
+    """The same with the page of the flat open, as large as on a desk."""
+    chromium.prefers(color_scheme="light", reduced_motion="reduce")
+    chromium.size(1280, 900)
+    chromium.open(flat_page)
+    return chromium

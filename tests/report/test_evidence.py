@@ -1,0 +1,102 @@
+"""What is found out for a report: from the scans and the classifiers of a map."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.progress import Silent
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.build import build_map
+from specmap_cli.pipelines.map_evidence import evidence_of
+from specmap_cli.pipelines.report import report_map
+from specmap_cli.pipelines.segment import segment_map
+from specmap_cli.pipelines.simulate import SimulationResult
+from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost
+from specmap_cli.recognition.learning.looks import feature_shares
+from specmap_cli.report.evidence import Evidence
+
+
+@pytest.fixture(scope="module")
+def found(flat_map: StoredMap) -> Evidence:
+    return evidence_of(flat_map, Silent())
+
+
+def test_scans_fit_the_walls_that_they_made(found: Evidence, flat_map: StoredMap) -> None:
+    assert found.fit is not None
+    assert len(found.fit) == len(flat_map.labels.stamps_ns)
+    assert np.nanmedian(found.fit) > 0.9
+    assert np.nanmax(found.fit) <= 1.0
+
+
+def test_every_submap_is_told_and_likened_to_others(found: Evidence, flat_map: StoredMap) -> None:
+    assert sorted(found.learned) == flat_map.ids
+    for id_, learned in found.learned.items():
+        assert learned.right > 0.8
+        assert 0 < learned.scans <= 60
+        assert id_ not in {one.submap for one in learned.alike}
+        shares = [one.share for one in learned.alike]
+        assert shares == sorted(shares, reverse=True)
+        assert sum(shares) == pytest.approx(1.0, abs=0.05)
+        assert sum(look.share for look in learned.looks) <= 1.0 + 1e-9
+
+
+def test_the_tests_are_those_of_the_build(
+    found: Evidence, flat_map: StoredMap, flat_log: SimulationResult, tmp_path: Path
+) -> None:
+    pictures = tmp_path / "tests"
+    build_map(flat_log.log, tmp_path / "map", flat_map.config, explain=pictures)
+    assert len(found.tests) == len(list(pictures.iterdir()))
+    assert any(one.split for one in found.tests)
+    grid = flat_map.map_grid
+    for one in found.tests:
+        assert one.split <= (one.eigenvalue > found.threshold)
+        assert len(one.nodes) == len(one.sides)
+        assert grid.inside(grid.cells_of(one.nodes)).all()  # in the map, not as registered
+
+
+def test_a_map_without_scans_says_so(flat_map: StoredMap, tmp_path: Path) -> None:
+    own = Path(shutil.copytree(flat_map.path, tmp_path / "own"))
+    (own / "keyframes.mcap").unlink()
+    found = evidence_of(read_map(own), Silent())
+    assert found.tests == ()
+    assert found.fit is None
+    assert found.learned[0].looks
+    assert found.learned[0].scans == 0
+    (note,) = found.notes
+    assert "keeps no scans" in note
+
+
+def test_a_divided_plan_has_a_page(plan_yaml: Path, tmp_path: Path) -> None:
+    segment_map(plan_yaml, tmp_path / "rooms")
+    page = report_map(tmp_path / "rooms")
+    assert page.count('class="region"') == len(read_map(tmp_path / "rooms").ids) > 2
+    assert 'id="time"' not in page
+    assert "No classifiers" in page
+
+
+def test_the_older_map_is_drawn(flat_map: StoredMap) -> None:
+    page = report_map(flat_map, flat_map)
+    assert 'class="old-walls"' in page
+    assert "identical to" in page
+
+
+def test_stumps_share_by_their_votes() -> None:
+    X = np.array([[0.0, 5.0], [1.0, 5.0], [2.0, 5.0], [3.0, 5.0]])
+    y = np.array([-1, -1, 1, 1])
+    assert feature_shares(StumpBoost(("a", "b")).fit(X, y)).tolist() == [1.0, 0.0]
+    assert feature_shares(StumpBoost(("a", "b"))).tolist() == [0.0, 0.0]
+
+
+def test_trees_share_by_how_far_apart_their_votes_lie() -> None:
+    def split(feature: str) -> dict[str, object]:
+        return {"feature": feature, "threshold": 0.5}
+
+    tree = {"root": split("a"), "below": split("b"), "above": split("c")}
+    data = {"kind": "trees", "rounds": [{**tree, "votes": [-1.0, -1.0, 1.0, 3.0]}]}
+    shares = feature_shares(TreeBoost.from_dict(data, ("a", "b", "c", "d")))
+    # the root parts -1 from 2, on average; the node above parts 1 from 3 for every second scan
+    assert shares == pytest.approx([0.75, 0.0, 0.25, 0.0])

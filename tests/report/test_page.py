@@ -1,0 +1,260 @@
+"""The page as text: everything there, everything escaped, nothing from elsewhere."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from collections import Counter
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.grids.bent import BentMotion
+from specmap_cli.maps.comparison import ComparisonRecord
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.report.evidence import Changes, Evidence
+from specmap_cli.report.page import render
+from specmap_cli.report.spectra import MOST_TESTS
+from tests.report.conftest import HOSTILE
+
+LAYERS = {"regions", "walls", "badges", "doors", "ways", "track", "findings", "accepted", "refused"}
+VOID = {"meta", "link", "img", "input", "br", "path", "circle", "rect"}
+
+
+class Read(HTMLParser):
+    """A page read by somebody else's parser: tags, attributes, texts; open tags must be closed."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self.open: list[str] = []
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert len({name for name, _ in attrs}) == len(attrs), attrs
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+    def of(self, tag: str) -> list[dict[str, str | None]]:
+        """The attributes of all tags of a kind."""
+        return [attributes for name, attributes in self.tags if name == tag]
+
+    @property
+    def data(self) -> dict[str, object]:
+        """What the script gets."""
+        return dict(json.loads(next(text for text in self.texts if text.startswith('{"height"'))))
+
+
+def test_whatever_somebody_wrote_stays_text(page: str) -> None:
+    read = Read(page)
+    assert read.open == []
+    assert Counter(tag for tag, _ in read.tags)["script"] == 2  # data, and ours
+    assert "<script>alert" not in page
+    names = [text for text in read.texts if HOSTILE in text]
+    assert len(names) > 10  # name, property, note, finding, reason, recording, feature
+    handlers = [name for _, attributes in read.tags for name in attributes if name.startswith("on")]
+    assert handlers == []
+
+
+def test_the_data_of_the_script_cannot_end_it(page: str) -> None:
+    read = Read(page)
+    assert read.data["names"] == {"0": "submap 0", "1": HOSTILE, "2": "submap 2"}
+
+
+def test_every_layer_is_there_and_can_be_hidden(page: str) -> None:
+    read = Read(page)
+    drawn = {attributes.get("data-layer") for _, attributes in read.tags} - {None}
+    boxes = {attributes.get("data-shows") for attributes in read.of("input")} - {None}
+    assert drawn >= LAYERS
+    assert boxes == LAYERS
+    paths = [attributes["d"] for attributes in read.of("path")]
+    assert [each for each in paths if not re.fullmatch(r"[MlhHz\d\s-]*", each or "")] == []
+
+
+def test_nothing_comes_from_elsewhere(page: str) -> None:
+    read = Read(page)
+    places = [
+        value
+        for _, attributes in read.tags
+        for name, value in attributes.items()
+        if name in {"src", "href", "xlink:href", "action", "srcset", "data"}
+    ]
+    assert places
+    assert all(place and place.startswith(("#", "data:image/png;base64,")) for place in places)
+    assert "@import" not in page
+    assert "url(" not in page
+    # the one address is the name of a format, which no browser asks for
+    assert set(re.findall(r"\w+://[\w./-]+", page)) == {"http://www.w3.org/2000/svg"}
+
+
+def test_the_browser_runs_no_script_but_ours(page: str) -> None:
+    read = Read(page)
+    (policy,) = (each["content"] for each in read.of("meta") if each.get("http-equiv"))
+    script = page.rsplit("<script>", 1)[1].split("</script>")[0]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert policy is not None
+    assert f"script-src 'sha256-{digest}'" in policy
+    assert policy.startswith("default-src 'none'")
+
+
+def test_the_same_map_gives_the_same_bytes(house: StoredMap, evidence: Evidence, page: str) -> None:
+    assert render(read_map(house.path), evidence) == page
+    assert len(page.encode()) < 150_000
+
+
+def test_a_submap_is_told_of_everywhere(page: str) -> None:
+    read = Read(page)
+    marked = [tag for tag, attributes in read.tags if attributes.get("data-submap") == "1"]
+    assert {"article", "tr", "g", "rect", "a"} <= set(marked)
+    text = " ".join(" ".join(read.texts).split())
+    assert "door 0" in text
+    assert "0.90 m" in text
+    assert "Of 10 of its own scans 90 % are told right" in text
+
+
+def test_doors_and_findings_are_marked_as_what_they_are(page: str) -> None:
+    read = Read(page)
+    groups = {each.get("id"): each.get("class") or "" for each in read.of("g")}
+    assert groups["door-1"].split() == ["door", "forbidden"]
+    (mark,) = (each for each in read.of("g") if each.get("data-finding"))
+    assert "severity-doubtful" in (mark["class"] or "")
+    (link,) = (each for each in read.of("button") if each.get("data-finding"))
+    assert link["data-finding"] == mark["data-finding"] == "1"  # the gravest comes first
+    assert "doubtful" in page
+
+
+def test_headings_and_names_for_those_who_hear_the_page(page: str) -> None:
+    read = Read(page)
+    assert [tag for tag, _ in read.tags if tag == "h1"] == ["h1"]
+    ids = [attributes["id"] for _, attributes in read.tags if attributes.get("id")]
+    assert len(ids) == len(set(ids))
+    labelled = {
+        attributes["aria-labelledby"]
+        for _, attributes in read.tags
+        if attributes.get("aria-labelledby")
+    }
+    assert labelled <= set(ids)
+    for _, attributes in read.tags:
+        if attributes.get("role") == "button":
+            assert attributes.get("aria-label")
+    assert all(each.get("alt") for each in read.of("img"))
+
+
+def changes_of(house: StoredMap) -> Changes:
+    """The house against one that lies a metre beside it, with a thing gone and a way closed."""
+    figures = {
+        "map": str(house.path),
+        "names": {0: "a", 1: HOSTILE, 2: "c"},
+        **{"submaps": 3, "edges": 2, "keyframes": 30, "path_m": 1.0, "duration_s": 29.0},
+        **{"area_m2": 40.0, "verdict": None},
+    }
+    thing = {
+        **{"x": 1.0, "y": 0.0, "length_m": 1.0, "width_m": 0.5, "area_m2": 0.5},
+        "corners": [(0.5, -0.25), (1.5, -0.25), (1.5, 0.25), (0.5, 0.25)],
+        **{"old_submap": 0, "new_submap": 0},
+    }
+    empty: dict[str, list[object]] = {
+        name: []
+        for name in ("same", "split", "merged", "new", "unseen", "redrawn_old", "redrawn_new")
+    }
+    record = ComparisonRecord.model_validate(
+        {
+            "schema_version": 1,
+            **{"old": figures, "new": figures, "identical": False},
+            "alignment": {
+                **{"old_from_new": (1.0, 0.0, 0.0), "votes": 3, "submaps": 3, "area_m2": 40.0},
+                **{"walls_m": 20.0, "residual_m": 0.0, "rival": 0.1},
+            },
+            "submaps": {**empty, "gone": [2]},
+            "doors": {
+                "closed": [{"between": (0, 1), "x": -3.0, "y": 1.25, "width_m": 0.9}],
+                "opened": [],
+            },
+            "things": {"appeared": [], "vanished": [thing]},
+        }
+    )
+    moved = BentMotion(Pose2(-1.0, 0.0, 0.0))
+    return Changes(old=house, record=record, lines=(f"gone: {HOSTILE}",), new_from_old=moved)
+
+
+def test_what_differs_from_an_older_map_is_drawn_where_it_is(
+    house: StoredMap, evidence: Evidence
+) -> None:
+    read = Read(render(house, evidence, changes_of(house)))
+    (vanished,) = (each for each in read.of("path") if each.get("class") == "change-vanished")
+    (closed,) = (each for each in read.of("path") if each.get("class") == "change-closed")
+    (old,) = (each for each in read.of("path") if each.get("class") == "old-walls")
+    (new,) = (each for each in read.of("path") if each.get("class") == "walls")
+    first = [re.match(r"M(-?\d+) (-?\d+)", each["d"] or "") for each in (old, new)]
+    (x, y), (u, v) = ((int(found[1]), int(found[2])) for found in first if found)
+    assert (u - x, v - y) == pytest.approx(
+        (100, 0), abs=1
+    )  # the old map lies a metre to the left of the new one
+    assert "l100 0 0-50-100 0z" in (vanished["d"] or "")
+    assert closed["data-tip"] == "way closed: 0.9 m wide"
+    assert any(HOSTILE in text for text in read.texts)
+    assert (f"Against {house.path.name}") in read.texts
+
+
+def test_a_map_without_evidence_has_a_page_without_these_parts(house: StoredMap) -> None:
+    read = Read(render(house, Evidence()))
+    assert not [each for each in read.of("div") if each.get("id") == "tests"]
+    assert not [each for each in read.of("select") if each.get("id") == "colours"]
+    assert "most like" not in " ".join(read.texts)
+
+
+def test_a_map_of_schema_1_has_a_page(house: StoredMap) -> None:
+    old = Path(__file__).parents[1] / "maps" / "topology_1.json"
+    (house.path / "topology.json").write_bytes(old.read_bytes())
+    read = Read(render(read_map(house.path), Evidence()))
+    assert any("schema 1" in text for text in read.texts)
+    assert len([each for each in read.of("g") if each.get("class") == "region"]) == 3
+
+
+def test_damage_is_told_in_one_line(house: StoredMap) -> None:
+    (house.path / "labels.csv").write_text("nonsense\n")
+    with pytest.raises(MapError, match=r"labels\.csv: line 1"):
+        render(read_map(house.path), Evidence())
+
+
+def test_a_run_that_somebody_changed_is_shown_as_far_as_it_is_one(
+    house: StoredMap, evidence: Evidence
+) -> None:
+    run = {"counts": {"scans": 30, "odd": "x"}, "seconds": {"a": "b"}, "inputs": 4, "config": {}}
+    (house.path / "run.json").write_text(json.dumps(run))
+    text = " ".join(Read(render(read_map(house.path), evidence)).texts)
+    assert "Counted" in text
+    assert "Seconds of each stage" not in text
+
+
+def test_what_is_left_out_is_said(house: StoredMap, evidence: Evidence) -> None:
+    many = replace(evidence, tests=evidence.tests * MOST_TESTS)
+    text = " ".join(Read(render(house, many)).texts)
+    assert f"Of {3 * MOST_TESTS:,} split tests {MOST_TESTS:,} are shown" in text
+    assert "split tests" not in " ".join(Read(render(house, evidence)).texts).split('"use')[0]
+
+
+def test_the_fit_has_its_own_colours(page: str) -> None:
+    read = Read(page)
+    styles = {each.get("style") or "" for each in read.of("path")}
+    assert {f"stroke:var(--fit-{k})" for k in range(5)} <= styles
+    assert f"stroke:var(--time-{11})" in styles

@@ -1,0 +1,196 @@
+"""What the page is made of: places, outlines, the way, colours, words."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.records import Labels
+from specmap_cli.drawing.palette import FILLS
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.recognition.features.sets import feature_names
+from specmap_cli.report import words
+from specmap_cli.report.colours import tones
+from specmap_cli.report.frame import Frame, path_data
+from specmap_cli.report.tracing import outlines
+from specmap_cli.report.track import MOST_POINTS, Track
+
+FRAME = Frame(-2.0, 8.0, 1000, 1000)
+TEXT = ("ink", "quiet", "way", "loose", "wrong")  # what words are written in
+BOTH = ("day", "night")
+
+
+def drawn(data: str) -> list[list[tuple[int, int]]]:
+    """The points of path data, read the way a browser does."""
+    lines: list[list[tuple[int, int]]] = []
+    for start, steps in re.findall(r"M(-?\d+ -?\d+)l?([-\d ]*)", data):
+        numbers = [int(each) for each in re.findall(r"-?\d+", steps)]
+        points = [tuple(map(int, start.split()))]
+        for dx, dy in zip(numbers[::2], numbers[1::2], strict=True):
+            x, y = points[-1]
+            points.append((x + dx, y + dy))
+        lines.append([(x, y) for x, y in points])
+    return lines
+
+
+@given(st.lists(st.tuples(st.integers(-9999, 9999), st.integers(-9999, 9999)), min_size=2))
+def test_a_line_comes_back_as_it_was_but_for_repeated_points(
+    points: list[tuple[int, int]],
+) -> None:
+    line = np.array(points)
+    moved = np.any(np.diff(line, axis=0) != 0, axis=1)
+    kept = line[np.concatenate([[True], moved])]
+    if moved.any():
+        assert drawn(path_data([line])) == [[tuple(point) for point in kept.tolist()]]
+    else:
+        assert path_data([line]) == f"M{points[0][0]} {points[0][1]}h0"
+
+
+def test_up_in_the_map_is_up_in_the_drawing() -> None:
+    assert FRAME.place((-2.0, 8.0)) == (0, 0)
+    assert FRAME.place((0.0, 7.5)) == (200, 50)
+
+
+def test_a_frame_holds_all_points_and_a_margin() -> None:
+    frame = Frame.around(np.array([[0.0, 0.0], [4.0, 2.0]]))
+    assert (frame.width, frame.height) == (500, 300)
+    assert frame.place((0.0, 0.0)) == (50, 250)
+
+
+def test_cells_keep_their_outline_and_their_holes() -> None:
+    cells = np.zeros((40, 60), dtype=bool)
+    cells[5:35, 10:50] = True
+    cells[15:25, 20:30] = False
+    rings = outlines(cells, GridMap(cells.astype(np.uint8), 0.1, (1.0, 2.0)))
+    rim, hole = sorted(rings, key=lambda ring: -np.ptp(ring[:, 0]))
+    # a quarter of a cell inside of the cells
+    assert rim.min(axis=0) == pytest.approx((1.0 + 1.025, 2.0 + 0.525))
+    assert rim.max(axis=0) == pytest.approx((1.0 + 4.975, 2.0 + 3.475))
+    assert np.ptp(hole, axis=0) == pytest.approx((1.05, 1.05))
+
+
+def test_slanted_stairs_become_a_line() -> None:
+    cells = np.tril(np.ones((50, 50), dtype=bool))
+    (ring,) = outlines(cells, GridMap(cells.astype(np.uint8), 0.1))
+    assert len(ring) < 8
+
+
+def labels_of(count: int) -> Labels:
+    """A way along x, a keyframe a second, in submaps 3, then 7."""
+    seconds = np.arange(count)
+    return Labels(
+        stamps_ns=1_700_000_000_000_000_000 + seconds * 1_000_000_000,
+        poses=np.column_stack([0.1 * seconds, np.zeros(count), np.zeros(count)]),
+        submaps=np.where(seconds < count // 2, 3, 7),
+    )
+
+
+def test_the_table_of_the_way_adds_up() -> None:
+    track = Track.of(labels_of(10), (), np.linspace(0.1, 1.0, 10))
+    table = track.table(FRAME)
+    assert np.cumsum(table["t"]).tolist() == list(range(0, 100, 10))
+    assert np.cumsum(table["x"]).tolist() == list(range(200, 300, 10))
+    assert set(np.cumsum(table["y"])) == {800}
+    assert table["s"] == [[3, 5], [7, 5]]
+    assert table["fit"] == list(range(10, 110, 10))
+    assert track.visits() == [(0.0, 5.0, 3), (5.0, 9.0, 7)]
+
+
+def test_between_recordings_no_time_passes_and_no_line_is_drawn() -> None:
+    labels = labels_of(40)
+    labels.stamps_ns[20:] += 86_400 * 10**9
+    labels.poses[20:, 1] += 7.0
+    track = Track.of(labels, (20,), None)
+    assert track.duration_s == 38.0
+    assert track.starts == (0.0, 19.0)
+    ys = [{y for _, y in line} for _, data in track.by_time(FRAME) for line in drawn(data)]
+    assert all(len(each) == 1 for each in ys)
+
+
+def test_a_long_way_is_thinned() -> None:
+    track = Track.of(labels_of(3 * MOST_POINTS), (), None)
+    assert len(track.seconds) == MOST_POINTS
+    assert track.known == 3 * MOST_POINTS
+    assert track.seconds[-1] == 3 * MOST_POINTS - 1
+    ends = [line[-1] for _, data in track.by_time(FRAME) for line in drawn(data)]
+    assert max(ends)[0] == FRAME.place((0.1 * (3 * MOST_POINTS - 1), 0.0))[0]
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance by WCAG 2."""
+    values = [int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
+    red, green, blue = (v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in values)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast of two colours by WCAG 2, 1 to 21."""
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("which", BOTH)
+def test_words_and_lines_are_legible(which: str) -> None:
+    colours = {name: getattr(tone, which) for name, tone in tones(FILLS).items()}
+    for name, colour in colours.items():
+        if name.startswith("fill") or name in ("paper", "shade", "hair"):
+            continue
+        # lines have a rim of paper wherever they run; words stand on paper
+        least = 4.5 if name in TEXT else 3.0
+        assert contrast(colour, colours["paper"]) >= least, name
+    for name, fill in colours.items():
+        if name.startswith("fill"):
+            assert contrast(colours["ink"], fill) >= 3.0, f"walls on {name}"
+
+
+def lab(colour: str) -> np.ndarray:
+    """CIELAB of a colour, by its definition."""
+    values = np.array([int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)])
+    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    to_xyz = np.array(
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    )
+    xyz = (to_xyz * linear).sum(axis=1) / (0.9505, 1.0, 1.089)
+    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16.0 / 116.0)
+    return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
+
+
+def test_regions_that_differ_by_day_differ_by_night() -> None:
+    fills = [tone for name, tone in tones(FILLS).items() if name.startswith("fill")]
+    for k, one in enumerate(fills):
+        for other in fills[:k]:
+            day = np.linalg.norm(lab(one.day) - lab(other.day))
+            night = np.linalg.norm(lab(one.night) - lab(other.night))
+            assert night >= 0.5 * day
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown", "length"),
+    [
+        (7, "0:07", "7 s"),
+        (65, "1:05", "65 s"),
+        (600, "10:00", "10 min"),
+        (3700, "1:01:40", "1 h 2 min"),
+    ],
+)
+def test_times_read_as_people_write_them(seconds: float, shown: str, length: str) -> None:
+    assert words.clock(seconds) == shown
+    assert words.lasting(seconds) == length
+
+
+def test_stamps_that_count_from_no_day_stay_seconds() -> None:
+    assert words.moment(1211.52) == "1211.5 s"
+    assert words.moment(1_700_000_000.0) == "2023-11-14 22:13:20 UTC"
+
+
+def test_a_person_s_text_takes_one_line() -> None:
+    assert words.shown("  a\n\tb\x1b[31m ") == "a b\\x1b[31m"
+
+
+def test_features_are_explained_where_they_are_ours() -> None:
+    assert [name for name in feature_names("full") if not words.feature_words(name)] == []
+    assert words.feature_words("somebody_else_s") == ""
