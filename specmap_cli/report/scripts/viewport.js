@@ -2,7 +2,10 @@
 
 const view = { x: 0, y: 0, width: data.width, height: data.height };
 const LARGEST = 80; // times the whole map
+const SETTLE_MS = 90; // after the last motion the map is drawn anew; until then its picture moves
 let stillFits = true;
+let drawn = null; // the view that the map was last drawn for
+let settling = null;
 
 function frameOf(box, margin = 0.04) {
   // the smallest view of the stage's proportions that shows a box [x, y, width, height]
@@ -31,11 +34,22 @@ function look(at) {
 }
 
 function paint() {
-  const perPixel = view.width / stage.clientWidth;
-  map.setAttribute("viewBox", `${view.x} ${view.y} ${view.width} ${view.height}`);
-  map.style.setProperty("--px", perPixel * badgeScale());
   map.classList.toggle("zoomed", !stillFits);
-  drawScale(perPixel);
+  drawScale(view.width / stage.clientWidth);
+  clearTimeout(settling);
+  if (!drawn) return redraw();
+  // a large map takes long to draw: while it moves, the picture that is there is moved
+  const perPixel = view.width / stage.clientWidth, scale = drawn.width / view.width;
+  const x = (drawn.x - view.x) / perPixel, y = (drawn.y - view.y) / perPixel;
+  map.style.transform = `translate(${x}px, ${y}px) scale(${scale})`;
+  settling = setTimeout(redraw, SETTLE_MS);
+}
+
+function redraw() {
+  drawn = { ...view };
+  map.style.transform = "";
+  map.setAttribute("viewBox", `${view.x} ${view.y} ${view.width} ${view.height}`);
+  map.style.setProperty("--px", (view.width / stage.clientWidth) * badgeScale());
 }
 
 function badgeScale() {
@@ -166,10 +180,15 @@ map.addEventListener("keydown", (event) => {
   event.stopPropagation();
 });
 
-new ResizeObserver(() => (stillFits ? fit() : look(view))).observe(stage);
+new ResizeObserver(() => {
+  drawn = null;
+  stillFits ? fit() : look(view);
+}).observe(stage);
 addEventListener("beforeprint", () => {
+  clearTimeout(settling);
+  map.style.transform = "";
   map.setAttribute("viewBox", `0 0 ${data.width} ${data.height}`);
   map.style.setProperty("--px", Math.max(data.width, data.height) / 700);
 });
-addEventListener("afterprint", paint);
+addEventListener("afterprint", redraw);
 fit();
