@@ -29,8 +29,9 @@ from specmap_cli.maps import filenames
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.tables import labels_text
 from specmap_cli.pipelines.map_evidence import evidence_of
-from specmap_cli.report.evidence import Evidence, Learned, Likeness
+from specmap_cli.report.evidence import Evidence, Learned, Likeness, SplitLook
 from specmap_cli.report.page import render
+from specmap_cli.topology.topological_map import default_name
 from tests.report.browser import Browser, installed
 
 _APART_M, _MOST_DOORS = 1.0, 10_000
@@ -69,7 +70,9 @@ class Copies:
             moved = self._moved({**document, "graph": copied}, number)
             for door, same in zip(moved["graph"]["doors"], copied["doors"], strict=True):
                 door["id"] = same["id"] + number * _MOST_DOORS
-            whole["nodes"] += moved["nodes"]
+            whole["nodes"] += [
+                {**node, "name": default_name(node["id"])} for node in moved["nodes"]
+            ]
             whole["edges"] += moved["edges"]
             for key, part in parts.items():
                 part += moved["graph"][key]
@@ -101,7 +104,7 @@ class Copies:
         x, y = self.shift(number).tolist()
         if isinstance(part, dict):
             moved = {name: self._moved(value, number, name) for name, value in part.items()}
-            placed = "x" in part and part["x"] is not None and "transform" not in part
+            placed = part.get("x") is not None
             return moved | ({"x": part["x"] + x, "y": part["y"] + y} if placed else {})
         if key in ids and part is not None:
             return part + number * self.ids
@@ -154,9 +157,11 @@ class Copies:
     def found(self) -> Evidence:
         """The evidence of all copies."""
         assert self.evidence.fit is not None
-        learned, tests = {}, []
+        learned: dict[int, Learned] = {}
+        tests: list[SplitLook] = []
         for number in range(self.count):
-            more, move = number * self.ids, Pose2(*self.shift(number).tolist(), 0.0)
+            x, y = self.shift(number)
+            more, move = number * self.ids, Pose2(float(x), float(y), 0.0)
             learned |= {id_ + more: _told(one, more) for id_, one in self.evidence.learned.items()}
             tests += [
                 replace(

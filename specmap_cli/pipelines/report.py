@@ -9,6 +9,7 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
+from specmap_cli.pipelines.comparison_report import lines_of
 from specmap_cli.pipelines.map_evidence import evidence_of
 from specmap_cli.report.evidence import Changes
 from specmap_cli.report.page import render
@@ -41,10 +42,15 @@ def _opened(given: StoredMap | Path | str, name: str, limits: LimitsConfig | Non
 
 
 def _changes(found: Comparison) -> Changes:
-    """A comparison as the report draws it: on the new map."""
+    """A comparison as the report draws it: on the new map, without the places of the two on disk."""
+    record = found.record
+    named = {
+        which: getattr(record, which).model_copy(update={"map": stored.path.resolve().name})
+        for which, stored in (("old", found.old), ("new", found.new))
+    }
     return Changes(
         old=found.old,
-        record=found.record,
-        lines=tuple(found.lines()),
+        record=record,
+        lines=tuple(lines_of(record.model_copy(update=named))),
         new_from_old=found.old_from_new.inverse(),
     )

@@ -137,8 +137,9 @@ def links_of(ground: Ground) -> list[Link]:
 
 
 def doors_of(ground: Ground) -> list[DoorMark]:
-    """The doors of the map."""
-    frame = ground.frame
+    """The doors of the map. Where no robot drove, as through a floor plan, all are open alike."""
+    frame, records = ground.frame, ground.stored.record.graph.doors
+    nobody_drove = not any(record.driven for record in records)
     return [
         DoorMark(
             id=record.id,
@@ -146,10 +147,10 @@ def doors_of(ground: Ground) -> list[DoorMark]:
             middle=frame.place((record.x, record.y)),
             width_m=record.width_m,
             between=record.between,
-            driven=record.driven,
+            driven=record.driven or nobody_drove,
             forbidden=record.forbidden,
         )
-        for record in ground.stored.record.graph.doors
+        for record in records
     ]
 
 

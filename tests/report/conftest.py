@@ -35,7 +35,15 @@ def house(tmp_path: Path, result: MapResult) -> StoredMap:
     submaps[1] = replace(submaps[1], name=HOSTILE, properties={HOSTILE: HOSTILE, "floor": 2})
     closures = tuple(replace(each, reason=f"{HOSTILE} {each.reason}") for each in topology.closures)
     doors = (
-        Door(id=0, x=-3.0, y=1.25, width_m=0.9, theta=1.5, between=(0, 1)),
+        Door(
+            id=0,
+            x=-3.0,
+            y=1.25,
+            width_m=0.9,
+            theta=1.5,
+            between=(0, 1),
+            crossings=topology.edges[0, 1].traversals,
+        ),
         Door(id=1, x=3.0, y=1.5, width_m=0.8, theta=1.5, between=(0, 2), forbidden=True),
     )
     findings = (

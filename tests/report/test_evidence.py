@@ -81,7 +81,8 @@ def test_a_divided_plan_has_a_page(plan_yaml: Path, tmp_path: Path) -> None:
 def test_the_older_map_is_drawn(flat_map: StoredMap) -> None:
     page = report_map(flat_map, flat_map)
     assert 'class="old-walls"' in page
-    assert "identical to" in page
+    assert "flat: identical to flat" in page
+    assert str(flat_map.path) not in page
 
 
 def test_stumps_share_by_their_votes() -> None:

@@ -134,6 +134,7 @@ def test_a_submap_is_told_of_everywhere(page: str) -> None:
 def test_doors_and_findings_are_marked_as_what_they_are(page: str) -> None:
     read = Read(page)
     groups = {each.get("id"): each.get("class") or "" for each in read.of("g")}
+    assert groups["door-0"].split() == ["door", "driven"]
     assert groups["door-1"].split() == ["door", "forbidden"]
     (mark,) = (each for each in read.of("g") if each.get("data-finding"))
     assert "severity-doubtful" in (mark["class"] or "")

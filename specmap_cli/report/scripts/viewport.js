@@ -50,6 +50,7 @@ function redraw() {
   map.style.transform = "";
   map.setAttribute("viewBox", `${view.x} ${view.y} ${view.width} ${view.height}`);
   map.style.setProperty("--px", (view.width / stage.clientWidth) * badgeScale());
+  map.classList.toggle("crowded", badgeScale() < 0.8);
 }
 
 function badgeScale() {
