@@ -42,7 +42,7 @@ def _opened(given: StoredMap | Path | str, name: str, limits: LimitsConfig | Non
 
 
 def _changes(found: Comparison) -> Changes:
-    """A comparison as the report draws it: on the new map, without the places of the two on disk."""
+    """A comparison as the report draws it: on the new map, both named without their folders."""
     record = found.record
     named = {
         which: getattr(record, which).model_copy(update={"map": stored.path.resolve().name})

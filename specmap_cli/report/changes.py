@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.maps.comparison import DoorRecord, ThingRecord
+from specmap_cli.maps.comparison import ComparisonRecord, DoorRecord, ThingRecord
 from specmap_cli.report.evidence import Changes
 from specmap_cli.report.frame import Frame, path_data
 from specmap_cli.report.ground import Ground
@@ -31,12 +31,15 @@ class Change:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OldMap:
-    """The older map in the drawing of the new one: its walls, and the submaps that are no more."""
+    """The older map in the drawing of the new one: its walls, and the submaps that are no more.
+
+    `was` says of submaps of the new map what they were in the old one.
+    """
 
     name: str
     walls: str
     gone: str
-    added: tuple[int, ...]
+    was: Mapping[int, str]
     changes: tuple[Change, ...]
     lines: tuple[str, ...]
     identical: bool
@@ -52,11 +55,22 @@ def old_map(changes: Changes, ground: Ground) -> OldMap:
         gone=_carried(
             np.isin(old.regions.owner, lost), old.regions.grid, changes.new_from_old, frame
         ),
-        added=tuple(record.submaps.new),
+        was=_was(record),
         changes=tuple(_changes(changes, frame)),
         lines=changes.lines,
         identical=record.identical,
     )
+
+
+def _was(record: ComparisonRecord) -> dict[int, str]:
+    """What became of the submaps, by the ids of the new map."""
+    names, submaps = record.old.names, record.submaps
+    same = {one.new: names[one.old] for one in submaps.same}
+    split = {new: f"a part of {names[one.old]}" for one in submaps.split for new in one.new}
+    merged = {one.new: " and ".join(names[old] for old in one.old) for one in submaps.merged}
+    new = dict.fromkeys(submaps.new, "not there")
+    redrawn = dict.fromkeys(submaps.redrawn_new, "divided otherwise")
+    return redrawn | new | merged | split | same
 
 
 def _carried(cells: BoolArray, grid: GridMap, motion: BentMotion, frame: Frame) -> str:

@@ -8,6 +8,7 @@ import json
 import re
 from collections import Counter
 from dataclasses import replace
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -185,7 +186,11 @@ def changes_of(house: StoredMap) -> Changes:
                 **{"old_from_new": (1.0, 0.0, 0.0), "votes": 3, "submaps": 3, "area_m2": 40.0},
                 **{"walls_m": 20.0, "residual_m": 0.0, "rival": 0.1},
             },
-            "submaps": {**empty, "gone": [2]},
+            "submaps": {
+                **empty,
+                **{"gone": [2], "same": [{"old": 1, "new": 0, "iou": 0.9}]},
+                **{"new": [1], "split": [{"old": 0, "new": [2]}]},
+            },
             "doors": {
                 "closed": [{"between": (0, 1), "x": -3.0, "y": 1.25, "width_m": 0.9}],
                 "opened": [],
@@ -200,7 +205,8 @@ def changes_of(house: StoredMap) -> Changes:
 def test_what_differs_from_an_older_map_is_drawn_where_it_is(
     house: StoredMap, evidence: Evidence
 ) -> None:
-    read = Read(render(house, evidence, changes_of(house)))
+    page = render(house, evidence, changes_of(house))
+    read = Read(page)
     (vanished,) = (each for each in read.of("path") if each.get("class") == "change-vanished")
     (closed,) = (each for each in read.of("path") if each.get("class") == "change-closed")
     (old,) = (each for each in read.of("path") if each.get("class") == "old-walls")
@@ -212,7 +218,8 @@ def test_what_differs_from_an_older_map_is_drawn_where_it_is(
     )  # the old map lies a metre to the left of the new one
     assert "l100 0 0-50-100 0z" in (vanished["d"] or "")
     assert closed["data-tip"] == "way closed: 0.9 m wide"
-    assert any(HOSTILE in text for text in read.texts)
+    was = re.findall(r"<dt>in house</dt><dd>(.*?)</dd>", page)
+    assert [unescape(each) for each in was] == [HOSTILE, "not there", "a part of a"]
     assert (f"Against {house.path.name}") in read.texts
 
 
