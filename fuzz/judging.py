@@ -110,6 +110,8 @@ def map_commands(case: MapCase, folder: Path, intact: Path) -> Iterator[list[str
         "edit": ["edit", where, "--undo", "2", *made],
         "like": ["build", log, "--like", where, *made],
     }[case.keeper]
+    if has_command("report"):
+        yield ["report", where, "--out", str(folder / "out.html")]
 
 
 def _judge_log(case: LogCase, folder: Path, settings: Sequence[str]) -> Iterator[Failure]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
 
+from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import BoolArray, Labels
 from specmap_cli.drawing.palette import Colour, colours_of
@@ -18,6 +19,7 @@ from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.tum import read_trajectory
 from specmap_cli.report.frame import Frame
 from specmap_cli.report.words import shown
+from specmap_cli.topology.outlines import outline_of
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import starts_of
 
@@ -94,22 +96,31 @@ def middle_of(node: NodeRecord) -> tuple[float, float]:
 
 def _composed(stored: StoredMap) -> Regions:
     """The grids of all submaps laid out in the map, each the owner of what is free in it."""
-    pieces = [(node.id, node, stored.grid(node.id)) for node in stored.record.nodes]
-    if not pieces:
-        return Regions.of(GridMap(np.zeros((0, 0), dtype=np.uint8), 1.0), np.zeros((0, 0), int))
-    cell_m = min(grid.resolution for _, _, grid in pieces)
-    low, high = _corners(_placed(node, grid, ~(grid.cells == UNKNOWN)) for _, node, grid in pieces)
-    width, height = (int(side) + 2 for side in np.ceil((high - low) / cell_m))
-    corner = low - 0.5 * cell_m
-    origin = float(corner[0]), float(corner[1])
-    whole = GridMap(np.full((height, width), UNKNOWN, dtype=np.uint8), cell_m, origin)
+    pieces = [(node, stored.grid(node.id)) for node in stored.record.nodes]
+    whole = _canvas(stored, pieces)
     owner = np.full(whole.cells.shape, NOBODY, dtype=np.int64)
     for value in (FREE, OCCUPIED):
-        for id_, node, grid in pieces:
+        for node, grid in pieces:
             rows, columns = whole.cells_of(_placed(node, grid, grid.cells == value)).T
             whole.cells[rows, columns] = value
-            owner[rows, columns] = id_ if value == FREE else NOBODY
-    return Regions.of(whole, owner)
+            owner[rows, columns] = node.id if value == FREE else NOBODY
+    return Regions(
+        whole, owner, {node.id: outline_of(owner == node.id, whole) for node, _ in pieces}
+    )
+
+
+def _canvas(stored: StoredMap, pieces: Sequence[tuple[NodeRecord, GridMap]]) -> GridMap:
+    """An unknown grid that holds all that is known. MapError when it would be beyond all bounds."""
+    cell_m = min((grid.resolution for _, grid in pieces), default=1.0)
+    low, high = _corners(_placed(node, grid, grid.cells != UNKNOWN) for node, grid in pieces)
+    width, height = (int(side) + 2 for side in np.ceil((high - low) / cell_m))
+    if width * height > stored.limits.picture_max_mpixel * 1e6:
+        raise MapError(
+            f"{stored.path}: its submaps lie so far apart that a picture of them has "
+            f"{width:,} x {height:,} cells; if it is meant, raise limits.picture_max_mpixel"
+        )
+    left, bottom = (low - 0.5 * cell_m).tolist()
+    return GridMap(np.full((height, width), UNKNOWN, dtype=np.uint8), cell_m, (left, bottom))
 
 
 def _placed(node: NodeRecord, grid: GridMap, cells: BoolArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.sampling import evenly
 from specmap_cli.drawing.overview import drawn_as
 from specmap_cli.maps.schema_graph import ClosureRecord
+from specmap_cli.maps.schema_values import Span
 from specmap_cli.maps.way_conversion import door_of
 from specmap_cli.report.colours import fill_names
 from specmap_cli.report.frame import Frame, path_data
@@ -170,11 +171,20 @@ def _places_of_stays(ground: Ground) -> dict[int, FloatArray]:
     poses = ground.labels.poses
     found = {}
     for stay in ground.stored.record.graph.stays:
-        keyframes = np.concatenate([np.arange(first, last + 1) for first, last in stay.keyframes])
-        middle = int(keyframes[len(keyframes) // 2])
+        middle = _middle_of(stay.keyframes)
         if middle < len(poses):
             found[stay.number] = poses[middle, :2]
     return found
+
+
+def _middle_of(runs: Sequence[Span]) -> int:
+    """The keyframe in the middle of runs [first, last]."""
+    half = sum(last - first + 1 for first, last in runs) // 2
+    for first, last in runs:
+        if first + half <= last:
+            return first + half
+        half -= last - first + 1
+    return runs[-1][1]
 
 
 def _marks(

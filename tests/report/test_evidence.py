@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from specmap_cli.core.errors import MapError
 from specmap_cli.core.progress import Silent
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.build import build_map
@@ -76,6 +78,16 @@ def test_a_divided_plan_has_a_page(plan_yaml: Path, tmp_path: Path) -> None:
     assert page.count('class="region"') == len(read_map(tmp_path / "rooms").ids) > 2
     assert 'id="time"' not in page
     assert "No classifiers" in page
+
+
+def test_a_plan_torn_apart_is_refused(plan_yaml: Path, tmp_path: Path) -> None:
+    rooms = tmp_path / "rooms"
+    segment_map(plan_yaml, rooms)
+    document = json.loads((rooms / "topology.json").read_text())
+    document["nodes"][0]["x"] = 1e8
+    (rooms / "topology.json").write_text(json.dumps(document))
+    with pytest.raises(MapError, match="its submaps lie so far apart"):
+        report_map(rooms)
 
 
 def test_the_older_map_is_drawn(flat_map: StoredMap) -> None:
