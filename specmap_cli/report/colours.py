@@ -12,7 +12,7 @@ from specmap_cli.drawing import palette
 from specmap_cli.drawing.palette import Colour, darker, paler
 
 _DARKEST, _LIGHTEST = 12.0, 90.0  # CIELAB lightness of the paper and of the ink by night
-_FILL_DROP, _FILL_CHROMA = 38.0, 0.8  # by night a region is so much darker, and less colourful
+_FILL_DROP, _FILL_CHROMA = 44.0, 0.8  # by night a region is so much darker, and less colourful
 STEPS = 12  # of the colours of time
 _LATE = darker(palette.LOOSE, 0.9)
 

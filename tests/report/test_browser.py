@@ -176,6 +176,16 @@ def test_a_phone_need_not_scroll_sideways(browser: Browser, width: int) -> None:
     assert browser.run("document.documentElement.scrollWidth") <= width
 
 
+@pytest.mark.parametrize("size", [(1280, 900), (1920, 1080), (820, 1180), (390, 844)])
+def test_the_map_and_its_slider_fit_on_the_screen(browser: Browser, size: tuple[int, int]) -> None:
+    browser.size(*size)
+    high = browser.run(
+        "one('#time').getBoundingClientRect().bottom - stage.getBoundingClientRect().top"
+    )
+    assert high < size[1]
+    assert browser.run("stage.clientHeight") > 200
+
+
 def test_day_and_night(browser: Browser) -> None:
     ground = "getComputedStyle(document.body).backgroundColor"
     day = browser.run(ground)

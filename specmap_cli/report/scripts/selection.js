@@ -24,7 +24,7 @@ function choose(id, { move = true, focus = false } = {}) {
 function mark(id, isChosen) {
   for (const part of partsOf(id)) part.classList.toggle("chosen", isChosen);
   regions.get(id).setAttribute("aria-pressed", isChosen);
-  one("#outline").setAttribute("d", isChosen ? regions.get(id).dataset.rim : "");
+  one("#outline").setAttribute("d", isChosen ? one(".rim", regions.get(id)).getAttribute("d") : "");
 }
 
 function chooseNone() {

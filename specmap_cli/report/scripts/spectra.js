@@ -45,8 +45,8 @@ function drawNodes(nodes) {
   const marks = [];
   for (let k = 0; k < nodes.length; k += 3) {
     const [x, y, side] = nodes.slice(k, k + 3);
-    const shade = 0.25 + (0.75 * Math.abs(side)) / 9;
-    marks.push(svg("circle", { cx: x, cy: y, r: 9, class: side >= 0 ? "near-side" : "far-side", opacity: shade.toFixed(2) }));
+    const shade = 0.4 + (0.6 * Math.abs(side)) / 9;
+    marks.push(svg("circle", { cx: x, cy: y, r: 11, class: side >= 0 ? "near-side" : "far-side", opacity: shade.toFixed(2) }));
   }
   one("#test-nodes").replaceChildren(...marks);
 }
