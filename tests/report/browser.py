@@ -137,6 +137,11 @@ class Browser:
         button = {"button": "left", "clickCount": 1} if pressed else {}
         self._send("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": y, **button, **more})
 
+    def touch(self, kind: str, *points: tuple[float, float]) -> None:
+        """One event of some fingers."""
+        fingers = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
+        self._send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
+
     def picture(self, *, whole: bool = False) -> bytes:
         """The window as a PNG, or the whole page."""
         sent = {"format": "png", "captureBeyondViewport": whole}

@@ -125,9 +125,10 @@ def chromium() -> Iterator[Browser]:
 
 
 @pytest.fixture
-def browser(chromium: Browser, flat_page: Path) -> Browser:
-    """The same with the page of the flat open, as large as on a desk."""
+def browser(chromium: Browser, flat_page: Path) -> Iterator[Browser]:
+    """The same with the page of the flat open, as large as on a desk; it must not complain."""
     chromium.prefers(color_scheme="light", reduced_motion="reduce")
     chromium.size(1280, 900)
     chromium.open(flat_page)
-    return chromium
+    yield chromium
+    assert chromium.errors == []

@@ -20,6 +20,7 @@ from specmap_cli.grids.bent import BentMotion
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.report.evidence import Changes, Evidence
+from specmap_cli.report.layers import MOST_REFUSED
 from specmap_cli.report.page import render
 from specmap_cli.report.spectra import MOST_TESTS
 from tests.report.conftest import HOSTILE
@@ -259,6 +260,33 @@ def test_what_is_left_out_is_said(house: StoredMap, evidence: Evidence) -> None:
     text = " ".join(Read(render(house, many)).texts)
     assert f"Of {3 * MOST_TESTS:,} split tests {MOST_TESTS:,} are shown" in text
     assert "split tests" not in " ".join(Read(render(house, evidence)).texts).split('"use')[0]
+
+
+def test_lost_scans_are_marked_where_they_were_guessed(
+    house: StoredMap, evidence: Evidence
+) -> None:
+    tum = house.path / "trajectory.tum"
+    first, second, *rest = tum.read_text().splitlines(keepends=True)
+    tum.write_text("".join([first, "# lost: a guess\n", second, "# found\n", *rest]))
+    read = Read(render(read_map(house.path), evidence))
+    assert len([each for each in read.of("path") if each.get("class") == "lost"]) == 1
+    assert "of 30 scans lost" in read.texts
+
+
+def test_of_many_refused_closures_those_with_the_largest_xi_are_drawn(
+    house: StoredMap, evidence: Evidence
+) -> None:
+    document = json.loads((house.path / "topology.json").read_text())
+    (refused,) = (each for each in document["graph"]["closures"] if not each["accepted"])
+    many = [{**refused, "xi": 0.001 * k} for k in range(2 * MOST_REFUSED)]
+    document["graph"]["closures"] = many
+    (house.path / "topology.json").write_text(json.dumps(document))
+    read = Read(render(read_map(house.path), evidence))
+    drawn = [each for each in read.of("path") if each.get("class") == "closure-refused"]
+    assert len(drawn) == MOST_REFUSED
+    assert f"(xi {0.001 * (2 * MOST_REFUSED - 1):.2f})" in (drawn[0]["data-tip"] or "")
+    said = f"Of {2 * MOST_REFUSED:,} refused closures the {MOST_REFUSED:,} with the largest"
+    assert any(said in text for text in read.texts)
 
 
 def test_the_fit_has_its_own_colours(page: str) -> None:

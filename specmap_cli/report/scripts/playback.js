@@ -27,7 +27,6 @@ function placeAt(seconds) {
 
 function showTime(seconds, follow = false) {
   const at = placeAt(seconds), submap = track.submaps[at.index];
-  robot.hidden = false;
   robot.removeAttribute("hidden");
   robot.style.setProperty("--x", `${at.x}px`);
   robot.style.setProperty("--y", `${at.y}px`);
@@ -76,6 +75,8 @@ function play() {
   one("#play").textContent = "❚❚";
   one("#play").setAttribute("aria-label", "Pause");
 }
+
+if (slider) showTime(0);
 
 slider?.addEventListener("input", () => {
   if (playing) stop();

@@ -16,7 +16,7 @@ function choose(id, { move = true, focus = false } = {}) {
   one("#panel").scrollTop = 0;
   for (const bar of all(".strip rect")) bar.classList.toggle("dull", bar.dataset.submap !== id);
   if (move && !isSeen(numbers(regions.get(id).dataset.at))) goTo(numbers(regions.get(id).dataset.box), 0.6);
-  history.replaceState(null, "", `#submap-${id}`);
+  writeAddress(`#submap-${id}`);
   say(`${data.names[id]} is chosen`);
   if (focus) one(`#sheet-${id}`).focus({ preventScroll: true });
 }
@@ -27,13 +27,21 @@ function mark(id, isChosen) {
   one("#outline").setAttribute("d", isChosen ? one(".rim", regions.get(id)).getAttribute("d") : "");
 }
 
+function writeAddress(hash) {
+  try {
+    history.replaceState(null, "", hash);
+  } catch {
+    // a page shown inside another one may not change its address
+  }
+}
+
 function chooseNone() {
   if (chosen === null) return;
   mark(chosen, false);
   chosen = null;
   one("#no-sheet").hidden = false;
   for (const bar of all(".strip rect")) bar.classList.remove("dull");
-  history.replaceState(null, "", location.pathname + location.search);
+  writeAddress("#");
 }
 
 document.addEventListener("click", (event) => {

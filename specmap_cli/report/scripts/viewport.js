@@ -41,13 +41,14 @@ function paint() {
   // a large map takes long to draw: while it moves, the picture that is there is moved
   const perPixel = view.width / stage.clientWidth, scale = drawn.width / view.width;
   const x = (drawn.x - view.x) / perPixel, y = (drawn.y - view.y) / perPixel;
+  map.style.willChange = "transform";
   map.style.transform = `translate(${x}px, ${y}px) scale(${scale})`;
   settling = setTimeout(redraw, SETTLE_MS);
 }
 
 function redraw() {
   drawn = { ...view };
-  map.style.transform = "";
+  map.style.transform = map.style.willChange = "";
   map.setAttribute("viewBox", `${view.x} ${view.y} ${view.width} ${view.height}`);
   map.style.setProperty("--px", (view.width / stage.clientWidth) * badgeScale());
   map.classList.toggle("crowded", badgeScale() < 0.8);
