@@ -51,14 +51,14 @@ function redraw() {
   map.style.transform = map.style.willChange = "";
   map.setAttribute("viewBox", `${view.x} ${view.y} ${view.width} ${view.height}`);
   map.style.setProperty("--px", (view.width / stage.clientWidth) * badgeScale());
-  map.classList.toggle("crowded", badgeScale() < 0.8);
+  map.classList.toggle("crowded", badgeScale() < 0.7);
 }
 
 function badgeScale() {
   // many rooms on a small screen: smaller badges, down to a half
   const rooms = Math.max(1, Object.keys(data.names).length);
-  const room = Math.sqrt((stage.clientWidth * stage.clientHeight) / rooms) * (wholeView().width / view.width);
-  return Math.min(1, Math.max(0.45, room / 70));
+  const side = Math.sqrt((data.width * data.height) / rooms) * (stage.clientWidth / view.width);
+  return Math.min(1, Math.max(0.45, side / 80));
 }
 
 function drawScale(perPixel) {
