@@ -36,6 +36,7 @@ def export(
     csv         submaps, links and doors as tables, in a zip
     pose-graph  the layout's graph as g2o, for GTSAM and g2o
     foxglove    map, graph, trajectory and scans over time, as an MCAP
+    rerun       the same as an .rrd; needs `pip install 'specmap-cli[rerun]'`
     geojson     outlines, doors and ways in metres of the map, for QGIS
     graphml     the graph alone, for yEd, Gephi and networkx
 

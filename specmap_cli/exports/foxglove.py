@@ -21,7 +21,15 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.exports.fields import Fields
 from specmap_cli.exports.foxglove_scene import graph_scene, submap_scene
 from specmap_cli.exports.foxglove_schemas import FOXGLOVE, UINT8
-from specmap_cli.exports.layers import Layer, colours, driven, layers, scans_of, start_of
+from specmap_cli.exports.layers import (
+    LAYER_STEP_M,
+    Layer,
+    colours,
+    driven,
+    layers,
+    scans_of,
+    start_of,
+)
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.even_bearings import EvenSpacing
 from specmap_cli.maps.store import StoredMap
@@ -29,7 +37,6 @@ from specmap_cli.maps.store import StoredMap
 BASE_FRAME = "base_link"
 _CHUNK_BYTES = 512 * 1024
 _NS = 1_000_000_000
-_LAYER_STEP_M = 0.005  # each grid lies on the one before
 _MM_PER_M = 1000.0  # ranges are kept to a millimetre, as in keyframes.mcap
 
 
@@ -140,7 +147,7 @@ def _grid(layer: Layer, frame: str, number: int, stamp: Fields) -> Fields:
     return {
         "timestamp": stamp,
         "frame_id": frame,
-        "pose": _pose(corner, number * _LAYER_STEP_M),
+        "pose": _pose(corner, number * LAYER_STEP_M),
         "column_count": width,
         "cell_size": {"x": layer.resolution, "y": layer.resolution},
         "row_stride": 4 * width,

@@ -18,14 +18,12 @@ from specmap_cli.exports.fields import (
     known,
 )
 from specmap_cli.exports.foxglove_schemas import LINE_LOOP, LINE_STRIP
-from specmap_cli.exports.layers import Rgb
+from specmap_cli.exports.layers import WAY, Rgb, darker, door_colour, link_colour, link_line
 from specmap_cli.maps.schema import EdgeRecord, NodeRecord, TopologyRecord
 from specmap_cli.maps.schema_graph import DoorRecord
 from specmap_cli.maps.schema_values import Point
 from specmap_cli.maps.way_conversion import door_of
 
-_WAY, _UNDRIVEN, _CLOSED, _DOOR = (24, 88, 160), (118, 124, 130), (214, 24, 40), (122, 74, 36)
-_DARK = 0.6  # of a fill: a line and a name on it are read
 _LINE_PX, _NO_WAY_PX, _OUTLINE_PX, _TEXT_PX = 3.0, 1.0, 2.0, 14.0
 _ANCHOR_M = 0.25
 # Heights at which things lie above the map, metres: each is seen on those below.
@@ -50,14 +48,14 @@ def submap_scene(record: TopologyRecord, stamp: Fields, fills: Mapping[int, Rgb]
 def graph_scene(record: TopologyRecord, stamp: Fields) -> dict[str, Any]:
     """Anchors, ways and doors; a link without a way leads straight over its crossing, thin."""
     frame = record.graph.frame
-    places = {node.id: node.anchor or centre_of(node) for node in record.nodes}
+    nodes = {node.id: node for node in record.nodes}
     return {
         "entities": [
             *_anchors(record, frame, stamp),
             *(
                 {
                     **_entity(_link_id(edge), frame, stamp, fields_of(edge, LINK)),
-                    "lines": [_way(edge, places)],
+                    "lines": [_way(edge, nodes)],
                 }
                 for edge in record.edges
             ),
@@ -77,7 +75,7 @@ def _anchors(record: TopologyRecord, frame: str, stamp: Fields) -> Iterator[dict
     for node in record.nodes:
         if node.anchor is not None:
             pose = _at(node.anchor, _ANCHOR_Z)
-            sphere = {"pose": pose, "size": size, "color": _colour(_WAY)}
+            sphere = {"pose": pose, "size": size, "color": _colour(WAY)}
             told = {"clearance_m": node.anchor_clearance_m}
             yield {**_entity(f"anchor {node.id}", frame, stamp, told), "spheres": [sphere]}
 
@@ -98,7 +96,7 @@ def _entity(id_: str, frame: str, stamp: Fields, told: Fields) -> dict[str, Any]
 
 
 def _outline(node: NodeRecord, fill: Rgb) -> dict[str, Any]:
-    return _line(node.polygon, _darker(fill), _OUTLINE_PX, _OUTLINE_Z, LINE_LOOP)
+    return _line(node.polygon, darker(fill), _OUTLINE_PX, _OUTLINE_Z, LINE_LOOP)
 
 
 def _name(node: NodeRecord, fill: Rgb) -> dict[str, Any]:
@@ -107,22 +105,18 @@ def _name(node: NodeRecord, fill: Rgb) -> dict[str, Any]:
         "billboard": True,
         "font_size": _TEXT_PX,
         "scale_invariant": True,
-        "color": _colour(_darker(fill)),
+        "color": _colour(darker(fill)),
         "text": node.name,
     }
 
 
-def _way(edge: EdgeRecord, places: Mapping[int, Point]) -> dict[str, Any]:
-    crossing = [] if edge.x is None or edge.y is None else [(edge.x, edge.y)]
-    line = edge.path or [places[edge.source], *crossing, places[edge.target]]
-    colour = _WAY if edge.path and edge.traversals else _UNDRIVEN
+def _way(edge: EdgeRecord, nodes: Mapping[int, NodeRecord]) -> dict[str, Any]:
     width_px = _LINE_PX if edge.path else _NO_WAY_PX
-    return _line(line, _CLOSED if edge.forbidden else colour, width_px, _WAY_Z)
+    return _line(link_line(edge, nodes), link_colour(edge), width_px, _WAY_Z)
 
 
 def _door(door: DoorRecord) -> dict[str, Any]:
-    colour = _CLOSED if door.forbidden else _DOOR
-    return _line(door_of(door).sides, colour, 2.0 * _LINE_PX, _WAY_Z)
+    return _line(door_of(door).sides, door_colour(door), 2.0 * _LINE_PX, _WAY_Z)
 
 
 def _line(
@@ -147,8 +141,3 @@ def _at(place: Point, z: float) -> dict[str, Any]:
 def _colour(rgb: Rgb) -> dict[str, float]:
     red, green, blue = (channel / 255.0 for channel in rgb)
     return {"r": red, "g": green, "b": blue, "a": 1.0}
-
-
-def _darker(rgb: Rgb) -> Rgb:
-    red, green, blue = (round(_DARK * channel) for channel in rgb)
-    return red, green, blue

@@ -12,16 +12,23 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.progress import Progress
 from specmap_cli.drawing.palette import INK, PAPER, Colour, colour_graph, colours_of
+from specmap_cli.exports.fields import centre_of
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
+from specmap_cli.maps.schema import EdgeRecord, NodeRecord
+from specmap_cli.maps.schema_graph import DoorRecord
+from specmap_cli.maps.schema_values import Point
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.tum import read_trajectory
 
 RgbaArray = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
 
+LAYER_STEP_M = 0.005  # each grid lies on the one before
+WAY, _UNDRIVEN, _FORBIDDEN, _DOOR = (24, 88, 160), (118, 124, 130), (214, 24, 40), (122, 74, 36)
 _FILL_ALPHA = 150  # walls are seen through regions
+_DARKER = 0.6  # of a fill: a line or a name in it is read on the fill
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +89,32 @@ def _filled(owner: NDArray[np.integer], fills: Mapping[int, Rgb]) -> RgbaArray:
 def _rgb(colour: Colour) -> Rgb:
     blue, green, red = colour
     return red, green, blue
+
+
+def darker(rgb: Rgb) -> Rgb:
+    """The colour of a line or a name on a fill."""
+    red, green, blue = (round(_DARKER * channel) for channel in rgb)
+    return red, green, blue
+
+
+def link_line(edge: EdgeRecord, nodes: Mapping[int, NodeRecord]) -> list[Point]:
+    """The way of a link; without one straight from place to place over its crossing."""
+    if edge.path:
+        return edge.path
+    start, end = (nodes[id_].anchor or centre_of(nodes[id_]) for id_ in (edge.source, edge.target))
+    return [start, *([] if edge.x is None or edge.y is None else [(edge.x, edge.y)]), end]
+
+
+def link_colour(edge: EdgeRecord) -> Rgb:
+    """Blue where the robot drove, grey where it did not, or cannot; red is forbidden."""
+    if edge.forbidden:
+        return _FORBIDDEN
+    return WAY if edge.path and edge.traversals else _UNDRIVEN
+
+
+def door_colour(door: DoorRecord) -> Rgb:
+    """Brown, or red for a forbidden one."""
+    return _FORBIDDEN if door.forbidden else _DOOR
 
 
 def driven(stored: StoredMap) -> FloatArray:

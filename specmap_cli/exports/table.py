@@ -31,6 +31,7 @@ from specmap_cli.exports.geojson import GeoJson
 from specmap_cli.exports.graphml import GraphMl
 from specmap_cli.exports.nav2 import Nav2
 from specmap_cli.exports.pose_graph import PoseGraph
+from specmap_cli.exports.rerun import Rerun
 from specmap_cli.exports.tmap2 import Tmap2
 from specmap_cli.maps.store import StoredMap
 
@@ -55,6 +56,7 @@ def exporters() -> dict[str, Exporter]:
         "graphml": GraphMl(),
         "nav2": Nav2(),
         "pose-graph": PoseGraph(),
+        "rerun": Rerun(),
         "tmap2": Tmap2(),
     }
     offered = with_plugins(GROUP, built_in)
