@@ -22,6 +22,14 @@ def centre_of(node: NodeRecord) -> Point:
     return node.centroid or (node.x, node.y)
 
 
+def link_line(edge: EdgeRecord, nodes: Mapping[int, NodeRecord]) -> list[Point]:
+    """The way of a link; without one straight from place to place over its crossing."""
+    if edge.path:
+        return edge.path
+    start, end = (nodes[id_].anchor or centre_of(nodes[id_]) for id_ in (edge.source, edge.target))
+    return [start, *([] if edge.x is None or edge.y is None else [(edge.x, edge.y)]), end]
+
+
 def _same(*names: str) -> dict[str, Callable[[Any], Any]]:
     """Fields that are called as in topology.json."""
     return {name: attrgetter(name) for name in names}

@@ -16,9 +16,10 @@ from specmap_cli.exports.fields import (
     centre_of,
     fields_of,
     known,
+    link_line,
 )
 from specmap_cli.exports.foxglove_schemas import LINE_LOOP, LINE_STRIP
-from specmap_cli.exports.layers import WAY, Rgb, darker, door_colour, link_colour, link_line
+from specmap_cli.exports.layers import WAY, Rgb, darker, door_colour, link_colour
 from specmap_cli.maps.schema import EdgeRecord, NodeRecord, TopologyRecord
 from specmap_cli.maps.schema_graph import DoorRecord
 from specmap_cli.maps.schema_values import Point

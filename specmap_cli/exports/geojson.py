@@ -1,23 +1,21 @@
 """GeoJSON, the outlines, the doors and the ways: for QGIS and other tools that show shapes.
 
-Coordinates are metres in the frame of the map, not degrees: load the file into a project without a
-coordinate reference system, or place it by hand.
+Coordinates are metres in the frame of the map, not degrees. The file names a reference system of
+metres (EPSG:3857), so that tools measure lengths and areas right; the place on earth means nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import IO, Any
 
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import to_json
-from specmap_cli.exports.fields import DOOR, LINK, SUBMAP, centre_of, fields_of
+from specmap_cli.exports.fields import DOOR, LINK, SUBMAP, Fields, fields_of, link_line
 from specmap_cli.maps.schema import EdgeRecord, NodeRecord
 from specmap_cli.maps.schema_graph import DoorRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.way_conversion import door_of
-
-Place = tuple[float, float]
 
 
 class GeoJson:
@@ -31,17 +29,32 @@ class GeoJson:
     def write(self, stored: StoredMap, target: IO[bytes], _: Progress) -> None:
         """Write the features of a map, submaps first."""
         nodes = {node.id: node for node in stored.record.nodes}
-        places = {id_: node.anchor or centre_of(node) for id_, node in nodes.items()}
         features = [
             *(_submap(node) for node in nodes.values() if node.polygon),
             *(_anchor(node) for node in nodes.values() if node.anchor),
             *(_door(door) for door in stored.record.graph.doors),
-            *(_link(edge, places) for edge in stored.record.edges),
+            *(_link(edge, nodes) for edge in stored.record.edges),
         ]
-        target.write(to_json({"type": "FeatureCollection", "features": features}).encode())
+        target.write(to_json(collection(features)).encode())
 
 
-def _submap(node: NodeRecord) -> dict[str, Any]:
+def collection(features: Iterable[Fields]) -> Fields:
+    """Features in metres. Without the key `crs` tools take the numbers for degrees (RFC 7946)."""
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::3857"}}
+    numbered = [{**each, "id": number} for number, each in enumerate(features)]
+    return {"type": "FeatureCollection", "crs": crs, "features": numbered}
+
+
+def feature(kind: str, coordinates: Sequence[Any], properties: Fields) -> Fields:
+    """One feature."""
+    return {
+        "type": "Feature",
+        "geometry": {"type": kind, "coordinates": coordinates},
+        "properties": properties,
+    }
+
+
+def _submap(node: NodeRecord) -> Fields:
     """The outline of a submap: a ring that ends where it starts."""
     ring = [*node.polygon, node.polygon[0]]
     properties = {
@@ -51,21 +64,21 @@ def _submap(node: NodeRecord) -> dict[str, Any]:
         "id": node.id,
         "properties": node.properties,
     }
-    return _feature("Polygon", [ring], properties)
+    return feature("Polygon", [ring], properties)
 
 
-def _anchor(node: NodeRecord) -> dict[str, Any]:
+def _anchor(node: NodeRecord) -> Fields:
     """The place where a robot can stand in a submap."""
-    return _feature(
+    return feature(
         "Point",
         list(node.anchor or ()),
         {"kind": "anchor", "submap": node.id, "clearance_m": node.anchor_clearance_m},
     )
 
 
-def _door(record: DoorRecord) -> dict[str, Any]:
+def _door(record: DoorRecord) -> Fields:
     """The line of a door."""
-    return _feature(
+    return feature(
         "LineString",
         [[round(value, 6) for value in side] for side in door_of(record).sides],
         {
@@ -77,13 +90,11 @@ def _door(record: DoorRecord) -> dict[str, Any]:
     )
 
 
-def _link(edge: EdgeRecord, places: Mapping[int, Place]) -> dict[str, Any]:
-    """A link along its way; without one from anchor to anchor through its crossing."""
-    crossing = [] if edge.x is None or edge.y is None else [(edge.x, edge.y)]
-    line = edge.path or [places[edge.source], *crossing, places[edge.target]]
-    return _feature(
+def _link(edge: EdgeRecord, nodes: Mapping[int, NodeRecord]) -> Fields:
+    """A link along its way."""
+    return feature(
         "LineString",
-        line,
+        link_line(edge, nodes),
         {
             **fields_of(edge, LINK),
             "source": edge.source,
@@ -91,12 +102,3 @@ def _link(edge: EdgeRecord, places: Mapping[int, Place]) -> dict[str, Any]:
             "doors": edge.doors,
         },
     )
-
-
-def _feature(kind: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
-    """One GeoJSON feature."""
-    return {
-        "type": "Feature",
-        "geometry": {"type": kind, "coordinates": coordinates},
-        "properties": properties,
-    }

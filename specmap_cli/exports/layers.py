@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.progress import Progress
 from specmap_cli.drawing.palette import INK, PAPER, Colour, colour_graph, colours_of
-from specmap_cli.exports.fields import centre_of
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
-from specmap_cli.maps.schema import EdgeRecord, NodeRecord
+from specmap_cli.maps.schema import EdgeRecord
 from specmap_cli.maps.schema_graph import DoorRecord
-from specmap_cli.maps.schema_values import Point
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.tum import read_trajectory
 
@@ -95,14 +93,6 @@ def darker(rgb: Rgb) -> Rgb:
     """The colour of a line or a name on a fill."""
     red, green, blue = (round(_DARKER * channel) for channel in rgb)
     return red, green, blue
-
-
-def link_line(edge: EdgeRecord, nodes: Mapping[int, NodeRecord]) -> list[Point]:
-    """The way of a link; without one straight from place to place over its crossing."""
-    if edge.path:
-        return edge.path
-    start, end = (nodes[id_].anchor or centre_of(nodes[id_]) for id_ in (edge.source, edge.target))
-    return [start, *([] if edge.x is None or edge.y is None else [(edge.x, edge.y)]), end]
 
 
 def link_colour(edge: EdgeRecord) -> Rgb:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import count
-from typing import IO, Any
+from typing import IO
 
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import to_json
 from specmap_cli.exports.fields import Fields, known
 from specmap_cli.exports.fitness import check_routes
+from specmap_cli.exports.geojson import collection, feature
 from specmap_cli.exports.routes import Leg, Routes, Stop, routes
 from specmap_cli.maps.schema import NodeRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
@@ -30,8 +31,7 @@ class Nav2:
         check_routes(stored, progress)
         found = routes(stored.record)
         features = [*_nodes(found, stored.record), *_edges(found)]
-        document = {"type": "FeatureCollection", "name": "graph", "features": features}
-        target.write(to_json(document).encode())
+        target.write(to_json(collection(features)).encode())
 
 
 def _nodes(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
@@ -45,7 +45,7 @@ def _nodes(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
             door = doors[stop.door]
             metadata |= {"door": door.id, "width_m": door.width_m, "driven": door.driven}
         properties = {"id": stop.id, "frame": record.graph.frame, "metadata": metadata}
-        yield _feature("Point", [stop.x, stop.y], properties)
+        yield feature("Point", [stop.x, stop.y], properties)
 
 
 def _of_submap(node: NodeRecord) -> Fields:
@@ -95,13 +95,4 @@ def _edge(id_: int, start: Stop, end: Stop, leg: Leg) -> Fields:
         "overridable": True,
         "metadata": metadata,
     }
-    return _feature("LineString", [[start.x, start.y], [end.x, end.y]], properties)
-
-
-def _feature(kind: str, coordinates: list[Any], properties: Fields) -> Fields:
-    """One GeoJSON feature."""
-    return {
-        "type": "Feature",
-        "geometry": {"type": kind, "coordinates": coordinates},
-        "properties": properties,
-    }
+    return feature("LineString", [[start.x, start.y], [end.x, end.y]], properties)

@@ -19,7 +19,16 @@ from specmap_cli.core.files import temporary_files
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import encodable
-from specmap_cli.exports.fields import DOOR, LINK, SUBMAP, Fields, centre_of, fields_of, known
+from specmap_cli.exports.fields import (
+    DOOR,
+    LINK,
+    SUBMAP,
+    Fields,
+    centre_of,
+    fields_of,
+    known,
+    link_line,
+)
 from specmap_cli.exports.layers import (
     LAYER_STEP_M,
     Layer,
@@ -30,7 +39,6 @@ from specmap_cli.exports.layers import (
     driven,
     layers,
     link_colour,
-    link_line,
     scans_of,
 )
 from specmap_cli.grids.keyframes import KeyframeStore

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -85,10 +86,53 @@ def _contour(region: BoolArray) -> FloatArray:
     doubled = cv2.copyMakeBorder(doubled, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,))
     contours, _ = cv2.findContours(doubled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     ring = max(contours, key=cv2.contourArea)
-    simple = cv2.approxPolyDP(ring, _TOLERANCE, True)
-    if cv2.contourArea(simple) < _KEPT_AREA * cv2.contourArea(ring):  # thinner than the tolerance
-        simple = ring
-    corners = (simple.reshape(-1, 2).astype(np.float64) - 0.5) / 2.0
+    corners = (_simplified(ring).reshape(-1, 2).astype(np.float64) - 0.5) / 2.0
     x, y = corners.T
     turning = float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
     return corners if turning >= 0.0 else corners[::-1]
+
+
+def _simplified(ring: NDArray[Any]) -> NDArray[Any]:
+    """A contour (N, 1, 2) with fewer corners, as far as it stays the outline of an area."""
+    area = cv2.contourArea(ring)
+    for tolerance in (_TOLERANCE, _TOLERANCE / 2.0):
+        simple = cv2.approxPolyDP(ring, tolerance, True)
+        is_thin = cv2.contourArea(simple) < _KEPT_AREA * area  # thinner than the tolerance
+        if not is_thin and not _meets_itself(simple.reshape(-1, 2).astype(np.int64)):
+            return np.asarray(simple)
+    return ring
+
+
+def _meets_itself(ring: NDArray[np.int64]) -> bool:
+    """Whether two sides of a ring (N, 2), which are no neighbours, cross or touch: exactly."""
+    ends = np.roll(ring, -1, axis=0)
+    last = len(ring) - 1
+    for number in range(last - 1):
+        others = slice(number + 2, last if number == 0 else last + 1)
+        start, end = ring[number], ends[number]
+        near = _overlap(start, end, ring[others], ends[others])
+        apart = _side(start, end, ring[others]) * _side(start, end, ends[others]) > 0
+        aside = _side(ring[others], ends[others], start) * _side(ring[others], ends[others], end)
+        if (near & ~apart & (aside <= 0)).any():
+            return True
+    return False
+
+
+def _overlap(
+    start: NDArray[np.int64],
+    end: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+) -> BoolArray:
+    """(N,) whether the rectangles around a line and each of others (N, 2) overlap."""
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    above = np.maximum(starts, ends) >= low
+    return np.asarray((above & (np.minimum(starts, ends) <= high)).all(axis=1))
+
+
+def _side(
+    start: NDArray[np.int64], end: NDArray[np.int64], place: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """(N,) on which side of a line a place lies: 1, -1, or 0 on it."""
+    along, to = end - start, place - start
+    return np.asarray(np.sign(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0]))

@@ -16,6 +16,7 @@ from specmap_cli.exports.table import GROUP, export_map, exporters
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.topology.topological_map import Door
+from tests.exports.consumers import consumer
 from tests.plugins import install
 
 
@@ -173,3 +174,50 @@ def test_an_export_that_fails_leaves_nothing(
     with pytest.raises(UsageError, match="No space left"):
         export_map(stored, "broken", tmp_path / "x")
     assert set(tmp_path.iterdir()) == before
+
+
+def test_gis_tools_measure_shapes_in_metres(
+    home: StoredMap, rooms: StoredMap, tmp_path: Path
+) -> None:
+    shapely = consumer("shapely.geometry")
+    for stored in (home, rooms):
+        out = tmp_path / f"{stored.path.name}.geojson"
+        export_map(stored, "geojson", out)
+        document = json.loads(out.read_text())
+        assert document["crs"]["properties"]["name"].endswith("EPSG::3857")
+        features = document["features"]
+        assert [feature["id"] for feature in features] == list(range(len(features)))
+        shapes = [(shapely.shape(one["geometry"]), one["properties"]) for one in features]
+        assert all(shape.is_valid for shape, _ in shapes)
+        outlines = {facts["id"]: shape for shape, facts in shapes if facts["kind"] == "submap"}
+        for node in stored.record.nodes:
+            assert outlines[node.id].equals(shapely.Polygon(node.polygon))
+            assert outlines[node.id].buffer(0.05).contains(shapely.Point(node.centroid))
+        ways = [(shape, facts) for shape, facts in shapes if facts.get("length_m") is not None]
+        assert len(ways) == len([edge for edge in stored.record.edges if edge.path])
+        for shape, facts in ways:
+            assert shape.length == pytest.approx(facts["length_m"], abs=1e-5)
+
+
+def test_networkx_reads_the_figures_of_the_map_from_graphml(
+    home: StoredMap, rooms: StoredMap, tmp_path: Path
+) -> None:
+    for stored in (home, rooms):
+        out = tmp_path / f"{stored.path.name}.graphml"
+        export_map(stored, "graphml", out)
+        graph = nx.read_graphml(out, node_type=int)
+        record = stored.record
+        assert len(graph) == len(record.nodes)
+        assert graph.number_of_edges() == len(record.edges)
+        for edge in record.edges:
+            found = graph.edges[edge.source, edge.target]
+            assert found.get("length_m") == edge.length_m
+            assert found.get("clearance_m") == edge.clearance_m
+            assert found["passable"] is (edge.path is not None)
+
+
+def test_evo_reads_the_trajectory(home: StoredMap) -> None:
+    interface = consumer("evo.tools.file_interface")
+    found = interface.read_tum_trajectory_file(str(home.path / "trajectory.tum"))
+    assert found.check()[0]
+    assert np.allclose(found.positions_xyz[:, :2], home.labels.poses[:, :2], atol=1e-5)

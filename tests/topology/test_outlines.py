@@ -11,6 +11,7 @@ from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.topology.outlines import outline
 from specmap_cli.topology.regions import NOBODY, Regions, divide
+from tests.exports.consumers import consumer
 
 
 def grid_of(picture: list[str], resolution: float = 0.5) -> GridMap:
@@ -56,6 +57,15 @@ def test_thin_regions_keep_an_area(picture: list[str]) -> None:
     shape = outline(grid_of(picture))
     assert len(shape.polygon) >= 3
     assert area(shape.polygon) > 0
+
+
+def test_a_polygon_does_not_cross_itself() -> None:
+    """Ragged regions; with fewer corners some of their contours would."""
+    shapely = consumer("shapely")
+    for seed in range(200):
+        ragged = cv2.blur(np.random.default_rng(seed).random((30, 30)), (3, 3)) > 0.5
+        grid = GridMap(np.where(ragged, FREE, OCCUPIED).astype(np.uint8), 0.05)
+        assert shapely.Polygon(outline(grid).polygon).is_valid, seed
 
 
 def test_nothing_free() -> None:
