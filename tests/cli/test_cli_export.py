@@ -96,3 +96,37 @@ def test_what_cannot_be_exported_is_one_line(
 def test_a_place_without_a_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", str(tmp_path), "-f", "graphml", "-o", str(tmp_path / "x")]) == 3
     assert "no topology.json in it" in capsys.readouterr().err
+
+
+def test_a_map_without_ways_is_no_graph_for_a_robot(
+    house: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = house.parent / "house.geojson"
+    assert main(["export", str(house), "--format", "nav2", "-o", str(target)]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"specmap: error: {house}: no way joins two of its submaps: ")
+    assert not target.exists()
+
+
+def test_warnings_are_told_and_stand_in_the_result(
+    house: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    topology = house / "topology.json"
+    record = json.loads(topology.read_text())
+    for node in record["nodes"][:2]:
+        node["anchor"], node["anchor_clearance_m"] = node["centroid"], 0.5
+    ends = [node["anchor"] for node in record["nodes"][:2]]
+    record["edges"][0] |= {"path": ends, "length_m": 4.5, "clearance_m": 0.4}
+    record["graph"]["robot_radius_m"] = 0.2
+    topology.write_text(json.dumps(record))
+    target = house.parent / "house.geojson"
+    assert main(["export", str(house), "-f", "nav2", "-o", str(target), "--json"]) == 0
+    shown = capsys.readouterr()
+    result = json.loads(shown.out)
+    assert result["warnings"] == [
+        "no place to stand in submap 2: left out",
+        "2 parts that no way joins: no route leads from submaps 0, 1 to submap 2",
+    ]
+    for warning in result["warnings"]:
+        assert f"specmap: warning: {warning}" in shown.err.splitlines()
+    assert "specmap: left out: 1 link (0-2) without a way wide enough" in shown.err.splitlines()
