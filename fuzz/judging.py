@@ -279,8 +279,11 @@ def _judge_map(case: MapCase, folder: Path, intact: Path) -> Iterator[Failure]:
 
 
 def _check_export(folder: Path) -> Iterator[Failure]:
-    """Every format of export, by the library: written whole, or refused in one line."""
-    for name in exporters():
+    """Every format of export, by the library: written whole, or refused in one line.
+
+    But that of Rerun, whose own library takes more memory than a case may.
+    """
+    for name in sorted(exporters().keys() - {"rerun"}):
         out = folder / f"exported-{name}"
         try:
             export_map(read_map(folder / "damaged"), name, out)

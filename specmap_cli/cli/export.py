@@ -33,12 +33,12 @@ def export(
     \b
     nav2        the ways as a graph for Nav2's route server
     tmap2       the ways as a topological map for LCAS topological_navigation
+    geojson     outlines, doors and ways in metres of the map, for QGIS
+    graphml     the graph alone, for yEd, Gephi and networkx
     csv         submaps, links and doors as tables, in a zip
     pose-graph  the layout's graph as g2o, for GTSAM and g2o
     foxglove    map, graph, trajectory and scans over time, as an MCAP
     rerun       the same as an .rrd; needs `pip install 'specmap-cli[rerun]'`
-    geojson     outlines, doors and ways in metres of the map, for QGIS
-    graphml     the graph alone, for yEd, Gephi and networkx
 
     Installed packages may add formats. Of the settings only the section `limits` counts: how large
     a file of the map may be. What would mislead is told as a warning. A map that the format cannot

@@ -15,7 +15,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from specmap_cli import __version__
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.exports.fields import Fields
@@ -101,7 +101,7 @@ class _Log:
 
 
 def _write_scans(
-    log: _Log, scans: KeyframeStore, poses: np.ndarray, frame: str, progress: Progress
+    log: _Log, scans: KeyframeStore, poses: FloatArray, frame: str, progress: Progress
 ) -> None:
     """Pose and scan of each keyframe, with `poses` (n, 3) in the finished map."""
     progress.start("writing scans", len(scans))

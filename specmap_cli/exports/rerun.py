@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterable, Mapping
+from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO, Any
@@ -62,9 +63,8 @@ class Rerun:
             folder = TemporaryDirectory(prefix="specmap-")
         with folder as name:
             path = Path(name) / "map.rrd"  # the SDK writes to a path only
-            recording = _Recording(sdk, path)
-            _write(recording, stored, progress)
-            recording.close()
+            with closing(_Recording(sdk, path)) as recording:
+                _write(recording, stored, progress)
             with path.open("rb") as file:
                 shutil.copyfileobj(file, target)
 

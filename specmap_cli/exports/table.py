@@ -11,8 +11,8 @@ by an entry point of the group `specmap.exporters`; the entry point's name is th
                 target.write(f"{node.name}\\n".encode())
 
 An exporter may have an `ending`, such as `.zip`: a file of another ending is refused. What would
-mislead a user of the file is told by `progress.warn`; a map that cannot be
-written in the format at all is a MapError.
+mislead a user of the file is told by `progress.warn`; a map that cannot be written in the format at
+all is a MapError.
 """
 
 from __future__ import annotations
