@@ -11,7 +11,7 @@ from specmap_cli.exports.routes import is_way, parts
 from specmap_cli.maps.schema import EdgeRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
 
-_MOST = 5  # ids in one message
+_MOST = 5  # submaps, links or parts that a message names
 
 
 def check_routes(stored: StoredMap, progress: Progress) -> None:
@@ -54,12 +54,13 @@ def _warnings(record: TopologyRecord) -> list[str]:
     unanchored = [node.id for node in record.nodes if node.anchor is None]
     if unanchored:
         found.append(f"no place to stand in {_submaps(unanchored)}: left out")
-    largest, *others = parts(record)
-    if others:
-        apart = [submap for part in others for submap in part]
+    apart = parts(record)
+    if len(apart) > 1:
+        groups = "; ".join(_few([str(id_) for id_ in part]) for part in apart[:_MOST])
+        more = f"; and {len(apart) - _MOST} more" if len(apart) > _MOST else ""
         found.append(
-            f"{len(others) + 1} parts that no way joins: no route leads from {_submaps(largest)} "
-            f"to {_submaps(apart)}"
+            f"{len(apart)} parts that no way joins, no route leads from one to another: submaps "
+            f"{groups}{more}"
         )
     loose = [edge for edge in record.edges if is_way(edge) and edge.kind == "loose"]
     if loose:

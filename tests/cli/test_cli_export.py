@@ -125,7 +125,7 @@ def test_warnings_are_told_and_stand_in_the_result(
     result = json.loads(shown.out)
     assert result["warnings"] == [
         "no place to stand in submap 2: left out",
-        "2 parts that no way joins: no route leads from submaps 0, 1 to submap 2",
+        "2 parts that no way joins, no route leads from one to another: submaps 0, 1; 2",
     ]
     for warning in result["warnings"]:
         assert f"specmap: warning: {warning}" in shown.err.splitlines()

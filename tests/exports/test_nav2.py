@@ -102,7 +102,9 @@ def test_narrow_and_forbidden_links_are_left_out_and_told(
         "left out: 1 link (0-2) forbidden",
         "left out: 1 link (1-2) without a way wide enough",
     ]
-    assert warnings == ["2 parts that no way joins: no route leads from submaps 0, 1 to submap 2"]
+    assert warnings == [
+        "2 parts that no way joins, no route leads from one to another: submaps 0, 1; 2"
+    ]
     graph = load(tmp_path / "x.geojson")
     assert nx.has_path(graph, 0, 1)
     assert not nx.has_path(graph, 0, 2)
