@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.exports.table import export_map, exporters
+from specmap_cli.exports.table import export_map
 from specmap_cli.maps.conversion import to_record
 from specmap_cli.maps.schema_values import Record
 from specmap_cli.maps.store import read_map
@@ -59,8 +59,11 @@ def test_it_is_a_map_like_any_other(old: Path, tmp_path: Path) -> None:
     stored = read_map(old)
     assert math.isnan(stored.topology.closures[1].score)
     assert len(stored.topology.submaps) == 3
-    for name in exporters():
+    for name in ("csv", "foxglove", "geojson", "graphml"):
         export_map(stored, name, tmp_path / name)
+    for name in ("nav2", "tmap2"):  # a robot would drive along ways, which it has not
+        with pytest.raises(MapError, match="nobody looked for ways when it was made: build"):
+            export_map(stored, name, tmp_path / name)
     with pytest.raises(MapError, match=r"has no keyframes\.mcap"):
         stored.keyframes()
 
