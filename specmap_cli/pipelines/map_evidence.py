@@ -16,7 +16,7 @@ from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_name
 from specmap_cli.recognition.learning.classifiers import Recogniser
 from specmap_cli.recognition.learning.looks import feature_shares
 from specmap_cli.report.evidence import Evidence, Learned, Likeness, Look, SplitLook
-from specmap_cli.segmentation.online import OnlineSegmenter
+from specmap_cli.segmentation.online import Occasion, OnlineSegmenter
 from specmap_cli.segmentation.splitting import SplitTest
 
 _ASKED = 60  # scans of a submap whose likeness to others is looked at: a share good to some percent
@@ -148,12 +148,12 @@ def _tests(stored: StoredMap, store: KeyframeStore, progress: Progress) -> tuple
     """The tests that the way of the map led to, made again with its settings."""
     found: list[SplitLook] = []
 
-    def observe(test: SplitTest, split: bool) -> None:
-        found.append(_look(test, split, stored, store, now))
+    def observe(test: SplitTest, split: bool, when: Occasion) -> None:
+        found.append(_look(test, split, stored, store, when.latest))
 
     breaks = {each.keyframe for each in stored.record.graph.breaks}
     breaks |= {log.keyframes[0] for log in stored.logs[1:] if log.keyframes is not None}
-    config, now = stored.config, 0
+    config = stored.config
     segmenter = OnlineSegmenter(config.segmentation, config.grid, store, observe)
     for now in range(len(store)):
         if now in breaks:

@@ -41,8 +41,9 @@ SETTLED = READERS | {
     "merge",
     "edit",
     "report",
+    "check",
 }
-ALL = READERS | WRITERS | {"config"}
+ALL = READERS | WRITERS | {"config", "check"}
 HAVE = {
     "--quiet": ALL,
     "-q": ALL,
@@ -54,7 +55,7 @@ HAVE = {
     "--odom-topic": READERS,
     "--base-frame": READERS,
     "--no-odometry": READERS,
-    "--overwrite": WRITERS,
+    "--overwrite": WRITERS | {"check"},
     "--out": WRITERS,
     "-o": WRITERS,
 }
