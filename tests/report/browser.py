@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import select
 import shutil
 import subprocess
 import sys
@@ -36,6 +37,11 @@ _LAUNCH = (
     "os.execvp(sys.argv[3], sys.argv[3:])\n"
 )
 Json = dict[str, Any]
+_PATIENCE_S = 300.0  # of a machine that has other things to do: a test must not hang for ever
+
+
+class BrowserGoneError(Exception):
+    """The browser ended, or does not answer."""
 
 
 def installed() -> str | None:
@@ -64,6 +70,13 @@ class Browser:
         )
         os.close(theirs_in)
         os.close(theirs_out)
+        try:
+            self._attach()
+        except (BrowserGoneError, BrokenPipeError) as error:
+            self.close()
+            raise BrowserGoneError(f"{program} does not start here") from error
+
+    def _attach(self) -> None:
         target = self._send("Target.createTarget", {"url": "about:blank"})["targetId"]
         attached = self._send("Target.attachToTarget", {"targetId": target, "flatten": True})
         self._session = attached["sessionId"]
@@ -79,8 +92,16 @@ class Browser:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the browser; nothing of it stays."""
         self._process.terminate()
-        self._process.wait(30)
+        try:
+            self._process.wait(30)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
         os.close(self._in)
         os.close(self._out)
         shutil.rmtree(self._profile, ignore_errors=True)
@@ -168,8 +189,10 @@ class Browser:
     def _take(self) -> Json:
         """The next message of the browser."""
         while b"\0" not in self._waiting:
-            part = os.read(self._in, 1 << 20)
-            assert part, "the browser has gone"
+            ready, _, _ = select.select([self._in], [], [], _PATIENCE_S)
+            part = os.read(self._in, 1 << 20) if ready else b""
+            if not part:
+                raise BrowserGoneError("it has gone" if ready else "it says nothing any more")
             self._waiting += part
         line, _, self._waiting = self._waiting.partition(b"\0")
         message: Json = json.loads(line)

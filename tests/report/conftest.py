@@ -21,7 +21,7 @@ from specmap_cli.pipelines.simulate import SimulationResult
 from specmap_cli.report.evidence import Evidence, Learned, Likeness, Look, SplitLook
 from specmap_cli.report.page import render
 from specmap_cli.topology.topological_map import Door
-from tests.report.browser import Browser, installed
+from tests.report.browser import Browser, BrowserGoneError, installed
 
 # A name that somebody typed, and that would be markup if nobody minded.
 HOSTILE = "\"'><script>alert(1)</script>&"
@@ -120,7 +120,11 @@ def chromium() -> Iterator[Browser]:
     program = installed()
     if program is None:
         pytest.skip("no Chromium is installed: the page is not tried in a browser")
-    with Browser(program) as browser:
+    try:
+        browser = Browser(program)
+    except BrowserGoneError as error:
+        pytest.skip(f"{error}: the page is not tried in a browser")
+    with browser:
         yield browser
 
 
