@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -133,6 +134,12 @@ def test_every_room_is_in_the_table() -> None:
 def test_the_house_is_small_and_no_arrow_runs_up() -> None:
     assert len(MAY_IMPORT) <= MOST_ROOMS
     assert max(floor_of(room) for room in MAY_IMPORT) <= MOST_FLOORS  # ends: there is no circle
+
+
+def test_no_two_files_of_tests_have_one_name() -> None:
+    """Pytest imports them by name: it could not tell them apart."""
+    names = sorted(path.name for path in Path(__file__).parent.rglob("test_*.py"))
+    assert [name for name, next_ in pairwise(names) if name == next_] == []
 
 
 def test_nothing_stands_at_the_root() -> None:

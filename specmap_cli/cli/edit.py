@@ -90,7 +90,7 @@ def edit(
     settings: Settings,
     common: Common,
 ) -> None:
-    """Name submaps, move their borders, forbid doors: by a person's word.
+    """Name submaps, move borders, forbid doors.
 
     What is decided is kept in MAP/edits.toml, which may be edited by hand, too: without options the
     file is made to hold. Updates and rebuilds with --like do so, too. MAP is replaced, complete or

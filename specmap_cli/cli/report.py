@@ -31,7 +31,7 @@ def report(
     settings: Settings,
     common: Common,
 ) -> None:
-    """Write a page about a map: open it in any browser, send it to anybody, print it.
+    """Write a page about a map, for any browser.
 
     One file that loads nothing: the map in layers, its submaps with all that is known of them, the
     way of the robot over time, findings, split tests, loop closures, and how the map was made. Of
