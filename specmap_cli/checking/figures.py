@@ -31,7 +31,7 @@ MEANINGS = {
     "impassable": "links without a way that the robot can drive",
     "parts": "parts of the map that no link joins",
     "doors": "doors",
-    "area_m2": "square metres of free space",
+    "area_m2": "square metres of floor in the submaps",
     "wall_s": "seconds that the command took which made the map",
     "scans_per_s": "scans read in each of these seconds",
     "memory_mb": "most megabytes that its process held",

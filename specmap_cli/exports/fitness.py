@@ -21,7 +21,7 @@ def check_routes(stored: StoredMap, progress: Progress) -> None:
     """
     record = stored.record
     if not any(map(is_way, record.edges)):
-        raise MapError(f"{stored.path}: no way joins two of its submaps: {_why_no_way(record)}")
+        raise MapError(f"{stored.path}: nothing to plan a route with: {_why_no_way(record)}")
     for warning in _warnings(record):
         progress.warn(warning)
     for note in _left_out(record):
@@ -33,7 +33,10 @@ def _why_no_way(record: TopologyRecord) -> str:
     if record.graph.robot_radius_m is None:
         return "nobody looked for ways when it was made: build the map again"
     if len(record.nodes) < 2:
-        return "routes need two submaps at the least: record a drive through more rooms"
+        return (
+            "it has one submap: record a drive through more rooms, or cut it with "
+            "`specmap edit --split`"
+        )
     if any(edge.forbidden and edge.path for edge in record.edges):
         return "those that there are were forbidden: allow one with `specmap edit`"
     radius = record.graph.robot_radius_m

@@ -18,6 +18,7 @@ from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.errors import InputError, NoResultError
 from specmap_cli.core.findings import Quality
 from specmap_cli.core.progress import Progress, Silent
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -39,6 +40,7 @@ from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import check_feature_sets
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
+_SAME_SHARE = 0.5  # of the readings; those of a scan in motion stand at other bearings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,13 +184,19 @@ def _refuse_known(old: Seen, new: Seen, store: KeyframeStore, own: KeyframeStore
     (log,) = new.kept.logs
     scan = own.scan(0)
     for known in old.kept.logs:
-        if known.keyframes is None or (known.start_ns, known.scans) != (log.start_ns, log.scans):
+        if known.keyframes is None or known.scans != log.scans:
             continue
-        first = store.scan(known.keyframes[0])
-        if first.ranges.shape == scan.ranges.shape and np.allclose(
-            first.ranges, scan.ranges, atol=_SAME_M, equal_nan=True
-        ):
+        first = store.scan(known.keyframes[0])  # logs are known to the microsecond, scans exactly
+        if first.stamp_ns == scan.stamp_ns and _alike(first, scan):
             raise InputError(f"{log.name}: is in the map already, as {known.name}: nothing to add")
+
+
+def _alike(one: PlanarScan, other: PlanarScan) -> bool:
+    """Whether two scans are one, of which a map keeps the readings at even bearings."""
+    if one.ranges.shape != other.ranges.shape:
+        return False
+    same = np.isclose(one.ranges, other.ranges, atol=_SAME_M, equal_nan=True)
+    return float(same.mean()) > _SAME_SHARE
 
 
 def _fits_nowhere(name: str, path: Path, reason: str) -> NoResultError:

@@ -104,7 +104,7 @@ def test_a_map_without_ways_is_no_graph_for_a_robot(
     target = house.parent / "house.geojson"
     assert main(["export", str(house), "--format", "nav2", "-o", str(target)]) == 3
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"specmap: error: {house}: no way joins two of its submaps: ")
+    assert line.startswith(f"specmap: error: {house}: nothing to plan a route with: ")
     assert not target.exists()
 
 

@@ -160,7 +160,7 @@ def test_a_map_without_ways_is_refused(
     shut = {pair: dataclasses.replace(each, forbidden=True) for pair, each in old.edges.items()}
     cases: dict[str, StoredMap | MapResult] = {
         "nobody looked for ways": stored,
-        "routes need two submaps": dataclasses.replace(lived_in, topology=one),
+        "it has one submap": dataclasses.replace(lived_in, topology=one),
         "too narrow for a robot of 0.2 m radius": dataclasses.replace(
             lived_in, topology=dataclasses.replace(old, edges=narrow)
         ),

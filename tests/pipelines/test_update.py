@@ -17,6 +17,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.pipelines.update import UpdateReport, update_map
+from specmap_cli.simulation import simulator
 from specmap_cli.simulation.simulator import SimulationOptions
 
 QUICK = load_config(
@@ -45,8 +46,10 @@ def kept(
     cells[THIRD_DOOR] = OCCUPIED
     once = flat_options.model_copy(update={"laps": 1})
     again = once.model_copy(update={"seed": 8, "spacing_m": 1.2})
-    first = simulate(GridMap(cells, flat.resolution), once, folder / "first.mcap")
-    second = simulate(flat, again, folder / "second.mcap")
+    with pytest.MonkeyPatch.context() as patch:  # stamps that are no whole microseconds
+        patch.setattr(simulator, "START_NS", simulator.START_NS + 123_456_789)
+        first = simulate(GridMap(cells, flat.resolution), once, folder / "first.mcap")
+        second = simulate(flat, again, folder / "second.mcap")
     build_map(first.log, folder / "old", QUICK)
     document = json.loads((folder / "old" / "topology.json").read_text(encoding="utf-8"))
     document["nodes"][1] |= {"name": "Hallway", "properties": {"floor": 2}}
