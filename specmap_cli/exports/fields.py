@@ -63,6 +63,11 @@ DOOR: Mapping[str, Callable[[DoorRecord], Any]] = {
 }
 
 
+def noted_fields(node: NodeRecord) -> Fields:
+    """What a person noted of a submap, under `property.`: flat formats hold single values."""
+    return {f"property.{key}": value for key, value in node.properties.items()}
+
+
 def fields_of(record: Any, wanted: Mapping[str, Callable[[Any], Any]]) -> Fields:
     """The fields of a submap, a link or a door: `wanted` is SUBMAP, LINK or DOOR."""
     return {name: of(record) for name, of in wanted.items()}

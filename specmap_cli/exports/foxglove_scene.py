@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from specmap_cli.drawing.palette import darker
 from specmap_cli.exports.fields import (
     DOOR,
     LINK,
@@ -17,9 +18,10 @@ from specmap_cli.exports.fields import (
     fields_of,
     known,
     link_line,
+    noted_fields,
 )
 from specmap_cli.exports.foxglove_schemas import LINE_LOOP, LINE_STRIP
-from specmap_cli.exports.layers import WAY, Rgb, darker, door_colour, link_colour
+from specmap_cli.exports.layers import WAY, Rgb, door_colour, link_colour
 from specmap_cli.maps.schema import EdgeRecord, NodeRecord, TopologyRecord
 from specmap_cli.maps.schema_graph import DoorRecord
 from specmap_cli.maps.schema_values import Point
@@ -82,8 +84,7 @@ def _anchors(record: TopologyRecord, frame: str, stamp: Fields) -> Iterator[dict
 
 
 def _told(node: NodeRecord) -> Fields:
-    noted = {f"property.{key}": value for key, value in node.properties.items()}
-    return {"id": node.id, **fields_of(node, SUBMAP), **noted}
+    return {"id": node.id, **fields_of(node, SUBMAP), **noted_fields(node)}
 
 
 def _link_id(edge: EdgeRecord) -> str:

@@ -7,8 +7,7 @@ from typing import IO
 import networkx as nx
 
 from specmap_cli.core.progress import Progress
-from specmap_cli.exports.fields import LINK, SUBMAP, Fields, fields_of, known
-from specmap_cli.maps.schema import NodeRecord
+from specmap_cli.exports.fields import LINK, SUBMAP, fields_of, known, noted_fields
 from specmap_cli.maps.store import StoredMap
 
 
@@ -21,13 +20,7 @@ class GraphMl:
         """Write the graph of a map; lengths are metres, places are in the frame of the map."""
         graph = nx.Graph(frame=stored.record.graph.frame)
         for node in stored.record.nodes:
-            graph.add_node(node.id, **_of_node(node))
+            graph.add_node(node.id, **noted_fields(node), **known(fields_of(node, SUBMAP)))
         for edge in stored.record.edges:
             graph.add_edge(edge.source, edge.target, **known(fields_of(edge, LINK)))
         nx.write_graphml_xml(graph, target, prettyprint=True)
-
-
-def _of_node(node: NodeRecord) -> Fields:
-    """The properties of a submap, a person's own under `property.`: GraphML holds single values."""
-    own = {f"property.{key}": value for key, value in node.properties.items()}
-    return {**own, **known(fields_of(node, SUBMAP))}

@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.progress import Progress
-from specmap_cli.drawing.palette import INK, PAPER, Colour, colour_graph, colours_of
+from specmap_cli.drawing.palette import (
+    DOOR,
+    INK,
+    PAPER,
+    QUIET,
+    TRAVERSED,
+    WRONG,
+    Colour,
+    colour_graph,
+    colours_of,
+)
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
@@ -24,9 +34,15 @@ RgbaArray = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
 
 LAYER_STEP_M = 0.005  # each grid lies on the one before
-WAY, _UNDRIVEN, _FORBIDDEN, _DOOR = (24, 88, 160), (118, 124, 130), (214, 24, 40), (122, 74, 36)
 _FILL_ALPHA = 150  # walls are seen through regions
-_DARKER = 0.6  # of a fill: a line or a name in it is read on the fill
+
+
+def _rgb(colour: Colour) -> Rgb:
+    blue, green, red = colour
+    return red, green, blue
+
+
+WAY, _UNDRIVEN, _FORBIDDEN, _DOOR = map(_rgb, (TRAVERSED, QUIET, WRONG, DOOR))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,17 +98,6 @@ def _filled(owner: NDArray[np.integer], fills: Mapping[int, Rgb]) -> RgbaArray:
     for id_, colour in fills.items():
         rgba[owner == id_] = (*colour, _FILL_ALPHA)
     return rgba
-
-
-def _rgb(colour: Colour) -> Rgb:
-    blue, green, red = colour
-    return red, green, blue
-
-
-def darker(rgb: Rgb) -> Rgb:
-    """The colour of a line or a name on a fill."""
-    red, green, blue = (round(_DARKER * channel) for channel in rgb)
-    return red, green, blue
 
 
 def link_colour(edge: EdgeRecord) -> Rgb:

@@ -20,6 +20,7 @@ from specmap_cli.core.files import temporary_files
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import encodable
+from specmap_cli.drawing.palette import darker
 from specmap_cli.exports.fields import (
     DOOR,
     LINK,
@@ -29,13 +30,13 @@ from specmap_cli.exports.fields import (
     fields_of,
     known,
     link_line,
+    noted_fields,
 )
 from specmap_cli.exports.layers import (
     LAYER_STEP_M,
     Layer,
     Rgb,
     colours,
-    darker,
     door_colour,
     driven,
     layers,
@@ -155,8 +156,7 @@ def _write_submaps(recording: _Recording, record: TopologyRecord, fills: Mapping
         if node.polygon:
             ring = [*node.polygon, node.polygon[0]]
             recording.line(f"{entity}/outline", ring, colour, _OUTLINE_Z, {})
-        noted = {f"property.{key}": value for key, value in node.properties.items()}
-        told = {"id": node.id, **fields_of(node, SUBMAP), **noted}
+        told = {"id": node.id, **fields_of(node, SUBMAP), **noted_fields(node)}
         place = node.anchor or centre_of(node)
         recording.point(entity, place, colour, encodable(node.name), told)
 

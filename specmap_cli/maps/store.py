@@ -249,3 +249,13 @@ def read_map(path: str | Path, limits: LimitsConfig | None = None) -> StoredMap:
     limits = LimitsConfig() if limits is None else limits
     record, note = read_topology(topology, limits)
     return StoredMap(path, record, limits, note)
+
+
+def opened_map(
+    given: StoredMap | Path | str, name: str, limits: LimitsConfig | None = None
+) -> StoredMap:
+    """A map that is read already, or the directory of one, which the caller's argument `name` has.
+
+    Raises MapError as `read_map` does, TypeError for what is neither.
+    """
+    return given if isinstance(given, StoredMap) else read_map(path_of(given, name), limits)

@@ -12,14 +12,14 @@ from specmap_cli.checking.outcome import VERDICT, judged
 from specmap_cli.checking.record import CheckRecord
 from specmap_cli.checking.reports import lines_of
 from specmap_cli.checking.rules import Rules, read_rules
-from specmap_cli.core.arguments import instance_of, path_of
+from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.findings import Severity
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import plain
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.schema_graph import FindingRecord
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.compare import compare_maps
 
 _GRAVITY: tuple[Severity, ...] = ("note", "doubtful", "poor")
@@ -56,8 +56,8 @@ def check_map(
     Without `rules` the defaults hold. A map that cannot be aligned with the golden one breaks the
     rule `golden.aligned`. Raises MapError for a directory that is no map or damaged.
     """
-    map_ = _opened(stored, "stored")
-    golden = None if against is None else _opened(against, "against")
+    map_ = opened_map(stored, "stored")
+    golden = None if against is None else opened_map(against, "against")
     if rules is None:
         rules = read_rules(None, against=golden is not None)
     instance_of(rules, Rules, "rules")
@@ -72,10 +72,6 @@ def check_map(
     named = None if golden is None else str(golden.path)
     rounded = plain(figures)
     return CheckReport(judged(str(map_.path), named, rounded, verdict, rules, details))
-
-
-def _opened(given: StoredMap | Path | str, name: str) -> StoredMap:
-    return given if isinstance(given, StoredMap) else read_map(path_of(given, name))
 
 
 def _compared(

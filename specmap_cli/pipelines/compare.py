@@ -19,7 +19,7 @@ from specmap_cli.grids.bent import Anchor, BentMotion
 from specmap_cli.grids.map_server import write_png
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.comparison_report import lines_of, record_of
 from specmap_cli.pipelines.known_maps import align_maps
 from specmap_cli.pipelines.localize import settings_for
@@ -70,7 +70,8 @@ def compare_maps(
     when the maps cannot be aligned, MapError for a directory that is no map or damaged.
     """
     progress = progress or Silent()
-    one, other = _opened(old, "old", config), _opened(new, "new", config)
+    limits = None if config is None else config.limits
+    one, other = opened_map(old, "old", limits), opened_map(new, "new", limits)
     if config is not None:
         instance_of(config, Config, "config")
     config = settings_for(one, {}) if config is None else config
@@ -112,12 +113,6 @@ def write_comparison(
         (partial / SUMMARY).write_text(summary, encoding="utf-8")
         (partial / COMPARISON).write_text(to_json(comparison.as_dict()), encoding="utf-8")
         write_png(partial / PICTURE, picture)
-
-
-def _opened(given: StoredMap | Path | str, name: str, config: Config | None) -> StoredMap:
-    if isinstance(given, StoredMap):
-        return given
-    return read_map(path_of(given, name), None if config is None else config.limits)
 
 
 def _are_identical(old: StoredMap, new: StoredMap) -> bool:

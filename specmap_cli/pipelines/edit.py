@@ -25,7 +25,7 @@ from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.edit_conversion import borders_in, borders_of
 from specmap_cli.maps.edits import Edits, edits_text, in_words
 from specmap_cli.maps.edits_text import written
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.edited import (
     Drawn,
@@ -107,7 +107,7 @@ def edit_map(
     """
     progress, wishes = progress or Silent(), wishes or Wishes()
     limits = None if config is None else config.limits
-    stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"), limits)
+    stored = opened_map(map_, "map_", limits)
     if config is not None:
         instance_of(config, Config, "config")
     if stored.note:

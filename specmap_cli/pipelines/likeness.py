@@ -17,7 +17,7 @@ from specmap_cli.layout.joining import placed
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, seen_of_stored
@@ -47,7 +47,7 @@ def build_like(
     """
     config = instance_of(Config() if config is None else config, Config, "config")
     given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
-    stored = like if isinstance(like, StoredMap) else read_map(path_of(like, "like"), config.limits)
+    stored = opened_map(like, "like", config.limits)
     check_feature_sets(config)
     clock = Stopwatch()
     with (

@@ -19,7 +19,7 @@ from specmap_cli.core.tomltext import read_toml
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.filenames import CLASSIFIERS
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.localization_report import LocalizationReport, LocalizedScan
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
@@ -78,7 +78,7 @@ def localize_log(
 def _opened(map_: StoredMap | Path | str, config: Config | None, progress: Progress) -> StoredMap:
     """The map; what it lacks is noted, and settings that only the version that built it knows."""
     limits = None if config is None else config.limits
-    stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"), limits)
+    stored = opened_map(map_, "map_", limits)
     if stored.note:
         progress.note(stored.note)
     if stored.foreign_settings:

@@ -27,7 +27,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.healing import Audited
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
 from specmap_cli.pipelines.edited import drawn
@@ -63,7 +63,7 @@ def merge_maps(
     """
     target, progress = path_of(out, "out"), progress or Silent()
     limits = None if config is None else config.limits
-    given = [m if isinstance(m, StoredMap) else read_map(path_of(m, "maps"), limits) for m in maps]
+    given = [opened_map(one, "maps", limits) for one in maps]
     first = oldest(given)
     config = settings_for(first, {}) if config is None else instance_of(config, Config, "config")
     ordered = sorted(given, key=_age)

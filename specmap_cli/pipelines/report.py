@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from specmap_cli.core.arguments import path_of
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.pipelines.comparison_report import lines_of
 from specmap_cli.pipelines.map_evidence import evidence_of
@@ -27,18 +26,14 @@ def report_map(
     MapError for a damaged map, NoResultError when the two maps cannot be aligned.
     """
     progress = progress or Silent()
-    stored = _opened(map_, "map_", limits)
+    stored = opened_map(map_, "map_", limits)
     if stored.note:
         progress.note(stored.note)
     changes = None
     if compare is not None:
-        older = _opened(compare, "compare", limits)
+        older = opened_map(compare, "compare", limits)
         changes = _changes(compare_maps(older, stored, progress=progress))
     return render(stored, evidence_of(stored, progress), changes)
-
-
-def _opened(given: StoredMap | Path | str, name: str, limits: LimitsConfig | None) -> StoredMap:
-    return given if isinstance(given, StoredMap) else read_map(path_of(given, name), limits)
 
 
 def _changes(found: Comparison) -> Changes:

@@ -25,7 +25,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
 from specmap_cli.pipelines.finished_map import FinishedMap
@@ -107,7 +107,7 @@ def update_map(
     """
     given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
     limits = None if config is None else config.limits
-    stored = map_ if isinstance(map_, StoredMap) else read_map(path_of(map_, "map_"), limits)
+    stored = opened_map(map_, "map_", limits)
     config = settings_for(stored, {}) if config is None else instance_of(config, Config, "config")
     check_feature_sets(config)
     with (

@@ -199,4 +199,6 @@ def test_words_with_zeros_are_as_wide_as_measured(words: str) -> None:
 
 def test_a_zero_over_the_edge_is_cut_off() -> None:
     for x, y in ((-3.0, 10.0), (38.0, 10.0), (20.0, -2.0), (20.0, 21.0), (-90.0, 90.0)):
-        Canvas(40, 20).text(x, y, "0", 14.0, INK, "centre")
+        canvas = Canvas(40, 20)
+        canvas.text(x, y, "0", 14.0, INK, "centre")
+        assert inked(canvas.image).any() == (x > -90.0), (x, y)
