@@ -6,28 +6,21 @@ page runs no script but its own, which the browser knows by its hash.
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections import Counter
-from importlib import resources
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
-from specmap_cli import __version__
-from specmap_cli.core.legible import encodable
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.report import facts, layers, words
 from specmap_cli.report.changes import old_map
 from specmap_cli.report.colours import fill_names, tones
 from specmap_cli.report.evidence import Changes, Evidence
 from specmap_cli.report.ground import Ground
+from specmap_cli.report.pouring import PACKAGE, page_parts, poured
 from specmap_cli.report.sheets import sheets_of
 from specmap_cli.report.spectra import Spectra, spectra_of
 from specmap_cli.report.thinned import thinned
 from specmap_cli.report.track import Track, running_seconds
 
-_PACKAGE = "specmap_cli.report"
 # the parts of the script in their order; each uses only what stands before it
 _SCRIPTS = (
     "core.js",
@@ -72,9 +65,9 @@ def render(stored: StoredMap, evidence: Evidence, changes: Changes | None = None
         "old": None if changes is None else old_map(changes, ground),
         "data": _data(ground, track, spectra),
         "thinned": thinned(track, spectra, closures),
-        **_page(),
+        **page_parts(PACKAGE, _SCRIPTS, _STYLES),
     }
-    return encodable(_environment().get_template("page.html").render(context))
+    return poured(PACKAGE, "page.html", context, {name: getattr(words, name) for name in _FILTERS})
 
 
 def _layers(ground: Ground) -> dict[str, Any]:
@@ -154,34 +147,3 @@ def _data(ground: Ground, track: Track, spectra: Spectra) -> dict[str, Any]:
         "threshold": spectra.threshold,
         "logs": [log.name for log in ground.stored.record.graph.logs],
     }
-
-
-def _page() -> dict[str, Any]:
-    """What is the same on every page."""
-    script = _joined("scripts", _SCRIPTS)
-    digest = hashlib.sha256(script.encode("utf-8")).digest()
-    return {
-        "script": script,
-        "script_hash": f"sha256-{base64.b64encode(digest).decode('ascii')}",
-        "style": _joined("styles", _STYLES),
-        "version": __version__,
-    }
-
-
-def _joined(folder: str, names: tuple[str, ...]) -> str:
-    """Files of the package, one after the other."""
-    place = resources.files(_PACKAGE) / folder
-    return "\n".join((place / name).read_text(encoding="utf-8") for name in names)
-
-
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader(_PACKAGE, "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.policies["json.dumps_kwargs"] = {"sort_keys": True, "separators": (",", ":")}
-    environment.filters.update({name: getattr(words, name) for name in _FILTERS})
-    return environment
