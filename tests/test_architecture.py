@@ -55,11 +55,12 @@ MAY_IMPORT: dict[str, set[str]] = {
     "exports": _STAGE | {"topology", "layout", "maps", "drawing"},
     "checking": _STAGE | {"topology", "maps"},
     "report": _STAGE | {"topology", "maps", "drawing"},
-    "pipelines": {*_ORDER, "checking", "report"},
+    "history": _STAGE | {"maps", "report"},
+    "pipelines": {*_ORDER, "checking", "history", "report"},
     "evaluation": {*_ORDER, "pipelines"},
     "cli": {*_ORDER, "pipelines", "evaluation", "exports", "checking"},
 }
-MOST_ROOMS, MOST_FLOORS = 22, 10
+MOST_ROOMS, MOST_FLOORS = 23, 10
 # what `specmap --help` must not load
 HEAVY = {
     "cv2",

@@ -30,6 +30,7 @@ WRITERS = {
     "merge",
     "edit",
     "report",
+    "history",
 }
 SETTLED = READERS | {
     "segment",
@@ -42,6 +43,7 @@ SETTLED = READERS | {
     "edit",
     "report",
     "check",
+    "history",
 }
 ALL = READERS | WRITERS | {"config", "check"}
 HAVE = {

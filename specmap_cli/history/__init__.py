@@ -1,0 +1,1 @@
+"""Maps of many days: which rooms were visited how often, and what changed when."""

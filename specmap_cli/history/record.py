@@ -1,0 +1,142 @@
+"""The contents of history.json: buildings, their rooms, visits by day, and what changed when.
+
+These models are the format. `history.schema.json` beside this file is the same as JSON Schema, for
+other tools. After a change of the models, `python -m specmap_cli.history.record` prints the new
+one. Lengths are metres; places are in the frame of a building, that of its first map.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from specmap_cli.maps.schema_values import Amount, Count, Number, Stamp
+
+SCHEMA_VERSION = 1
+SCHEMA_ID = f"urn:specmap:history:{SCHEMA_VERSION}"
+SCHEMA_FILE = Path(__file__).with_name("history.schema.json")
+
+ChangeKind = Literal[
+    "door-closed", "door-opened", "appeared", "vanished", "room-gone", "room-added"
+]
+
+
+def room_name(number: int) -> str:
+    """What a room is called that nobody named."""
+    return f"room {number}"
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class RoomRecord(_Record):
+    """A room of a building: a submap of the map that showed it first."""
+
+    number: Count = Field(description="what visits and changes call it by")
+    name: str = Field(description="the last one that a person gave, or its number")
+    map: Count = Field(description="number of the map that showed it first")
+    submap: Count = Field(description="its id in that map")
+    area_m2: Amount = Field(description="of its floor in that map")
+    visits: Count = Field(description="on all days")
+    minutes: Amount = Field(description="on all days")
+    days: Count = Field(description="on how many days it was visited")
+
+
+class MapRecord(_Record):
+    """One of the maps, by time."""
+
+    number: Count = Field(description="what rooms and changes call it by")
+    map: str = Field(description="the directory, as it was found")
+    start: Stamp = Field(description="stamp of its first scan, seconds")
+    end: Stamp = Field(description="stamp of its last scan, seconds")
+    verdict: str | None = Field(description="what the map thinks of itself")
+    submaps: Count
+    area_m2: Amount = Field(description="of the floors of its submaps")
+    compared_with: Count | None = Field(
+        description="number of the earlier map that it was compared with; null for the first"
+    )
+    residual_m: Amount | None = Field(description="how far its submaps lie off those of that map")
+
+
+class StayRecord(_Record):
+    """A room on one day."""
+
+    room: Count
+    visits: Count = Field(description="how often the robot came in on this day")
+    minutes: Amount = Field(description="between the scans of these visits")
+
+
+class DayRecord(_Record):
+    """A building on one day."""
+
+    day: str = Field(description="YYYY-MM-DD in the time zone of the record")
+    recordings: Count = Field(description="that began on it")
+    driven_m: Amount
+    minutes: Amount = Field(description="of recordings")
+    rooms: list[StayRecord] = Field(description="those that were visited, by number")
+
+
+class ChangeRecord(_Record):
+    """Something that is otherwise in a map than in the map that it was compared with."""
+
+    kind: ChangeKind
+    map: Count = Field(description="number of the map that shows it first")
+    before: Count = Field(description="number of the map that it was compared with")
+    day: str = Field(description="of the last scan of `map`; it happened on it or before")
+    since: str = Field(description="of the last scan of `before`; it happened on it or after")
+    rooms: list[Count] = Field(description="the rooms it is in, or between; empty when unknown")
+    x: Number | None = Field(description="null for a room")
+    y: Number | None = Field(description="null for a room")
+    size: Amount | None = Field(description="width of a door, m; area of a thing or room, m2")
+
+
+class BuildingRecord(_Record):
+    """Maps that fit to one another, directly or through others."""
+
+    number: Count
+    name: str = Field(description="name of the directory of its first map")
+    rooms: list[RoomRecord] = Field(description="by number")
+    maps: list[MapRecord] = Field(description="by the time of their last scan")
+    days: list[DayRecord] = Field(description="those with a recording, in order")
+    changes: list[ChangeRecord] = Field(description="in the order of the maps that show them")
+
+
+class LeftOutRecord(_Record):
+    """A map that could not be read."""
+
+    map: str
+    reason: str
+
+
+class HistoryRecord(_Record):
+    """The whole file."""
+
+    schema_version: Literal[1] = Field(description="the version of this format")
+    timezone: str = Field(description="in which a day begins and ends")
+    buildings: list[BuildingRecord] = Field(description="in the order of their first maps")
+    left_out: list[LeftOutRecord] = Field(description="what was named and is not in it")
+
+
+def json_schema() -> dict[str, Any]:
+    """The models as JSON Schema (draft 2020-12)."""
+    schema = HistoryRecord.model_json_schema()
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": SCHEMA_ID,
+        **schema,
+        "title": "specmap history.json",
+    }
+
+
+def schema_text() -> str:
+    """The text of `history.schema.json`."""
+    return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(schema_text())

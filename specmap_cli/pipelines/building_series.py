@@ -1,0 +1,200 @@
+"""The maps of one building one after the other: its rooms, and what each map shows of them.
+
+A room is a submap of the first map that showed its place. So it stays the same room however later
+maps divide the building.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from specmap_cli.core.errors import NoResultError
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
+from specmap_cli.grids.bent import BentMotion
+from specmap_cli.history.record import room_name
+from specmap_cli.history.visits import Tour, tour_of
+from specmap_cli.maps.schema import NodeRecord
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.pipelines.compare import Comparison, compare_maps
+from specmap_cli.topology.graph import settle_labels
+from specmap_cli.topology.topological_map import LogInfo
+
+_MOST = 0.5  # of the keyframes of a submap
+
+Recording = tuple[str, int | None, int | None]  # name, first and last stamp
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """A submap of the map `map_` in which the room was seen first."""
+
+    number: int
+    map_: int
+    node: NodeRecord
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """A map in a building: `steps` lead from it to the frame of the building, one by one."""
+
+    number: int
+    stored: StoredMap
+    steps: tuple[BentMotion, ...] = ()
+
+    def to_building(self, points: FloatArray) -> FloatArray:
+        """Points (n, 2) of the map in the frame of the building."""
+        for step in self.steps:
+            points = step.apply(points)
+        return points
+
+    def from_building(self, points: FloatArray) -> FloatArray:
+        """Points (n, 2) of the building in the frame of the map."""
+        for step in reversed(self.steps):
+            points = step.inverse().apply(points)
+        return points
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A map of the series, with the room that most of each submap is in, by the submap's id.
+
+    `added` are the rooms that no map before it showed.
+    """
+
+    placed: Placed
+    room_of: Mapping[int, int]
+    added: tuple[Room, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """From one map of the series to a later one."""
+
+    before: Entry
+    after: Entry
+    comparison: Comparison
+
+
+class BuildingSeries:
+    """The maps of a building so far: its rooms by number, its tours, the map taken in last.
+
+    Only the last map and those that showed rooms first (`_plans`) are held, never all of a series.
+    """
+
+    def __init__(self, number: int, first: StoredMap) -> None:
+        self.rooms: list[Room] = []
+        self.tours: list[Tour] = []
+        self._plans: list[Entry] = []
+        self._names: dict[int, str] = {}
+        self._seen: set[Recording] = set()
+        self.last = self._take(Placed(number, first))
+
+    def add(self, number: int, stored: StoredMap) -> Step | None:
+        """Take in the next map, or None where it fits to none of the building.
+
+        It is compared with the newest map that it fits to, and laid out in the oldest, so that
+        small errors do not add up over a long series.
+        """
+        found = self._compared(stored)
+        if found is None:
+            return None
+        before, comparison = found
+        steps = (comparison.old_from_new, *before.placed.steps)
+        first = self._plans[0]
+        if before is not first:
+            direct = _fits(first.placed.stored, stored)
+            steps = steps if direct is None else (direct.old_from_new,)
+        self.last = self._take(Placed(number, stored, steps))
+        return Step(before, self.last, comparison)
+
+    def name_of(self, room: Room) -> str:
+        """The last name that a person gave to a room, or a number."""
+        return self._names.get(room.number, room_name(room.number))
+
+    def _compared(self, stored: StoredMap) -> tuple[Entry, Comparison] | None:
+        candidates = {entry.placed.number: entry for entry in (self.last, *reversed(self._plans))}
+        for entry in candidates.values():
+            comparison = _fits(entry.placed.stored, stored)
+            if comparison is not None:
+                return entry, comparison
+        return None
+
+    def _take(self, placed: Placed) -> Entry:
+        """Find the rooms of a map and count its recordings."""
+        labels, known = placed.stored.labels, len(self.rooms)
+        rooms = self._rooms_of(placed, labels)
+        self._add_rooms(placed, labels.submaps, rooms)
+        added = tuple(self.rooms[known:])
+        new = {room.node.id: room.number for room in added}
+        rooms = np.where(rooms == NO_SUBMAP, _looked_up(labels.submaps, new), rooms)
+        entry = Entry(placed, _by_majority(labels.submaps, rooms), added)
+        if added:
+            self._plans.append(entry)
+        self._tours(placed.stored, labels, rooms)
+        for id_, name in placed.stored.names.items():
+            if id_ in entry.room_of:
+                self._names[entry.room_of[id_]] = name
+        return entry
+
+    def _rooms_of(self, placed: Placed, labels: Labels) -> IntArray:
+        """(n,) the room of each keyframe by the maps before, the oldest first."""
+        places = placed.to_building(labels.poses[:, :2])
+        rooms = np.full(len(places), NO_SUBMAP, dtype=np.int64)
+        for plan in self._plans:
+            owners = plan.placed.stored.regions.owners(plan.placed.from_building(places))
+            first_of = {room.node.id: room.number for room in plan.added}
+            rooms = np.where(rooms == NO_SUBMAP, _looked_up(owners, first_of), rooms)
+        return rooms
+
+    def _add_rooms(self, placed: Placed, submaps: IntArray, rooms: IntArray) -> None:
+        """Submaps become rooms where most of their keyframes are in no room yet."""
+        for node in placed.stored.record.nodes:
+            own = submaps == node.id
+            if own.any() and (rooms[own] == NO_SUBMAP).mean() > _MOST:
+                self.rooms.append(Room(len(self.rooms), placed.number, node))
+
+    def _tours(self, stored: StoredMap, labels: Labels, rooms: IntArray) -> None:
+        """Count the recordings that no earlier map of the building was made of."""
+        least_m = stored.config.segmentation.region_min_m
+        for log in stored.logs:
+            if log.keyframes is None or _recording(log) in self._seen:
+                continue
+            self._seen.add(_recording(log))
+            own = slice(log.keyframes[0], log.keyframes[1] + 1)
+            part = Labels(
+                stamps_ns=labels.stamps_ns[own],
+                poses=labels.poses[own],
+                submaps=labels.submaps[own],
+            )
+            if len(part.stamps_ns):
+                self.tours.append(tour_of(part, settle_labels(rooms[own], part.poses, least_m)))
+
+
+def _fits(old: StoredMap, new: StoredMap) -> Comparison | None:
+    try:
+        return compare_maps(old, new)
+    except NoResultError:
+        return None
+
+
+def _by_majority(submaps: IntArray, rooms: IntArray) -> dict[int, int]:
+    """The room that most keyframes of each submap are in, of submaps that are in one."""
+    found = {}
+    for id_ in np.unique(submaps[submaps != NO_SUBMAP]).tolist():
+        inside = rooms[(submaps == id_) & (rooms != NO_SUBMAP)]
+        if len(inside):
+            found[id_] = int(np.bincount(inside).argmax())
+    return found
+
+
+def _recording(log: LogInfo) -> Recording:
+    return log.name, log.start_ns, log.end_ns
+
+
+def _looked_up(ids: IntArray, table: Mapping[int, int]) -> IntArray:
+    """(n,) what a table says of each id, NO_SUBMAP where it says nothing."""
+    return np.array([table.get(id_, NO_SUBMAP) for id_ in ids.tolist()], dtype=np.int64)

@@ -1,0 +1,173 @@
+"""Maps of many days, of one building or of several: rooms, visits by day, changes by map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import tzinfo
+from pathlib import Path
+from typing import Any
+
+from specmap_cli.core.arguments import path_of
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.progress import Progress, Silent
+from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.text import plain, to_json
+from specmap_cli.history.page import render_history
+from specmap_cli.history.record import SCHEMA_VERSION, HistoryRecord
+from specmap_cli.history.tables import TABLES, lines_of
+from specmap_cli.history.visits import zone_of
+from specmap_cli.maps import filenames
+from specmap_cli.maps.directory import OutputDirectory
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.building_series import BuildingSeries
+from specmap_cli.pipelines.history_record import (
+    building_entry,
+    change_entries,
+    map_entry,
+    span_ns,
+)
+
+HISTORY, PAGE = "history.json", "history.html"
+
+
+@dataclass(frozen=True, slots=True)
+class HistoryReport:
+    """What the maps tell; `plans` are the first maps of the buildings."""
+
+    record: HistoryRecord
+    plans: tuple[Path, ...]
+
+    @property
+    def whole(self) -> bool:
+        """Whether every map could be read."""
+        return not self.record.left_out
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same for a machine, as `history.record` has it."""
+        return self.record.model_dump()
+
+    def lines(self) -> list[str]:
+        """The same for a person."""
+        return lines_of(self.record)
+
+
+@dataclass
+class _Building:
+    """A series of maps, and what was told of them."""
+
+    series: BuildingSeries
+    path: Path
+    maps: list[dict[str, Any]] = field(default_factory=list)
+    changes: list[dict[str, Any]] = field(default_factory=list)
+
+
+def history_of(
+    maps: Sequence[Path | str],
+    timezone: str = "UTC",
+    limits: LimitsConfig | None = None,
+    progress: Progress | None = None,
+) -> HistoryReport:
+    """Rooms, visits and changes of maps, or of all maps in some directories, sorted by time.
+
+    Maps that fit to one another are one building. A map that cannot be read is left out, and
+    warned of. Raises UsageError for an unknown time zone, MapError when no map can be read.
+    """
+    progress = progress or Silent()
+    zone = zone_of(timezone)
+    readable, left_out = _dated(_found(maps), limits, progress)
+    if not readable:
+        raise MapError(left_out[0]["reason"])
+    buildings: list[_Building] = []
+    progress.start("comparing maps", len(readable))
+    for number, path in enumerate(readable):
+        _enter(buildings, number, read_map(path, limits), zone)
+        progress.advance()
+    document = {
+        "schema_version": SCHEMA_VERSION,
+        "timezone": timezone,
+        "buildings": [
+            building_entry(k, one.series, _called(one.path), (one.maps, one.changes), zone)
+            for k, one in enumerate(buildings)
+        ],
+        "left_out": left_out,
+    }
+    record = HistoryRecord.model_validate(plain(document))
+    return HistoryReport(record, tuple(one.path for one in buildings))
+
+
+def write_history(
+    report: HistoryReport,
+    out: Path | str,
+    overwrite: bool = False,
+    limits: LimitsConfig | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Write history.json, its tables and its page into a directory, complete or not at all.
+
+    Raises UsageError for an output in the way.
+    """
+    plans = [read_map(path, limits) for path in report.plans]
+    with OutputDirectory(path_of(out, "out"), overwrite, progress, HISTORY) as partial:
+        (partial / HISTORY).write_text(to_json(report.as_dict()), encoding="utf-8")
+        for name, table in TABLES.items():
+            (partial / name).write_text(table(report.record), encoding="utf-8")
+        page = render_history(report.record, plans, partial.parent)
+        (partial / PAGE).write_text(page, encoding="utf-8")
+
+
+def _found(paths: Sequence[Path | str]) -> Iterator[Path]:
+    """Map directories: those named, and all that lie in other directories."""
+    for given in paths:
+        path = path_of(given, "maps")
+        inside = sorted(path.rglob(filenames.TOPOLOGY)) if path.is_dir() else []
+        if (path / filenames.TOPOLOGY).exists() or not inside:
+            yield path
+        else:
+            yield from (file.parent for file in inside)
+
+
+def _dated(
+    paths: Iterator[Path], limits: LimitsConfig | None, progress: Progress
+) -> tuple[list[Path], list[dict[str, str]]]:
+    """The maps that can be read by the time of their last scan, and the others with the reason."""
+    dated: list[tuple[int, str, Path]] = []
+    left_out = []
+    progress.start("reading maps", None)
+    for path in dict.fromkeys(paths):
+        try:
+            stored = read_map(path, limits)
+            dated.append((_readable_until(stored), str(path), path))
+        except MapError as error:
+            progress.warn(f"left out: {error}")
+            left_out.append({"map": str(path), "reason": str(error)})
+    return [path for _, _, path in sorted(dated)], left_out
+
+
+def _readable_until(stored: StoredMap) -> int:
+    """The stamp of a map's last scan, once all that a comparison needs was read."""
+    if not (stored.path / filenames.LABELS).exists() or not len(stored.labels.stamps_ns):
+        raise MapError(f"{stored.path}: was not made of a recording: it knows no visits")
+    stored.topology  # noqa: B018 reads the grids of all submaps
+    stored.map_grid  # noqa: B018
+    return span_ns(stored)[1]
+
+
+def _enter(buildings: list[_Building], number: int, stored: StoredMap, zone: tzinfo) -> None:
+    """Take a map into the building that it fits to, the one with the newest map first."""
+    for building in sorted(buildings, key=lambda one: -one.series.last.placed.number):
+        step = building.series.add(number, stored)
+        if step is not None:
+            building.maps.append(map_entry(step.after.placed, step))
+            building.changes.extend(change_entries(step, zone))
+            return
+    series = BuildingSeries(number, stored)
+    buildings.append(_Building(series, stored.path, [map_entry(series.last.placed, None)]))
+
+
+def _called(path: Path) -> str:
+    """What a building is called: the directory of its first map, or of the job that made it."""
+    resolved = path.resolve()
+    return (
+        resolved.parent.name if resolved.name == "map" and resolved.parent.name else resolved.name
+    )

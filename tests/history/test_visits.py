@@ -1,0 +1,67 @@
+"""Visits of rooms by day: nothing is lost between rooms, and midnight is where the zone has it."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.records import NO_SUBMAP, Labels
+from specmap_cli.history.visits import Tour, Visit, day_of, days_of, totals, tour_of, zone_of
+
+_NS = 1_000_000_000
+_MIDNIGHT = int(datetime(2026, 3, 2, tzinfo=UTC).timestamp()) * _NS
+
+
+def labels(seconds: list[float]) -> Labels:
+    stamps = _MIDNIGHT + (np.array(seconds) * _NS).astype(np.int64)
+    poses = np.column_stack([np.array(seconds), np.zeros((len(seconds), 2))])
+    return Labels(stamps_ns=stamps, poses=poses, submaps=np.zeros(len(seconds), dtype=np.int64))
+
+
+def test_a_visit_lasts_until_the_next_begins() -> None:
+    tour = tour_of(labels([0, 10, 20, 30, 50]), np.array([0, 0, 1, 1, 0]))
+    assert [(one.room, round(one.minutes * 60, 6)) for one in tour.visits] == [
+        (0, 20),
+        (1, 30),
+        (0, 0),
+    ]
+    assert sum(one.minutes for one in tour.visits) * 60 == pytest.approx(50)
+    assert tour.driven_m == 50
+
+
+def test_where_no_room_is_known_nothing_is_visited() -> None:
+    tour = tour_of(labels([0, 10, 20, 30]), np.array([NO_SUBMAP, NO_SUBMAP, 1, 1]))
+    assert [(one.room, round(one.minutes * 60, 6)) for one in tour.visits] == [(1, 10)]
+
+
+def test_a_day_ends_at_midnight_of_the_zone() -> None:
+    assert day_of(_MIDNIGHT, zone_of("UTC")) == "2026-03-02"
+    assert day_of(_MIDNIGHT - 1, zone_of("UTC")) == "2026-03-01"
+    assert day_of(_MIDNIGHT - 1, zone_of("Europe/Berlin")) == "2026-03-02"
+    assert day_of(-5 * _NS, zone_of("UTC")) == "1969-12-31"
+
+
+@pytest.mark.parametrize("name", ["Mars/Base", "", "../../etc/passwd", "/etc/localtime"])
+def test_an_unknown_zone_is_refused(name: str) -> None:
+    with pytest.raises(UsageError, match="time zone"):
+        zone_of(name)
+
+
+def test_a_visit_counts_on_the_day_it_began() -> None:
+    late = Tour(_MIDNIGHT - 60 * _NS, _MIDNIGHT + 60 * _NS, 12.0, (
+        Visit(3, _MIDNIGHT - 60 * _NS, _MIDNIGHT + 30 * _NS),
+        Visit(4, _MIDNIGHT + 30 * _NS, _MIDNIGHT + 60 * _NS),
+    ))  # fmt: skip
+    first, second = days_of([late], zone_of("UTC"))
+    assert (first["day"], first["recordings"], first["driven_m"]) == ("2026-03-01", 1, 12.0)
+    assert first["rooms"] == [{"room": 3, "visits": 1, "minutes": 1.5}]
+    assert (second["recordings"], second["minutes"]) == (0, 0)
+    assert second["rooms"] == [{"room": 4, "visits": 1, "minutes": 0.5}]
+
+
+def test_visits_add_up() -> None:
+    visits = [Visit(1, 0, 60 * _NS), Visit(2, 0, _NS), Visit(1, 0, 30 * _NS)]
+    assert totals(visits)[1] == (2, 1.5)

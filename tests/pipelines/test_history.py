@@ -1,0 +1,211 @@
+"""Maps of several days: one building or two, rooms that stay the same, and what changed."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from specmap_cli.cli import main
+from specmap_cli.core.errors import MapError
+from specmap_cli.grids.gridmap import OCCUPIED, GridMap
+from specmap_cli.history import record as schema
+from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.pipelines.build import build_map
+from specmap_cli.pipelines.history import HistoryReport, history_of, write_history
+from specmap_cli.pipelines.simulate import simulate
+from specmap_cli.pipelines.update import update_map
+from specmap_cli.simulation import simulator
+from specmap_cli.simulation.simulator import SimulationOptions
+
+_DAY_NS = 86_400 * 1_000_000_000
+_FIRST_NS = 1_764_000_000 * 1_000_000_000  # 2025-11-24 in UTC
+
+
+def toured(grid: GridMap, folder: Path, seed: int, day: int) -> Path:
+    """The recording of a tour on some day."""
+    options = SimulationOptions(beams=180, range_max_m=12, rate_hz=3, speed_mps=0.8, seed=seed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulator, "START_NS", _FIRST_NS + day * _DAY_NS)
+        return simulate(grid, options, folder / f"day{day}.mcap").log
+
+
+def refurnished(flat: GridMap) -> GridMap:
+    """The flat with a closed door and a cabinet more."""
+    cells = flat.cells.copy()
+    cells[39:41, 140:158] = OCCUPIED  # the door of the third room
+    cells[60:76, 108:116] = OCCUPIED  # a cabinet of 0.4 m x 0.8 m in the second room
+    return GridMap(cells, flat.resolution)
+
+
+@pytest.fixture(scope="module")
+def week(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three days of the flat: a map, the same with another log, one after the changes."""
+    folder = tmp_path_factory.mktemp("week")
+    logs = [toured(flat, folder, 3, 0), toured(flat, folder, 21, 1)]
+    logs.append(toured(refurnished(flat), folder, 9, 2))
+    build_map([logs[0]], folder / "maps" / "monday")
+    update_map(folder / "maps" / "monday", [logs[1]], folder / "maps" / "tuesday")
+    build_map([logs[2]], folder / "maps" / "wednesday")
+    return folder / "maps"
+
+
+@pytest.fixture(scope="module")
+def report(week: Path) -> HistoryReport:
+    return history_of([week])
+
+
+def test_days_of_one_building_are_one_series(report: HistoryReport) -> None:
+    (building,) = report.record.buildings
+    assert [Path(one.map).name for one in building.maps] == ["monday", "tuesday", "wednesday"]
+    assert [one.compared_with for one in building.maps] == [None, 0, 1]
+    assert [day.day for day in building.days] == ["2025-11-24", "2025-11-25", "2025-11-26"]
+
+
+def test_a_recording_in_two_maps_counts_once(report: HistoryReport) -> None:
+    (building,) = report.record.buildings
+    assert [day.recordings for day in building.days] == [1, 1, 1]
+    rooms = {room.number: room for room in building.rooms}
+    for number, room in rooms.items():
+        by_day = [stay for day in building.days for stay in day.rooms if stay.room == number]
+        assert room.visits == sum(stay.visits for stay in by_day)
+        assert room.minutes == pytest.approx(sum(stay.minutes for stay in by_day), abs=1e-5)
+        assert room.days == len(by_day)
+
+
+def test_a_room_stays_the_same_room(report: HistoryReport) -> None:
+    (building,) = report.record.buildings
+    assert {room.map for room in building.rooms} == {0}
+    assert sum(room.days == 3 for room in building.rooms) >= 3
+    for day in building.days:
+        stayed = sum(stay.minutes for stay in day.rooms)
+        assert 0.9 * day.minutes <= stayed <= day.minutes + 1e-6
+
+
+def test_what_changed_has_its_days_and_rooms(report: HistoryReport) -> None:
+    (building,) = report.record.buildings
+    assert sorted(change.kind for change in building.changes) == ["appeared", "door-closed"]
+    assert {(change.since, change.day) for change in building.changes} == {
+        ("2025-11-25", "2025-11-26")
+    }
+    assert all(change.rooms for change in building.changes)
+    (closed,) = (one for one in building.changes if one.kind == "door-closed")
+    assert closed.size == pytest.approx(0.9, abs=0.15)
+
+
+def test_the_last_name_that_a_person_gave_is_used(week: Path, tmp_path: Path) -> None:
+    for day in ("monday", "wednesday"):
+        shutil.copytree(week / day, tmp_path / day)
+    edited = tmp_path / "wednesday"
+    assert main(["edit", str(edited), "--rename", "0", "Kitchen", "-q"]) == 0
+    (building,) = history_of([tmp_path / "monday", edited]).record.buildings
+    assert [room.name for room in building.rooms].count("Kitchen") == 1
+
+
+def test_another_building_is_one_of_its_own(week: Path, flat: GridMap, tmp_path: Path) -> None:
+    cells = flat.cells.copy()
+    cells[:, :118] = OCCUPIED  # the eastern half alone, and mirrored: no room is where it was
+    other = GridMap(cells[::-1, 100:].copy(), 1.4 * flat.resolution)
+    build_map([toured(other, tmp_path, 5, 4)], tmp_path / "annex")
+    record = history_of([week / "monday", tmp_path / "annex"]).record
+    assert [building.name for building in record.buildings] == ["monday", "annex"]
+    assert [map_.number for building in record.buildings for map_ in building.maps] == [0, 1]
+
+
+def test_new_space_is_a_new_room(flat: GridMap, week: Path, tmp_path: Path) -> None:
+    cells = flat.cells.copy()
+    cells[39:41, 140:158] = OCCUPIED  # the third room cannot be entered, nor be seen
+    build_map([toured(GridMap(cells, flat.resolution), tmp_path, 9, -1)], tmp_path / "sunday")
+    (building,) = history_of([tmp_path / "sunday", week / "monday"]).record.buildings
+    added = [change for change in building.changes if change.kind == "room-added"]
+    assert len(added) == 1
+    (number,) = added[0].rooms
+    (room,) = (one for one in building.rooms if one.number == number)
+    assert room.map == 1
+    assert added[0].size == pytest.approx(room.area_m2)
+    assert room.visits >= 1
+
+
+def test_a_map_that_cannot_be_read_is_left_out_and_told(
+    week: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(week / "monday", tmp_path / "good")
+    shutil.copytree(week / "tuesday", tmp_path / "bad")
+    (tmp_path / "bad" / "labels.csv").write_text("nonsense\n", encoding="utf-8")
+    out = tmp_path / "history"
+    assert main(["history", str(tmp_path), "--json", "-q"]) == 3
+    printed = json.loads(capsys.readouterr().out)
+    assert [Path(one["map"]).name for one in printed["left_out"]] == ["bad"]
+    assert len(printed["buildings"]) == 1
+    assert not out.exists()
+
+
+def test_without_a_map_there_is_no_history(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match=re.escape(str(tmp_path))):
+        history_of([tmp_path])
+
+
+def test_a_divided_plan_knows_no_visits(tmp_path: Path, result: MapResult) -> None:
+    (tmp_path / "map").mkdir()
+    write_map(tmp_path / "map", result)
+    (tmp_path / "map" / "labels.csv").unlink()
+    with pytest.raises(MapError, match="visits"):
+        history_of([tmp_path / "map"])
+
+
+def test_the_command_writes_all_of_it(
+    week: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "week"
+    assert main(["history", str(week), "-o", str(out), "--json", "-q"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    jsonschema.validate(printed, json.loads(schema.SCHEMA_FILE.read_text(encoding="utf-8")))
+    assert json.loads((out / "history.json").read_text(encoding="utf-8")) == printed
+    assert sorted(path.name for path in out.iterdir()) == [
+        "changes.csv",
+        "days.csv",
+        "history.html",
+        "history.json",
+        "visits.csv",
+    ]
+    with (out / "visits.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert sum(int(row["visits"]) for row in rows) == sum(
+        room["visits"] for room in printed["buildings"][0]["rooms"]
+    )
+    with (out / "changes.csv").open(encoding="utf-8", newline="") as file:
+        assert [row["since"] for row in csv.DictReader(file)] == ["2025-11-25"] * 2
+    assert main(["history", str(week), "-o", str(out), "-q"]) == 2  # only with --overwrite
+
+
+def test_the_page_shows_rooms_days_and_changes(report: HistoryReport, tmp_path: Path) -> None:
+    write_history(report, tmp_path / "out")
+    page = (tmp_path / "out" / "history.html").read_text(encoding="utf-8")
+    (building,) = report.record.buildings
+    for room in building.rooms:
+        assert f">{room.name}</th>" in page
+    assert page.count('class="room"') == len(building.rooms)
+    assert "door closed between" in page
+    assert "<script" not in page
+
+
+def test_a_hostile_name_is_no_markup(week: Path, tmp_path: Path) -> None:
+    name = "\"'><script>alert(1)</script>"
+    shutil.copytree(week / "monday", tmp_path / "map")
+    assert main(["edit", str(tmp_path / "map"), "--rename", "0", name, "-q"]) == 0
+    write_history(history_of([tmp_path / "map"]), tmp_path / "out")
+    page = (tmp_path / "out" / "history.html").read_text(encoding="utf-8")
+    assert "<script" not in page
+    assert "&lt;script&gt;" in page
+
+
+def test_the_shipped_schema_is_that_of_the_models() -> None:
+    shipped = schema.SCHEMA_FILE.read_text(encoding="utf-8")
+    assert shipped == schema.schema_text(), (
+        "run `python -m specmap_cli.history.record > specmap_cli/history/history.schema.json`"
+    )
