@@ -115,14 +115,16 @@ def _printed(*arguments: str) -> str:
 
 def schemas_page() -> str:
     """Every JSON Schema of the package, a table an object."""
+    from specmap_cli.core.schemas import read_schema, schema_names
+
     parts = [
-        "# JSON schemas\nMade from the schemas that the package ships. A program that reads these "
-        "files can check them with the schemas themselves.\n"
+        "# JSON schemas\nMade from the schemas that the package ships: of what each command prints "
+        "with `--json`, and of each JSON file. `specmap schema NAME` prints one, for programs that "
+        "check what they read.\n"
     ]
-    for path in sorted((ROOT / "specmap_cli").rglob("*.schema.json")):
-        schema = json.loads(path.read_text(encoding="utf-8"))
-        name = path.name.removesuffix(".schema.json")
-        parts.append(f"## {name}\n`{path.relative_to(ROOT).as_posix()}`\n")
+    for name in schema_names():
+        schema = read_schema(name)
+        parts.append(f"## {name}\n{schema['title']}: `{schema['$id']}`\n")
         parts += [f"{_object(name, *one)}\n" for one in _objects(name, schema)]
     return "\n".join(parts)
 
@@ -158,7 +160,8 @@ def _type(name: str, about: Mapping[str, Any]) -> str:
         return "[" + ", ".join(_type(name, one) for one in about["prefixItems"]) + "]"
     if about.get("type") == "array":
         return f"list of {_type(name, about.get('items', {}))}"
-    return str(about.get("type", "anything"))
+    kinds = about.get("type", "anything")
+    return kinds if isinstance(kinds, str) else " or ".join(kinds)
 
 
 GENERATED: dict[str, Callable[[], str]] = {

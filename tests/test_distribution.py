@@ -55,7 +55,11 @@ def of_the_package() -> set[str]:
 
 def test_the_package_has_data() -> None:
     data = {path for path in of_the_package() if not path.endswith(".py")}
-    assert {"specmap_cli/py.typed", "specmap_cli/maps/topology.schema.json"} <= data
+    assert {
+        "specmap_cli/py.typed",
+        "specmap_cli/maps/topology.schema.json",
+        "specmap_cli/schemas/build.schema.json",
+    } <= data
 
 
 def test_the_wheel_holds_the_package_and_nothing_else(archives: Path) -> None:

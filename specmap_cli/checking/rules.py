@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from specmap_cli.checking.figures import GOLDEN, MEANINGS, is_figure
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.findings import VERDICTS, Verdict
 from specmap_cli.core.tomltext import read_toml
 
@@ -82,13 +82,17 @@ def read_rules(path: Path | None, *, against: bool) -> Rules:
     where = f"{path}: "
     for key in written:
         if key not in ("defaults", "verdict", *BOUNDS):
-            raise UsageError(f"{where}{key}: no such key: use defaults, verdict, most and least")
+            raise UsageError(
+                f"{where}{key}: no such key: use defaults, verdict, most and least", code=SETTING
+            )
     bounds = {bound: _bounds(written.get(bound, {}), bound, where) for bound in BOUNDS}
     if not against:
         for bound, found in bounds.items():
             for name in found:
                 if name.startswith(GOLDEN):
-                    raise UsageError(f"{where}{bound}.{name}: needs another map: give --against")
+                    raise UsageError(
+                        f"{where}{bound}.{name}: needs another map: give --against", code=SETTING
+                    )
     base = DEFAULTS if _wants_defaults(written, where) else Rules("poor", {}, {})
     most, least = (
         {
@@ -104,29 +108,35 @@ def read_rules(path: Path | None, *, against: bool) -> Rules:
 def _wants_defaults(written: Mapping[str, Any], where: str) -> bool:
     wanted = written.get("defaults", True)
     if not isinstance(wanted, bool):
-        raise UsageError(f"{where}defaults is {wanted!r:.60}: expected true or false")
+        raise UsageError(f"{where}defaults is {wanted!r:.60}: expected true or false", code=SETTING)
     return wanted
 
 
 def _verdict(written: Mapping[str, Any], base: Rules, where: str) -> Verdict:
     verdict = written.get("verdict", base.verdict)
     if verdict not in VERDICTS:
-        raise UsageError(f"{where}verdict is {verdict!r:.60}: choose from {', '.join(VERDICTS)}")
+        raise UsageError(
+            f"{where}verdict is {verdict!r:.60}: choose from {', '.join(VERDICTS)}", code=SETTING
+        )
     return cast(Verdict, verdict)
 
 
 def _bounds(table: Any, bound: Bound, where: str) -> dict[str, float]:
     """The bounds of one table by the dotted names of their figures."""
     if not isinstance(table, Mapping):
-        raise UsageError(f"{where}{bound} is {table!r:.60}: expected a table [{bound}]")
+        raise UsageError(
+            f"{where}{bound} is {table!r:.60}: expected a table [{bound}]", code=SETTING
+        )
     found = dict(_flat(table))
     for name, limit in found.items():
         if not is_figure(name):
             near = difflib.get_close_matches(name, MEANINGS, 1)
             hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(MEANINGS)}"
-            raise UsageError(f"{where}{bound}.{name}: no such figure: {hint}")
+            raise UsageError(f"{where}{bound}.{name}: no such figure: {hint}", code=SETTING)
         if type(limit) not in (int, float) or math.isnan(limit):
-            raise UsageError(f"{where}{bound}.{name} is {limit!r:.60}: expected a number")
+            raise UsageError(
+                f"{where}{bound}.{name} is {limit!r:.60}: expected a number", code=SETTING
+            )
     return found
 
 

@@ -21,6 +21,7 @@ from specmap_cli.cli import (
     localize,
     merge,
     report,
+    schema,
     segment,
     simulate,
     update,
@@ -105,6 +106,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "convert": convert.convert,
     "export": export.export,
     "config": config.config,
+    "schema": schema.schema,
 }
 for _name, _command in _COMMANDS.items():
     app.command(_name, epilog=EXIT_CODES, cls=JoinedCommand)(unfolded(_command))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from time import monotonic
+
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
 from specmap_cli.cli.streams import one_line
+from specmap_cli.core.progress import Level
 
 
 class Rate(ProgressColumn):
@@ -21,10 +24,10 @@ class Rate(ProgressColumn):
 
 
 class ConsoleProgress:
-    """A `Progress` on stderr: bars on a terminal, notes and warnings; nothing when quiet."""
+    """A `Progress` on stderr: what its level shows; bars on a terminal alone."""
 
-    def __init__(self, quiet: bool = False) -> None:
-        self.quiet = quiet
+    def __init__(self, level: Level = Level.INFO) -> None:
+        self.level = level
         self._console = Console(
             stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False
         )
@@ -35,9 +38,10 @@ class ConsoleProgress:
             TimeRemainingColumn(),
             console=self._console,
             transient=True,
-            disable=quiet or not self._console.file.isatty(),
+            disable=not level.shows(Level.INFO) or not self._console.file.isatty(),
         )
         self._task: TaskID | None = None
+        self._stage: Stage | None = None
 
     def __enter__(self) -> ConsoleProgress:
         if not self._bars.disable:
@@ -45,11 +49,14 @@ class ConsoleProgress:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._end_stage()
         if not self._bars.disable:  # up to rich 14.2 even a disabled one would end with a line
             self._bars.stop()
 
     def start(self, stage: str, total: int | None) -> None:
         """Show a new bar in place of the last one."""
+        self._end_stage()
+        self._stage = Stage(stage)
         if self._task is not None:
             self._bars.remove_task(self._task)
         self._task = self._bars.add_task(stage, total=total)
@@ -58,15 +65,36 @@ class ConsoleProgress:
         """Move the bar."""
         if self._task is not None:
             self._bars.advance(self._task, steps)
+        if self._stage is not None:
+            self._stage.done += steps
 
     def note(self, message: str) -> None:
-        """A line, unless quiet."""
-        self._line(message)
+        """A line, where the level shows it."""
+        self._line(Level.INFO, message)
 
     def warn(self, message: str) -> None:
-        """A line, unless quiet: the result has its warnings, too."""
-        self._line(f"warning: {message}")
+        """A line, where the level shows it: the result has its warnings, too."""
+        self._line(Level.WARNING, f"warning: {message}")
 
-    def _line(self, message: str) -> None:
-        if not self.quiet:
+    def _end_stage(self) -> None:
+        """Tell of the stage that ends."""
+        if self._stage is not None:
+            self._line(Level.DEBUG, f"debug: {self._stage.text()}")
+        self._stage = None
+
+    def _line(self, level: Level, message: str) -> None:
+        if self.level.shows(level):
             self._console.print(f"specmap: {one_line(message)}")
+
+
+class Stage:
+    """A stage of a run, since now: its steps and its time."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.done = name, 0
+        self._since = monotonic()
+
+    def text(self) -> str:
+        """What it did, in a line: `mapping: 4,187 steps in 12.3 s`."""
+        steps = f"{self.done:,} steps in " if self.done else ""
+        return f"{self.name}: {steps}{monotonic() - self._since:.1f} s"

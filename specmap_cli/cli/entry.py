@@ -12,12 +12,22 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from specmap_cli.cli.interruption import Interruption, interruptible
-from specmap_cli.cli.streams import discard_stdout, one_line, print_text
-from specmap_cli.core.errors import InputError, SpecmapError, UsageError
+from specmap_cli.cli.streams import JSON_VARIABLE, discard_stdout, one_line, print_text
+from specmap_cli.core.errors import (
+    INTERRUPTED,
+    MACHINE,
+    MEMORY,
+    InputError,
+    SpecmapError,
+    UsageError,
+    hint_of,
+    where_of,
+)
 from specmap_cli.core.shortage import is_of_the_machine, is_of_the_place, reason
 
 # The matrices here are small: threads of BLAS would wait for each other, and burn time doing so.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_YES = {"1", "true", "t", "yes", "y", "on"}  # as Typer reads a flag
 _NO_TEMPORARY = "No usable temporary directory"  # how Python's own error begins
 _OPENCV_NO_MEMORY = -4  # its code StsNoMem
 
@@ -33,13 +43,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(arguments, as_json)
     except Interruption as interruption:
         message = f"interrupted by {interruption.name}; nothing half-written is left"
-        return _fail(message, interruption.exit_code, as_json)
+        error = SpecmapError(message, code=INTERRUPTED)
+        error.exit_code = interruption.exit_code
+        return _fail(error, as_json)
 
 
 def _asks_for_json(arguments: Sequence[str]) -> bool:
-    """Whether `--json` is among the options; what follows `--` are names of files."""
+    """Whether `--json` is among the options, or asked for by the environment.
+
+    What follows `--` are names of files.
+    """
     options = arguments[: arguments.index("--")] if "--" in arguments else arguments
-    return "--json" in options
+    return "--json" in options or os.environ.get(JSON_VARIABLE, "").lower() in _YES
 
 
 def _run(arguments: Sequence[str] | None, as_json: bool) -> int:
@@ -58,27 +73,27 @@ def _run(arguments: Sequence[str] | None, as_json: bool) -> int:
     except Exception as error:
         told = _told(error)
         if told is None:
-            _print_error(f"a bug: {type(error).__name__}: {error}", 1, as_json)
+            _print_error(SpecmapError(f"a bug: {type(error).__name__}: {error}"), as_json)
             raise
         if isinstance(error, OSError):  # stdout itself may be full
             discard_stdout()
-        return _fail(*told, as_json)
+        return _fail(told, as_json)
 
 
-def _told(error: Exception) -> tuple[str, int] | None:
-    """What to say of an error that is no bug, and its exit code."""
+def _told(error: Exception) -> SpecmapError | None:
+    """What to say of an error that is no bug."""
     if isinstance(error, SpecmapError):
-        return str(error), error.exit_code
+        return error
     if isinstance(error, OSError):
         told = _told_of_system(error)
-        return None if told is None else (told, UsageError.exit_code)
+        return None if told is None else UsageError(told, code=MACHINE)
     if isinstance(error, MemoryError) or _is_want_of_memory(error):
         what = f": {error}" if str(error) else ""
-        return (
+        message = (
             f"not enough memory{what}; a shorter log or a coarser grid "
-            "(--set grid.resolution_m) needs less",
-            InputError.exit_code,
+            "(--set grid.resolution_m) needs less"
         )
+        return InputError(message, code=MEMORY)
     return None
 
 
@@ -109,18 +124,27 @@ def _is_want_of_memory(error: Exception) -> bool:
     return of_opencv and getattr(error, "code", None) == _OPENCV_NO_MEMORY
 
 
-def _fail(message: str, code: int, as_json: bool) -> int:
+def _fail(error: SpecmapError, as_json: bool) -> int:
     """One line on stderr, which may be closed or full: the exit code tells then."""
-    _print_error(message, code, as_json)
+    _print_error(error, as_json)
     if sys.stderr is not None:
         with suppress(OSError):
-            print(f"specmap: error: {one_line(message)}", file=sys.stderr)
-    return code
+            print(f"specmap: error: {one_line(str(error))}", file=sys.stderr)
+    return error.exit_code
 
 
-def _print_error(message: str, code: int, as_json: bool) -> None:
-    """The error as the one object on stdout, when it is to be JSON."""
-    if as_json:
-        error = {"error": {"code": code, "message": one_line(message)}}
-        with suppress(OSError):
-            print_text(json.dumps(error, indent=1, ensure_ascii=False) + "\n")
+def _print_error(error: SpecmapError, as_json: bool) -> None:
+    """The error as the one object on stdout, when it is to be JSON: schemas/error.schema.json."""
+    if not as_json:
+        return
+    line = one_line(str(error))
+    parts = {
+        "code": error.code,
+        "message": line,
+        "where": where_of(line),
+        "hint": hint_of(line),
+        "exit_code": error.exit_code,
+    }
+    with suppress(OSError):
+        text = json.dumps({"schema_version": 1, "error": parts}, indent=1, ensure_ascii=False)
+        print_text(text + "\n")

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.cli.streams import JSON_VARIABLE
+from specmap_cli.core.errors import SETTING, UsageError
+from specmap_cli.core.progress import Level
 
 if TYPE_CHECKING:
     from specmap_cli.cli.console import ConsoleProgress
@@ -41,25 +43,46 @@ class Common:
     """How a command shows itself and its result: what every command has."""
 
     quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Nothing on stderr but an error.")
+        bool,
+        typer.Option(
+            "--quiet",
+            "-q",
+            envvar="SPECMAP_QUIET",
+            help="Nothing on stderr but an error: as --log-level error.",
+        ),
     ] = False
+    log_level: Annotated[
+        Level,
+        typer.Option(
+            envvar="SPECMAP_LOG_LEVEL",
+            help="On stderr: errors alone; warnings, too; notes and bars; each stage and its time.",
+        ),
+    ] = Level.INFO
     as_json: Annotated[
         bool,
-        typer.Option("--json", help="Print one JSON object instead of text; an error is one, too."),
+        typer.Option(
+            "--json",
+            envvar=JSON_VARIABLE,
+            help="Print one JSON object instead of text; an error is one, too.",
+        ),
     ] = False
 
     def progress(self) -> ConsoleProgress:
-        """Progress, notes and warnings on stderr, unless quiet."""
+        """Progress, notes and warnings on stderr, as the level says."""
         from specmap_cli.cli.console import ConsoleProgress
 
-        return ConsoleProgress(self.quiet)
+        return ConsoleProgress(Level.ERROR if self.quiet else self.log_level)
 
     def show(self, result: Mapping[str, Any], lines: Sequence[str]) -> None:
-        """The result on stdout: one JSON object, or lines for a person."""
+        """The result on stdout: one JSON object, or lines for a person.
+
+        The object follows version 1 of the command's schema, unless it names another version.
+        """
         from specmap_cli.cli.streams import print_text
         from specmap_cli.core.text import to_json
 
-        print_text(to_json(dict(result)) if self.as_json else "\n".join(lines) + "\n")
+        whole = {"schema_version": 1, **result}
+        print_text(to_json(whole) if self.as_json else "\n".join(lines) + "\n")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,10 +91,18 @@ class Settings:
 
     preset: Annotated[
         str | None,
-        typer.Option(help="default: what measures best; paper: the paper's own choices."),
+        typer.Option(
+            envvar="SPECMAP_PRESET",
+            help="default: what measures best; paper: the paper's own choices.",
+        ),
     ] = None
     config: Annotated[
-        Path | None, typer.Option("--config", help="TOML file of settings (see `specmap config`).")
+        Path | None,
+        typer.Option(
+            "--config",
+            envvar="SPECMAP_CONFIG",
+            help="TOML file of settings (see `specmap config`).",
+        ),
     ] = None
     assignments: Annotated[
         list[str] | None,
@@ -138,9 +169,11 @@ def _parse(assignment: str) -> tuple[str, Any]:
     """Key and value of KEY=VALUE; a value that is no TOML is a string."""
     key, separator, text = (part.strip() for part in assignment.partition("="))
     if not separator or not all(key.split(".")):
-        raise UsageError(f"--set {assignment}: expected KEY=VALUE, such as grid.resolution_m=0.1")
+        raise UsageError(
+            f"--set {assignment}: expected KEY=VALUE, such as grid.resolution_m=0.1", code=SETTING
+        )
     if key == "preset":
-        raise UsageError(f"--set {assignment}: choose a preset with --preset {text}")
+        raise UsageError(f"--set {assignment}: choose a preset with --preset {text}", code=SETTING)
     try:
         found = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):

@@ -8,6 +8,8 @@ from contextlib import suppress
 
 from specmap_cli.core.legible import legible
 
+JSON_VARIABLE = "SPECMAP_JSON"  # in the environment: as `--json` on the command line
+
 
 def print_text(text: str) -> None:
     """`text` on stdout; a reader that has seen enough, such as `head`, is no error.

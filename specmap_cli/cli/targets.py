@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError
 
 if TYPE_CHECKING:
     from specmap_cli.cli.options import Common
@@ -32,13 +32,20 @@ def check_files(
         if path.is_dir():
             raise UsageError(f"{path}: is a directory: name the file to write")
         if os.path.lexists(path) and not path.is_file():
-            raise UsageError(f"{path}: is no regular file: choose another place")
+            raise UsageError(f"{path}: is no regular file: choose another place", code=OUTPUT)
         if os.path.lexists(path) and not overwrite:
-            raise UsageError(f"{path}: exists already: choose another name or say --overwrite")
+            raise UsageError(
+                f"{path}: exists already: choose another name or say --overwrite",
+                code=OUTPUT_EXISTS,
+            )
         if not path.parent.is_dir():
-            raise UsageError(f"{path}: there is no directory {path.parent}: make it first")
+            raise UsageError(
+                f"{path}: there is no directory {path.parent}: make it first", code=OUTPUT
+            )
         if not os.access(path.parent, os.W_OK):
-            raise UsageError(f"{path}: cannot write in {path.parent}: choose another place")
+            raise UsageError(
+                f"{path}: cannot write in {path.parent}: choose another place", code=OUTPUT
+            )
     if len({path.resolve() for path in wanted}) < len(wanted):
         raise UsageError(f"{wanted[0]}: given for two outputs: each needs a file of its own")
     keep_inputs(wanted, inputs)

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from specmap_cli.core.arguments import path_of
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.settings import Config
 from specmap_cli.core.tomltext import read_toml
 
@@ -85,12 +85,13 @@ def load_config(
     if not isinstance(name, str) or name not in PRESETS:
         choices = ", ".join(sorted(PRESETS))
         source = where if preset is None else ""
-        raise UsageError(f"{source}unknown preset {name!r}: choose from {choices}")
+        raise UsageError(f"{source}unknown preset {name!r}: choose from {choices}", code=SETTING)
     if from_file.get("preset", name) != name and len(from_file) > 1:
         raise UsageError(
             f"{where}preset is {from_file['preset']!r}, but --preset {name} was given: the file's "
             "values would undo it; take the line `preset` and the values you do not want to keep "
-            "out of the file"
+            "out of the file",
+            code=SETTING,
         )
     merged = _merge(_merge(_merge({}, PRESETS[name]), from_file), overrides or {})
     return _validated({**merged, "preset": name}, where, overrides or {})
@@ -134,7 +135,8 @@ def _validated(
         finding = error.errors()[0]
         source = "" if _holds(overrides or {}, finding["loc"]) else where
         raise UsageError(
-            f"{source}{_complaint(finding)}; run `specmap config` to see every key and its default"
+            f"{source}{_complaint(finding)}; run `specmap config` to see every key and its default",
+            code=SETTING,
         ) from None
 
 

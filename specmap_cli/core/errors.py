@@ -7,43 +7,130 @@
     │   └── MapError            a map directory or an occupancy grid
     └── NoResultError       4   the run finished and there is nothing to show for it
 
-A message says what, where (file, topic, byte or message), what was found, and what to do.
+A message says what, where (file, topic, byte or message), what was found, and what to do, in the
+form `WHERE: WHAT WAS FOUND: WHAT TO DO`, or with a semicolon before what to do. Programs get these
+parts, and a `code` that stays the same over versions: one of `CODES`.
 Nothing in the packages prints or exits: `specmap_cli.cli` holds the one handler.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
+
 # The exit code of a run that finished, but whose result breaks a rule that was asked for.
 BROKEN_RULE = 5
 
+BUG, INTERRUPTED = "bug", "interrupted"
+USAGE, SETTING, CHOICE = "usage", "setting", "choice-needed"
+OUTPUT_EXISTS, OUTPUT, PACKAGE = "output-exists", "output-unwritable", "package-missing"
+MACHINE, MEMORY, TOO_LARGE = "machine", "memory", "too-large"
+INPUT, LOG, LOG_MISSING, LOG_DAMAGED = "input", "log-unusable", "log-missing", "log-damaged"
+MAP, MAP_MISSING = "map-unusable", "map-missing"
+NO_RESULT, NOT_ALIGNED = "no-result", "not-aligned"
+
+# Every code, with its exit code and what it means.
+CODES: Mapping[str, tuple[int, str]] = {
+    BUG: (1, "a bug in specmap, with its traceback on stderr"),
+    USAGE: (2, "the command line is wrong"),
+    SETTING: (2, "a setting, or a file of settings or rules, is wrong"),
+    CHOICE: (2, "several topics, frames or lasers fit: one must be named"),
+    OUTPUT_EXISTS: (2, "the output exists and is not replaced without --overwrite"),
+    OUTPUT: (2, "the output cannot be written there"),
+    PACKAGE: (2, "a package is missing, or one that was installed does not fit"),
+    MACHINE: (2, "the machine has too little room, too few files, or refuses to write"),
+    MEMORY: (3, "memory was not enough"),
+    TOO_LARGE: (3, "an input is larger than a setting allows"),
+    INPUT: (3, "an input does not fit, such as true poses, or another laser than the map's"),
+    LOG: (3, "a recording cannot be read, or has no scans"),
+    LOG_MISSING: (3, "there is no recording of that name"),
+    LOG_DAMAGED: (3, "of a recording nothing is left that can be read"),
+    MAP: (3, "a map or a plan is damaged, or lacks what the command needs"),
+    MAP_MISSING: (3, "there is no map of that name"),
+    NO_RESULT: (4, "done, with nothing to show, such as no scan that could be registered"),
+    NOT_ALIGNED: (4, "two maps, or a map and a recording, do not fit in one way only"),
+    INTERRUPTED: (130, "ended by Ctrl-C; by SIGTERM with exit code 143"),
+}
+
+# What advice begins with; a last part of a message that begins otherwise is what was found.
+_ADVICE = re.compile(
+    r"(?:: |; )(?=(?:"
+    r"append|bring|build|check|choose|copy|end|expected|free|give|if|"
+    r"install|keep|leave|look|lower|make|mend|move|name|pip|put|raise|"
+    r"remove|rename|run|save|say|scale|see|set|take|turn|unpack|use|write"
+    r")\b)"
+)
+_FILE = re.compile(r"[^\n]*(?:/[^/]*|\.[A-Za-z]\w{0,8})")
+
 
 class SpecmapError(Exception):
-    """Base of every error meant for the user; `exit_code` is the process's exit status."""
+    """Base of every error meant for the user; `exit_code` is the process's exit status.
+
+    `code` is one of `CODES`, by default that of the class.
+    """
 
     exit_code = 1
+    code = BUG
+
+    def __init__(self, message: str = "", *, code: str | None = None) -> None:
+        super().__init__(message)
+        if code is not None:
+            self.code = code
 
 
 class UsageError(SpecmapError):
     """The command, an option or the configuration is wrong."""
 
     exit_code = 2
+    code = USAGE
 
 
 class InputError(SpecmapError):
     """The input cannot be used."""
 
     exit_code = 3
+    code = INPUT
 
 
 class LogError(InputError):
     """A recording cannot be read or holds nothing usable."""
 
+    code = LOG
+
 
 class MapError(InputError):
     """A map directory or an occupancy grid cannot be read."""
+
+    code = MAP
 
 
 class NoResultError(SpecmapError):
     """The run finished without a result."""
 
     exit_code = 4
+    code = NO_RESULT
+
+
+def where_of(message: str) -> str | None:
+    """The place that a message begins with: one word, an option, or the name of a file.
+
+    >>> where_of("grid.resolution_m: Input should be a number")
+    'grid.resolution_m'
+    >>> where_of("my log.mcap: the file is empty")
+    'my log.mcap'
+    >>> where_of("there is no submap 3: choose from 0, 1")
+    """
+    head, colon, _ = message.partition(": ")
+    named = " " not in head or head.startswith("-") or _FILE.fullmatch(head)
+    return head if colon and named else None
+
+
+def hint_of(message: str) -> str | None:
+    """The advice that a message ends with, from the first colon or semicolon that leads to it.
+
+    >>> hint_of("a.png: cannot be written: No space left on device; free some space")
+    'free some space'
+    >>> hint_of("none.mcap: no such file or directory")
+    """
+    found = _ADVICE.search(message)
+    return None if found is None else message[found.end() :]

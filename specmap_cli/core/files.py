@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import MACHINE, OUTPUT, UsageError
 from specmap_cli.core.locks import is_nobody_s, lock
 from specmap_cli.core.shortage import reason
 
@@ -70,7 +70,9 @@ def temporary_files() -> Iterator[None]:
     except OSError as error:
         where = tempfile.tempdir or "the temporary directory"
         why = reason(error, "set TMPDIR to another directory")
-        raise UsageError(f"{where}: temporary files cannot be written: {why}") from None
+        raise UsageError(
+            f"{where}: temporary files cannot be written: {why}", code=MACHINE
+        ) from None
 
 
 @contextmanager
@@ -82,7 +84,7 @@ def complete_file(path: Path | str) -> Iterator[IO[bytes]]:
     """
     target = Path(path)
     if os.path.lexists(target) and not target.is_file():
-        raise UsageError(f"{target}: is no regular file: choose another place")
+        raise UsageError(f"{target}: is no regular file: choose another place", code=OUTPUT)
     partial = partial_of(target)
     try:
         remove_leftovers(target)
@@ -92,7 +94,8 @@ def complete_file(path: Path | str) -> Iterator[IO[bytes]]:
         os.replace(partial, target)
     except OSError as error:
         raise UsageError(
-            f"{target}: cannot be written: {reason(error, 'choose another place')}"
+            f"{target}: cannot be written: {reason(error, 'choose another place')}",
+            code=OUTPUT,
         ) from None
     finally:
         with suppress(OSError):

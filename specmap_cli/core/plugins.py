@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import PACKAGE, UsageError
 
 Kind = TypeVar("Kind")
 
@@ -29,7 +29,8 @@ def with_plugins(group: str, built_in: Mapping[str, Kind]) -> dict[str, Kind]:
         if point.name in table:
             raise UsageError(
                 f"{_origin(point)}: offers {point.name!r} in {group}, which exists already: "
-                "remove the package or rename its entry point"
+                "remove the package or rename its entry point",
+                code=PACKAGE,
             )
         table[point.name] = _loaded(point)
     return table
@@ -42,7 +43,8 @@ def _loaded(point: EntryPoint) -> Any:
     except Exception as error:
         raise UsageError(
             f"{_origin(point)}: its {point.group} entry {point.name!r} cannot be loaded: "
-            f"{type(error).__name__}: {error}; mend or remove the package"
+            f"{type(error).__name__}: {error}; mend or remove the package",
+            code=PACKAGE,
         ) from error
 
 

@@ -2,7 +2,22 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Protocol
+
+
+class Level(StrEnum):
+    """How much of it is shown, from least to most; each shows what those before it show."""
+
+    ERROR = "error"  # nothing but an error
+    WARNING = "warning"  # what is wrong with the input or the result
+    INFO = "info"  # notes, and bars where a person watches
+    DEBUG = "debug"  # each stage with its time
+
+    def shows(self, other: Level) -> bool:
+        """Whether a line of the `other` level is shown."""
+        levels = list(Level)
+        return levels.index(other) <= levels.index(self)
 
 
 class Progress(Protocol):

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import SETTING, UsageError
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -22,9 +22,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise UsageError(f"{path}: cannot read the configuration: {reason}") from None
+        raise UsageError(f"{path}: cannot read the configuration: {reason}", code=SETTING) from None
     except tomllib.TOMLDecodeError as error:
-        raise UsageError(f"{path}: not valid TOML: {error}") from None
+        raise UsageError(f"{path}: not valid TOML: {error}", code=SETTING) from None
 
 
 def to_toml(config: BaseModel) -> str:

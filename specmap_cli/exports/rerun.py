@@ -15,7 +15,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import PACKAGE, UsageError
 from specmap_cli.core.files import temporary_files
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.progress import Progress
@@ -89,7 +89,8 @@ def _sdk() -> Any:
     except ImportError:
         raise UsageError(
             "the format rerun needs rerun-sdk, which is not installed: "
-            "pip install 'specmap-cli[rerun]'"
+            "pip install 'specmap-cli[rerun]'",
+            code=PACKAGE,
         ) from None
     return rerun
 

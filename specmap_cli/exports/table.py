@@ -21,7 +21,7 @@ import os
 from pathlib import Path
 from typing import IO, Protocol
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import OUTPUT_EXISTS, UsageError
 from specmap_cli.core.files import complete_file
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.progress import Progress, Remembering, Silent
@@ -84,7 +84,9 @@ def export_map(
     if target.suffix not in {"", ending}:
         raise UsageError(f"{target}: {known[name].description}: name it {target.stem}{ending}")
     if os.path.lexists(target) and not overwrite:
-        raise UsageError(f"{target}: exists already: choose another name or say --overwrite")
+        raise UsageError(
+            f"{target}: exists already: choose another name or say --overwrite", code=OUTPUT_EXISTS
+        )
     heard = Remembering(Silent() if progress is None else progress)
     with complete_file(target) as file:
         known[name].write(stored, file, heard)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.errors import MapError
+from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.shortage import reason
@@ -42,7 +42,8 @@ def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]
     if width * height > limits.picture_max_mpixel * _PIXELS_PER_MPIXEL:
         raise MapError(
             f"{path}: {width} x {height} pixels are more than {limits.picture_max_mpixel:g} "
-            "million: scale it down, or raise limits.picture_max_mpixel"
+            "million: scale it down, or raise limits.picture_max_mpixel",
+            code=TOO_LARGE,
         )
     try:
         with _silence():

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from specmap_cli.core.arguments import Paths, path_of, paths_of
-from specmap_cli.core.errors import LogError, UsageError
+from specmap_cli.core.errors import OUTPUT_EXISTS, LogError, UsageError
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
@@ -55,7 +55,9 @@ def convert(
     """
     given, target = paths_of(paths, "paths"), path_of(out, "out")
     if target.exists() and not overwrite:
-        raise UsageError(f"{target}: exists already; use --overwrite to replace it")
+        raise UsageError(
+            f"{target}: exists already; use --overwrite to replace it", code=OUTPUT_EXISTS
+        )
     with open_log(given, config) as log:
         topics = log.topics()
         if not any(_is_wanted(topic) for topic in topics):

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from specmap_cli.core.arguments import Paths, instance_of, paths_of
-from specmap_cli.core.errors import LogError
+from specmap_cli.core.errors import LOG_DAMAGED, LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.readers.compression import compression_of
@@ -57,7 +57,7 @@ def _refuse_rubble(recordings: Sequence[Recording]) -> None:
     messages = sum(recording.contents.messages for recording in recordings)
     damage = [line for recording in recordings for line in recording.damage]
     if damage and not messages:
-        raise LogError(f"{damage[0]}; no message can be read")
+        raise LogError(f"{damage[0]}; no message can be read", code=LOG_DAMAGED)
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
@@ -96,14 +96,14 @@ def _opened(path: Path, readers: _Readers, config: LogConfig, held: ExitStack) -
         try:
             _reader_of(file, path, readers)
         except LogError as error:
-            raise LogError(f"{error} {inside}") from None
+            raise LogError(f"{error} {inside}", code=error.code) from None
 
     copy = unpacked(path, compression, config, look, held)
     look(copy.file)
     try:
         recording = _read(copy.file, path, readers, config, held)
     except LogError as error:
-        raise LogError(f"{error} {inside}") from None
+        raise LogError(f"{error} {inside}", code=error.code) from None
     if copy.lost is not None:
         recording.report(copy.lost)
     return recording
@@ -124,7 +124,9 @@ def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
     if reader is not None:
         return reader
     if any(known.magic.startswith(head) for known in readers.values()):
-        raise LogError(f"{path}: cut off after {len(head)} bytes; no message can be read")
+        raise LogError(
+            f"{path}: cut off after {len(head)} bytes; no message can be read", code=LOG_DAMAGED
+        )
     kind = "a text file" if b"\x00" not in head and is_text(head) else "of an unknown format"
     expected = format_names(readers.values())
     raise LogError(f"{path}: {kind}, not a recording; expected {expected}")
@@ -133,5 +135,5 @@ def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
 def _head(file: Path, path: Path) -> bytes:
     head = head_of(file)
     if not head:
-        raise LogError(f"{path}: the file is empty")
+        raise LogError(f"{path}: the file is empty", code=LOG_DAMAGED)
     return head

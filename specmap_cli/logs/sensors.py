@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import CHOICE, UsageError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible
 from specmap_cli.logs.messages import BadMessageError, CloudRecord, ScanLayout, ScanRecord
@@ -76,6 +76,8 @@ class ScanSensor:
 
 class SeveralSensorsError(UsageError):
     """One topic carries several sensors, and none was chosen; `best` is the one with most scans."""
+
+    code = CHOICE
 
     def __init__(self, message: str, best: str) -> None:
         super().__init__(message)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from specmap_cli.core.errors import LogError, UsageError
+from specmap_cli.core.errors import CHOICE, LogError, UsageError
 from specmap_cli.core.text import counted, legible
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.readers.recording import TopicInfo
@@ -48,7 +48,7 @@ def _only(log: Log, found: list[TopicInfo], option: str, what: str) -> TopicInfo
     if len(found) > 1:
         choices = " or ".join(f"`{option} {t.name}` ({_describe(t)})" for t in found)
         several = f"{log.name}: {len(found)} topics carry {what}: choose {choices}"
-        raise UsageError(legible(several))
+        raise UsageError(legible(several), code=CHOICE)
     return found[0]
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
 from specmap_cli.core.arguments import path_of
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import OUTPUT, UsageError
 from specmap_cli.core.files import partial_of, remove_leftovers
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.locks import lock
@@ -192,7 +192,9 @@ class LogWriter:
         return file
 
     def _unwritable(self, error: OSError) -> UsageError:
-        return UsageError(f"{self.path}: cannot write: {reason(error, 'choose another place')}")
+        return UsageError(
+            f"{self.path}: cannot write: {reason(error, 'choose another place')}", code=OUTPUT
+        )
 
     def _channel(self, topic: str, msgtype: str) -> int:
         key = (topic, msgtype)

@@ -18,7 +18,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType, TracebackType
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.shortage import is_of_the_place, reason
 from specmap_cli.maps.filenames import TOPOLOGY
@@ -82,7 +82,8 @@ class OutputDirectory:
             self._clean_up()
             raise UsageError(
                 f"{self.path}: cannot write there: {self._target.parent}: "
-                f"{reason(error, 'choose another output directory')}"
+                f"{reason(error, 'choose another output directory')}",
+                code=OUTPUT,
             ) from None
         return self._partial
 
@@ -100,7 +101,7 @@ class OutputDirectory:
             self._clean_up()
         if isinstance(error, OSError) and self._is_of_output(error):
             why = reason(error, "choose another output directory")
-            raise UsageError(f"{self.path}: cannot be written: {why}") from None
+            raise UsageError(f"{self.path}: cannot be written: {why}", code=OUTPUT) from None
 
     def _is_of_output(self, error: OSError) -> bool:
         """Whether the system refused to write what belongs into the directory."""
@@ -110,26 +111,34 @@ class OutputDirectory:
     def _check_target(self) -> None:
         """Refuse a target that must not be replaced."""
         if not self._target.name:
-            raise UsageError(f"{self.path}: not a place for a map: choose a directory of its own")
+            raise UsageError(
+                f"{self.path}: not a place for a map: choose a directory of its own", code=OUTPUT
+            )
         if not os.path.lexists(self._target):
             return
         if not self._target.is_dir():
-            raise UsageError(f"{self.path}: is a file: choose a directory that does not exist yet")
+            raise UsageError(
+                f"{self.path}: is a file: choose a directory that does not exist yet", code=OUTPUT
+            )
         if os.path.ismount(self._target):
-            raise UsageError(f"{self.path}: is a mount point: choose a directory inside it")
+            raise UsageError(
+                f"{self.path}: is a mount point: choose a directory inside it", code=OUTPUT
+            )
         if not any(self._target.iterdir()):
             return
         if not (self._target / self.marker).is_file():  # we wrote no directory without it
             what = "map" if self.marker == TOPOLOGY else "earlier result"
             raise UsageError(
                 f"{self.path}: is not empty and holds no {what} (no {self.marker} in it): "
-                "choose another output directory"
+                "choose another output directory",
+                code=OUTPUT,
             )
         if not self.overwrite:
             what = "a map" if self.marker == TOPOLOGY else "a result"
             raise UsageError(
                 f"{self.path}: already holds {what}: use --overwrite to replace it, "
-                "or another --out"
+                "or another --out",
+                code=OUTPUT_EXISTS,
             )
 
     def _make_parents(self) -> None:
@@ -149,7 +158,8 @@ class OutputDirectory:
                 self._swap(replaced)
         except OSError as error:
             raise UsageError(
-                f"{self.path}: cannot put the finished directory in place: {reason(error)}"
+                f"{self.path}: cannot put the finished directory in place: {reason(error)}",
+                code=OUTPUT,
             ) from None
 
     def _swap(self, replaced: Path) -> None:

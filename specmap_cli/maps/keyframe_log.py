@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import LogError, MapError
+from specmap_cli.core.errors import TOO_LARGE, LogError, MapError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LimitsConfig
@@ -149,7 +149,8 @@ def _check_size(path: Path, limits: LimitsConfig) -> None:
     if size > limits.keyframes_max_mb * 1e6:
         raise MapError(
             f"{path}: larger than {limits.keyframes_max_mb:g} MB; if it is meant, raise "
-            "limits.keyframes_max_mb"
+            "limits.keyframes_max_mb",
+            code=TOO_LARGE,
         )
 
 

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from specmap_cli.core.arguments import path_of
 from specmap_cli.core.config import known_settings
-from specmap_cli.core.errors import MapError
+from specmap_cli.core.errors import MAP_MISSING, MapError
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import counted
@@ -236,7 +236,9 @@ def read_map(path: str | Path, limits: LimitsConfig | None = None) -> StoredMap:
     """
     path = path_of(path, "path")
     if not path.exists():
-        raise MapError(f"{path}: no such map directory: make one with `specmap build`")
+        raise MapError(
+            f"{path}: no such map directory: make one with `specmap build`", code=MAP_MISSING
+        )
     if not path.is_dir():
         raise MapError(f"{path}: is a file: expected a directory written by `specmap build`")
     topology = path / filenames.TOPOLOGY

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
-from specmap_cli.core.errors import NoResultError
+from specmap_cli.core.errors import NOT_ALIGNED, NoResultError
 from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
@@ -130,7 +130,9 @@ def _found(old: StoredMap, new: StoredMap, identical: bool, config: Config) -> A
     """Where the new map lies in the old one. Raises NoResultError when that is not sure."""
     alignment = align_maps(old, new, config)
     if alignment.old_from_new is None and not identical:
-        raise NoResultError(f"{new.path}: not aligned with {old.path}: {alignment.reason}")
+        raise NoResultError(
+            f"{new.path}: not aligned with {old.path}: {alignment.reason}", code=NOT_ALIGNED
+        )
     if alignment.old_from_new is None:  # it may fit in more than one way, but this one is right
         return Alignment(old_from_new=IDENTITY, reason="the maps are identical")
     return alignment

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
-from specmap_cli.core.errors import NoResultError
+from specmap_cli.core.errors import NOT_ALIGNED, NoResultError
 from specmap_cli.core.geometry import Pose2, compose
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
@@ -64,7 +64,8 @@ def build_like(
         if alignment.old_from_new is None:
             raise NoResultError(
                 f"{log.name}: fits nowhere in {stored.path}: {alignment.reason}: build it without "
-                "--like"
+                "--like",
+                code=NOT_ALIGNED,
             )
         joined = alike(old, surveyed, alignment.old_from_new, config)
         counts = surveyed.tracking.counts

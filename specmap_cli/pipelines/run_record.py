@@ -16,6 +16,8 @@ from specmap_cli.core.versions import versions
 from specmap_cli.logs.selection import Selection
 from specmap_cli.pipelines.finished_map import FinishedMap
 
+SCHEMA_VERSION = 1  # of run.json: schemas/run.schema.json
+
 # The counts that say what the map is; the others say what was read for it.
 OF_THE_MAP = frozenset({"scans", "keyframes", "submaps", "edges", "merges", "path_m"})
 
@@ -86,6 +88,7 @@ def run_record(
         **finished.counts,
     }
     return {
+        "schema_version": SCHEMA_VERSION,
         "inputs": [path.name for path in inputs],
         "selection": None if selection is None else _selected(selection),
         "config": config.model_dump(),

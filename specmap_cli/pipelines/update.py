@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
-from specmap_cli.core.errors import InputError, NoResultError
+from specmap_cli.core.errors import NOT_ALIGNED, InputError, NoResultError
 from specmap_cli.core.findings import Quality
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PlanarScan
@@ -202,7 +202,8 @@ def _alike(one: PlanarScan, other: PlanarScan) -> bool:
 def _fits_nowhere(name: str, path: Path, reason: str) -> NoResultError:
     return NoResultError(
         f"{name}: fits nowhere in {path}: {reason}: build a map of its own, or append it as a part "
-        "of its own with --allow-apart"
+        "of its own with --allow-apart",
+        code=NOT_ALIGNED,
     )
 
 
@@ -220,7 +221,8 @@ def _refuse_loose(joined: Joined, old: Seen, name: str, *, allow: bool) -> None:
     if len(old.kept.labels.stamps_ns) in joined.kept.layout.loose and not allow:
         raise NoResultError(
             f"{name}: lies in the map, but no wall that both saw holds it there: build a map of "
-            "its own, or append it as a part of its own with --allow-apart"
+            "its own, or append it as a part of its own with --allow-apart",
+            code=NOT_ALIGNED,
         )
 
 

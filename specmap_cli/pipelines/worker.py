@@ -26,7 +26,7 @@ from typing import Any, Generic, TypeVar
 
 import cv2
 
-from specmap_cli.core.errors import InputError, SpecmapError
+from specmap_cli.core.errors import MEMORY, InputError, SpecmapError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -205,6 +205,7 @@ def _death(status: int | None) -> SpecmapError:
     if status == -signal.SIGKILL:
         return InputError(
             "the process that worked ahead was killed, as a system does for want of memory; a "
-            "shorter log or a coarser grid (--set grid.resolution_m) needs less"
+            "shorter log or a coarser grid (--set grid.resolution_m) needs less",
+            code=MEMORY,
         )
     return SpecmapError(f"the process that worked ahead ended with status {status}")

@@ -11,7 +11,7 @@ from collections import deque
 
 import numpy as np
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import PACKAGE, UsageError
 from specmap_cli.core.geometry import FloatArray, product
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration.aligner import SensorKind
@@ -37,7 +37,8 @@ class KissIcpAligner:
         except ImportError as error:
             raise UsageError(
                 f"registration.method 'kiss-icp' needs the package kiss-icp: {error}; install it "
-                "or choose another method"
+                "or choose another method",
+                code=PACKAGE,
             ) from error
         # one thread: the sums of several would come in another order at every run
         converged = _CONVERGED_IN_SPACE if sensor.in_space else _CONVERGED

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.registration.aligner import AlignerFactory
 from specmap_cli.registration.kiss_icp_aligner import KissIcpAligner
@@ -29,6 +29,7 @@ def aligner_factory(name: str) -> AlignerFactory:
     if name not in methods:
         raise UsageError(
             f"registration.method: no such method {name!r}: choose from {', '.join(methods)}, or "
-            "install the package that offers it"
+            "install the package that offers it",
+            code=SETTING,
         )
     return methods[name]

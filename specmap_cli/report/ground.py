@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from specmap_cli.core.errors import MapError
+from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import BoolArray, Labels
 from specmap_cli.drawing.palette import Colour, colours_of
@@ -117,7 +117,8 @@ def _canvas(stored: StoredMap, pieces: Sequence[tuple[NodeRecord, GridMap]]) -> 
     if width * height > stored.limits.picture_max_mpixel * 1e6:
         raise MapError(
             f"{stored.path}: its submaps lie so far apart that a picture of them has "
-            f"{width:,} x {height:,} cells; if it is meant, raise limits.picture_max_mpixel"
+            f"{width:,} x {height:,} cells; if it is meant, raise limits.picture_max_mpixel",
+            code=TOO_LARGE,
         )
     left, bottom = (low - 0.5 * cell_m).tolist()
     return GridMap(np.full((height, width), UNKNOWN, dtype=np.uint8), cell_m, (left, bottom))

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 
 from specmap_cli.cli import main
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.schemas import ERROR as ERROR_SCHEMA
+from specmap_cli.core.schemas import name_of_command, read_schema
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
 from specmap_cli.logs.writer import LogWriter
@@ -56,9 +61,31 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
         capsys.readouterr()
         code = main([str(argument) for argument in arguments])
         captured = capsys.readouterr()
+        hold_to_schema(arguments, captured.out)
         return Outcome(code, captured.out, captured.err)
 
     return run_command
+
+
+def hold_to_schema(arguments: Sequence[str | Path], out: str) -> None:
+    """What a command printed with `--json` must be as its schema says, an error as that of errors.
+
+    `schema NAME` prints a schema.
+    """
+    words = [str(word) for word in arguments]
+    if "--json" not in words or not out:
+        return
+    found = json.loads(out)
+    name = ERROR_SCHEMA if "error" in found else name_of_command(words[0])
+    if "$schema" in found:
+        jsonschema.Draft202012Validator.check_schema(found)
+    else:
+        validate(found, name)
+
+
+def validate(found: Any, name: str) -> None:
+    """`found` must be as the schema of that name says."""
+    jsonschema.Draft202012Validator(read_schema(name)).validate(found)
 
 
 def command(*arguments: str | Path) -> list[str]:

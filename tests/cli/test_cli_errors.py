@@ -19,17 +19,18 @@ from hypothesis import strategies as st
 from specmap_cli.cli import main
 from specmap_cli.cli.console import ConsoleProgress
 from specmap_cli.cli.streams import one_line
+from specmap_cli.core.errors import CODES
 from specmap_cli.logs import inspection
 from specmap_cli.pipelines import build
-from tests.cli.conftest import ERROR, Outcome, Run, standing_log
+from tests.cli.conftest import ERROR, Outcome, Run, standing_log, validate
 
 
 def as_json(said: Outcome) -> dict[str, object]:
     """The error on stdout, which must be all there is."""
     found = json.loads(said.out)
-    assert found.keys() == {"error"}
+    assert found.keys() == {"schema_version", "error"}
     error: dict[str, object] = found["error"]
-    assert error.keys() == {"code", "message"}
+    assert CODES[str(error["code"])][0] in {error["exit_code"], 130}
     return error
 
 
@@ -41,34 +42,70 @@ def line_of(said: Outcome) -> str:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "told"),
+    ("arguments", "code", "where", "told", "hint"),
     [
-        (("biuld",), 2, "No such command 'biuld'. Did you mean 'build'?"),
-        (("localize", "x.mcap"), 2, "Missing option '--map' / '-m'"),
-        (("info", "x.mcap", "--frob"), 2, "No such option: --frob"),
-        (("config", "--set", "seed=-1"), 2, "seed: Input should be greater than or equal to 0"),
-        (("evaluate",), 2, "say what to evaluate, and one thing only"),
-        (("info", "none.mcap"), 3, "none.mcap: no such file or directory"),
-        (("segment", "none.yaml"), 3, "none.yaml: cannot read the map"),
-        (("localize", "x.mcap", "--map", "none"), 3, "none: no such map directory"),
+        (("biuld",), "usage", None, "No such command 'biuld'", "see `specmap --help`"),
+        (("localize", "x.mcap"), "usage", None, "Missing option", "see `specmap localize --help`"),
+        (("info", "x", "--frob"), "usage", None, "No such option", "see `specmap info --help`"),
+        (("config", "--set", "seed=-1"), "setting", "seed", "seed: Input", "run `specmap config`"),
+        (("config", "--set", "seed"), "setting", "--set seed", "--set seed:", "expected KEY=VALUE"),
+        (("evaluate",), "usage", None, "say what to evaluate, and one thing only", None),
+        (("info", "none.mcap"), "log-missing", "none.mcap", "none.mcap: no such file", None),
+        (("info", "a b.mcap"), "log-missing", "a b.mcap", "a b.mcap: no such file", None),
+        (("segment", "none.yaml"), "map-unusable", "none.yaml", "none.yaml: cannot read", None),
+        (
+            ("localize", "x.mcap", "--map", "none"),
+            *(
+                "map-missing",
+                "none",
+                "none: no such map directory",
+                "make one with `specmap build`",
+            ),
+        ),
     ],
 )
 @pytest.mark.parametrize("quiet", [(), ("-q",)], ids=["loud", "quiet"])
 def test_an_error_is_json_too(
-    arguments: tuple[str, ...], code: int, told: str, quiet: tuple[str, ...], run: Run
+    arguments: tuple[str, ...],
+    code: str,
+    where: str | None,
+    told: str,
+    hint: str | None,
+    quiet: tuple[str, ...],
+    run: Run,
 ) -> None:
     said = run(*arguments, "--json", *quiet)
-    assert said.code == code
-    assert as_json(said) == {"code": code, "message": line_of(said)}
+    error = as_json(said)
+    assert (error["code"], error["where"], error["exit_code"]) == (code, where, said.code)
+    assert str(error["hint"]).startswith(str(hint))
+    assert error["message"] == line_of(said)
     assert line_of(said).startswith(told)
     assert said.err.count("\n") == 1
+
+
+def test_outputs_and_logs_have_codes_of_their_own(tmp_path: Path, plan: Path, run: Run) -> None:
+    log = standing_log(tmp_path / "log.mcap", 3.0)
+    two = standing_log(tmp_path / "two.mcap", 3.0, topics=("/front", "/rear"))
+    (tmp_path / "empty.mcap").touch()
+    for code, *line in (
+        ("output-exists", "convert", log, two),
+        ("output-unwritable", "convert", log, tmp_path / "none" / "log.mcap"),
+        ("choice-needed", "build", two, "-o", tmp_path / "map"),
+        ("log-damaged", "info", tmp_path / "empty.mcap"),
+        ("setting", "check", tmp_path, "--set", "registration.method='x'", "--rules", log),
+        ("too-large", "segment", plan, "--set", "limits.picture_max_mpixel=0.001"),
+    ):
+        error = as_json(run(*line, "--json"))
+        assert error["code"] == code, line
 
 
 def test_no_result_is_json_too(tmp_path: Path, run: Run) -> None:
     log = standing_log(tmp_path / "blind.mcap", math.nan)
     said = run("build", log, "-o", tmp_path / "map", "--json", "-q")
     assert said.code == 4
-    assert as_json(said) == {"code": 4, "message": line_of(said)}
+    error = as_json(said)
+    assert (error["code"], error["exit_code"]) == ("no-result", 4)
+    assert (error["where"], error["hint"]) == (str(log), "look at them with `specmap info`")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -79,7 +116,9 @@ def test_an_interruption_is_json_too(
     log = standing_log(tmp_path / "log.mcap", 3.0)
     said = run("build", log, "-o", tmp_path / "map", "--json")
     assert said.code == 128 + number
-    assert as_json(said) == {"code": 128 + number, "message": line_of(said)}
+    error = as_json(said)
+    assert (error["code"], error["exit_code"]) == ("interrupted", 128 + number)
+    assert error["message"] == line_of(said)
     assert line_of(said).startswith(f"interrupted by {signal.Signals(number).name}")
 
 
@@ -91,14 +130,20 @@ def test_a_bug_is_json_and_a_traceback(
 
     monkeypatch.setattr(inspection, "summarize", fail)
     log = standing_log(tmp_path / "log.mcap", 3.0)
-    for line, said in (
-        (["info", str(log)], None),
-        (["info", str(log), "--json"], {"code": 1, "message": "a bug: RuntimeError: no idea"}),
-    ):
-        with pytest.raises(RuntimeError, match="no\nidea"):
-            main(line)
-        out = capsys.readouterr().out
-        assert out == "" if said is None else json.loads(out) == {"error": said}
+    with pytest.raises(RuntimeError, match="no\nidea"):
+        main(["info", str(log)])
+    assert capsys.readouterr().out == ""
+    with pytest.raises(RuntimeError, match="no\nidea"):
+        main(["info", str(log), "--json"])
+    found = json.loads(capsys.readouterr().out)
+    validate(found, "error")
+    assert found["error"] == {
+        "code": "bug",
+        "message": "a bug: RuntimeError: no idea",
+        "where": None,
+        "hint": None,
+        "exit_code": 1,
+    }
 
 
 def system_error(number: int, name: str | None = None) -> OSError:
@@ -185,6 +230,8 @@ def test_what_the_machine_lacks_is_no_bug(
     said = run("build", "log.mcap", "-o", tmp_path / "map")
     assert said.code == code
     assert said.error.startswith(told)
+    said = run("build", "log.mcap", "-o", tmp_path / "map", "--json")
+    assert as_json(said)["code"] == {2: "machine", 3: "memory"}[code]
 
 
 def test_another_error_of_the_system_is_a_bug(

@@ -45,11 +45,12 @@ SETTLED = READERS | {
     "check",
     "history",
 }
-ALL = READERS | WRITERS | {"config", "check"}
+ALL = READERS | WRITERS | {"config", "check", "schema"}
 HAVE = {
     "--quiet": ALL,
     "-q": ALL,
     "--json": ALL,
+    "--log-level": ALL,
     "--config": SETTLED,
     "--set": SETTLED,
     "--preset": SETTLED,
@@ -167,6 +168,63 @@ def test_quiet_keeps_errors(tmp_path: Path, run: Run) -> None:
         said = run(*line, "--quiet")
         assert said.code == 3
         assert said.err.startswith("specmap: error: none.mcap: no such file")
+
+
+class TestEnvironment:
+    """Variables that stand for options; an option goes over its variable."""
+
+    def test_what_they_are_called(self) -> None:
+        variables = {
+            parameter.opts[0]: parameter.envvar
+            for command in COMMANDS.values()
+            for parameter in command.params
+            if getattr(parameter, "envvar", None)
+        }
+        assert variables == {
+            "--quiet": "SPECMAP_QUIET",
+            "--log-level": "SPECMAP_LOG_LEVEL",
+            "--json": "SPECMAP_JSON",
+            "--preset": "SPECMAP_PRESET",
+            "--config": "SPECMAP_CONFIG",
+        }
+
+    def test_settings(self, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+        settings, others = tmp_path / "a.toml", tmp_path / "b.toml"
+        settings.write_text("seed = 5\n", encoding="utf-8")
+        others.write_text("seed = 6\n", encoding="utf-8")
+        monkeypatch.setenv("SPECMAP_CONFIG", str(settings))
+        monkeypatch.setenv("SPECMAP_PRESET", "paper")
+        found = json.loads(run("config", "--json").out)
+        assert (found["preset"], found["seed"]) == ("paper", 5)
+        assert json.loads(run("config", "--config", others, "--json").out)["seed"] == 6
+
+    @pytest.mark.parametrize("yes", ["1", "true", "Yes"])
+    def test_json_of_results_and_errors(
+        self, yes: str, run: Run, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("SPECMAP_JSON", yes)
+        assert json.loads(run("config").out)["seed"] == 0
+        assert json.loads(run("info", "none.mcap").out)["error"]["code"] == "log-missing"
+        monkeypatch.setenv("SPECMAP_JSON", "0")
+        assert run("info", "none.mcap").out == ""
+
+    def test_levels(
+        self, tiny_map: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        line = ("localize", damaged(tmp_path / "cut.mcap"), "--map", tiny_map)
+        monkeypatch.setenv("SPECMAP_LOG_LEVEL", "warning")
+        said = run(*line).err.splitlines()
+        assert said
+        assert all(text.startswith("specmap: warning: ") for text in said)
+        assert "debug: localising" in run(*line, "--log-level", "debug").err
+        monkeypatch.setenv("SPECMAP_QUIET", "1")
+        assert run(*line, "--log-level", "debug").err == ""
+
+    def test_a_wrong_value_is_named_with_its_variable(
+        self, run: Run, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("SPECMAP_LOG_LEVEL", "loud")
+        assert "env var: 'SPECMAP_LOG_LEVEL'" in run("config").error
 
 
 class TestInfo:

@@ -11,6 +11,7 @@ import pytest
 from rich.progress import Progress
 
 from specmap_cli.cli.console import ConsoleProgress, Rate
+from specmap_cli.core.progress import Level
 from tests.cli.conftest import QUICK, Run, spawn
 
 
@@ -75,10 +76,32 @@ def test_notes_and_warnings_are_printed_as_they_are(capsys: pytest.CaptureFixtur
     assert capsys.readouterr().err == f"specmap: {message}\nspecmap: warning: {message}\n"
 
 
-def test_a_quiet_one_shows_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    with ConsoleProgress(quiet=True) as progress:
+@pytest.mark.parametrize(
+    ("level", "shown"),
+    [
+        (Level.ERROR, ""),
+        (Level.WARNING, "W"),
+        (Level.INFO, "NW"),
+        (Level.DEBUG, "NWD"),
+    ],
+)
+def test_a_level_shows_what_those_before_it_show(
+    level: Level, shown: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with ConsoleProgress(level) as progress:
         progress.start("working", 2)
         progress.note("a note")
         progress.warn("a warning")
-        progress.advance()
-    assert capsys.readouterr() == ("", "")
+        progress.advance(2)
+    lines = {"N": "a note", "W": "warning: a warning", "D": "debug: working: 2 steps in 0.0 s"}
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert re.sub(r"[\d.]+ s$", "0.0 s", err, flags=re.MULTILINE) == "".join(
+        f"specmap: {lines[key]}\n" for key in shown
+    )
+
+
+def test_every_stage_is_told_with_its_time(tiny_log: Path, tmp_path: Path, run: Run) -> None:
+    said = run("build", tiny_log, "-o", tmp_path / "map", "--log-level", "debug", *QUICK)
+    stages = re.findall(r"^specmap: debug: (.*): .*\d\.\d s$", said.err, re.MULTILINE)
+    assert stages == ["mapping", "layout", "grids", "training"]

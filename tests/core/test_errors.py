@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import inspect
+import pickle
 import re
+from pathlib import Path
 
 import pytest
 
 from specmap_cli.core import errors
+
+ROOT = Path(__file__).parents[2]
 
 
 def tree() -> dict[str, type[errors.SpecmapError]]:
@@ -33,3 +37,48 @@ def test_every_error_is_drawn_and_has_an_honest_exit_code() -> None:
 def test_what_cannot_be_read_is_an_input_error(kind: type[errors.SpecmapError]) -> None:
     assert issubclass(kind, errors.InputError)
     assert kind("log.mcap: empty").exit_code == 3
+
+
+def test_the_code_of_a_kind_of_error_has_its_exit_code() -> None:
+    for kind in tree().values():
+        assert errors.CODES[kind.code][0] == kind.exit_code
+    assert kind("x", code=errors.MEMORY).code == "memory"
+
+
+def test_every_code_is_documented() -> None:
+    text = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([a-z-]+)` \| (\d+) \| (.*) \|$", text, re.MULTILINE)
+    assert rows == [(code, str(exit_), words) for code, (exit_, words) in errors.CODES.items()]
+
+
+def test_every_code_is_given_somewhere() -> None:
+    package = (ROOT / "specmap_cli").rglob("*.py")
+    text = "\n".join(path.read_text("utf-8") for path in package if path.name != "errors.py")
+    of_classes = {kind.code for kind in tree().values()}
+    names = {code: name for name, code in vars(errors).items() if isinstance(code, str)}
+    for code in errors.CODES.keys() - of_classes:
+        assert re.search(rf"\b{names[code]}\b", text), code
+
+
+@pytest.mark.parametrize(
+    ("message", "where", "hint"),
+    [
+        ("a.mcap: no such file or directory", "a.mcap", None),
+        ("my log.mcap: the file is empty", "my log.mcap", None),
+        ("/a b/c: is a directory: name the file to write", "/a b/c", "name the file to write"),
+        ("--set seed: expected KEY=VALUE", "--set seed", "expected KEY=VALUE"),
+        ("a/map: not empty: use --overwrite, or another", "a/map", "use --overwrite, or another"),
+        ("a.png: No space left on device; free some space", "a.png", "free some space"),
+        ("no free space in the map: check the resolution", None, "check the resolution"),
+        ("unknown preset 'x': choose from default, paper", None, "choose from default, paper"),
+        ("the process that worked ahead was killed", None, None),
+        ("", None, None),
+    ],
+)
+def test_the_parts_of_a_message(message: str, where: str | None, hint: str | None) -> None:
+    assert (errors.where_of(message), errors.hint_of(message)) == (where, hint)
+
+
+def test_an_error_keeps_its_code_on_the_way_to_another_process() -> None:
+    error = pickle.loads(pickle.dumps(errors.LogError("gone", code=errors.LOG_MISSING)))
+    assert (str(error), error.code) == ("gone", "log-missing")

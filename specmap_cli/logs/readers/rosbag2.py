@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TypeGuard
 from urllib.parse import quote
 
-from specmap_cli.core.errors import LogError
+from specmap_cli.core.errors import LOG_DAMAGED, LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
 from specmap_cli.logs.readers.compression import compression_of, decompress
@@ -81,7 +81,9 @@ class Rosbag2File(Recording):
             self._sorted = self._time_index is not None
         except sqlite3.Error as error:
             self._db.close()
-            raise LogError(f"{self.path}: no readable rosbag2 file: {error}") from None
+            raise LogError(
+                f"{self.path}: no readable rosbag2 file: {error}", code=LOG_DAMAGED
+            ) from None
 
     def _find_time_index(self) -> str | None:
         """The name of an index by which messages come in time order without sorting them all."""

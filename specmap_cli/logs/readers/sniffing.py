@@ -5,7 +5,7 @@ from __future__ import annotations
 import stat
 from pathlib import Path
 
-from specmap_cli.core.errors import LogError
+from specmap_cli.core.errors import LOG_MISSING, LogError
 from specmap_cli.logs.readers.recording import unreadable
 
 HEAD_BYTES = 4096  # one page: longer than the magic of any format, short enough to read of any file
@@ -26,7 +26,7 @@ def is_directory(path: Path) -> bool:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise LogError(f"{path}: no such file or directory") from None
+        raise LogError(f"{path}: no such file or directory", code=LOG_MISSING) from None
     except OSError as error:
         raise unreadable(path, error) from None
     if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
@@ -41,7 +41,7 @@ def head_of(path: Path) -> bytes:
         with path.open("rb") as file:
             return file.read(HEAD_BYTES)
     except FileNotFoundError:
-        raise LogError(f"{path}: no such file or directory") from None
+        raise LogError(f"{path}: no such file or directory", code=LOG_MISSING) from None
     except OSError as error:
         raise unreadable(path, error) from None
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import PACKAGE, UsageError
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.logs.readers.carmen import CarmenFile
 from specmap_cli.logs.readers.mcap import McapFile
@@ -60,4 +60,6 @@ def _checked(name: str, reader: object) -> type[Recording]:
 
 
 def _unfit(name: str, fault: str) -> UsageError:
-    return UsageError(f"the reader {name!r} of {GROUP} {fault}; mend or remove its package")
+    return UsageError(
+        f"the reader {name!r} of {GROUP} {fault}; mend or remove its package", code=PACKAGE
+    )

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from specmap_cli.core.errors import LogError
+from specmap_cli.core.errors import TOO_LARGE, LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.shortage import reason
 from specmap_cli.logs.readers.compression import stream
@@ -85,7 +85,9 @@ def _refuse_swelling(copied: int, path: Path, config: LogConfig) -> None:
         fault = f"{config.unpacked_ratio_max:g} times its size: see log.unpacked_ratio_max"
     else:
         return
-    raise LogError(f"{path}: unpacks to more than {fault}; if it is a log, raise the setting")
+    raise LogError(
+        f"{path}: unpacks to more than {fault}; if it is a log, raise the setting", code=TOO_LARGE
+    )
 
 
 def _slices(path: Path) -> Iterator[bytes]:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import PACKAGE, SETTING, UsageError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.records import PlanarScan
@@ -156,7 +156,8 @@ def _groups_of(feature_set: str, setting: str = "feature_set") -> FeatureSet:
     if feature_set not in table:
         raise UsageError(
             f"{setting}: unknown feature set {feature_set!r}: choose from "
-            f"{', '.join(sorted(table))}, or install the package that offers it"
+            f"{', '.join(sorted(table))}, or install the package that offers it",
+            code=SETTING,
         )
     return table[feature_set]
 
@@ -175,4 +176,6 @@ def _usable(name: str, groups: Any) -> FeatureSet:
 
 
 def _unusable(name: str, why: str) -> UsageError:
-    return UsageError(f"feature set {name!r}: {why}; mend or remove the package that offers it")
+    return UsageError(
+        f"feature set {name!r}: {why}; mend or remove the package that offers it", code=PACKAGE
+    )

@@ -1,0 +1,62 @@
+"""Every JSON Schema of the package by its name: what commands print, and what files hold.
+
+A schema is a file `NAME.schema.json` of the package: in `schemas/`, or beside the models that make
+it. That of the settings is made from the settings themselves. The `$id` of each ends with its
+version, which is the `schema_version` of what it describes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.settings import Config
+
+PACKAGE = Path(__file__).parents[1]
+ENDING = ".schema.json"
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+SETTINGS = "config"  # what `config` prints
+ERROR = "error"  # what any command prints when it fails
+
+# The schemas of the JSON files that are written: map directories, and the one of a comparison.
+FILES: Mapping[str, str] = {
+    "topology.json": "topology",
+    "run.json": "run",
+    "classifiers.json": "classifiers",
+    "compare.json": "comparison",
+}
+_PRINTED: Mapping[str, str] = {"compare": FILES["compare.json"]}
+
+
+def name_of_command(command: str) -> str:
+    """The schema of what a command prints with `--json`: its own name, but for `compare`."""
+    return _PRINTED.get(command, command)
+
+
+def schema_names() -> list[str]:
+    """All names, sorted."""
+    return sorted([*schema_files(), SETTINGS])
+
+
+def schema_files() -> dict[str, Path]:
+    """The files of the package by name."""
+    return {path.name.removesuffix(ENDING): path for path in PACKAGE.rglob(f"*{ENDING}")}
+
+
+def read_schema(name: str) -> dict[str, Any]:
+    """A schema (draft 2020-12). Raises UsageError for a name that there is none of."""
+    if name == SETTINGS:
+        return _of_settings()
+    files = schema_files()
+    if name not in files:
+        raise UsageError(f"no schema {name!r}: choose from {', '.join(schema_names())}")
+    found: dict[str, Any] = json.loads(files[name].read_text(encoding="utf-8"))
+    return found
+
+
+def _of_settings() -> dict[str, Any]:
+    made = Config.model_json_schema()
+    return {"$schema": DRAFT, "$id": f"urn:specmap:{SETTINGS}:1", **made, "title": "specmap config"}
