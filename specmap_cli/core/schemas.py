@@ -21,12 +21,13 @@ DRAFT = "https://json-schema.org/draft/2020-12/schema"
 SETTINGS = "config"  # what `config` prints
 ERROR = "error"  # what any command prints when it fails
 
-# The schemas of the JSON files that are written: map directories, and the one of a comparison.
+# The schemas of the JSON files that are written: in map directories, and beside pages and tables.
 FILES: Mapping[str, str] = {
     "topology.json": "topology",
     "run.json": "run",
     "classifiers.json": "classifiers",
     "compare.json": "comparison",
+    "history.json": "history",
 }
 _PRINTED: Mapping[str, str] = {"compare": FILES["compare.json"]}
 

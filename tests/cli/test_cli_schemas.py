@@ -75,6 +75,10 @@ LINES: dict[str, list[Line]] = {
         lambda of: [of.flat.map, of.flat.other_map, "-o", of.out("comparison")],
     ],
     "check": [lambda of: [of.map], lambda of: [of.flat.map, "--against", of.flat.other_map]],
+    "history": [
+        lambda of: [of.flat.map, of.flat.other_map, of.map],
+        lambda of: [of.flat.map, "-o", of.out("history")],
+    ],
     "edit": [
         lambda of: [
             *(of.map, "-o", of.out("map"), "--rename", "0", "Hall", "--kind", "0", "hall"),
