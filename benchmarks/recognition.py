@@ -12,16 +12,19 @@ way, and on one through another building. Seconds are of processor time.
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.data import RESOLUTION_M, log_file, plan, rooms_of, truth_file
 from specmap_cli.core.config import load_config
-from specmap_cli.core.geometry import Pose2, compose, invert, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angle
 from specmap_cli.core.labels import neighbours
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
@@ -94,21 +97,56 @@ def _closures_of(name: str, preset: str) -> str:
     config = load_config(preset=preset)
     with KeyframeStore() as store:
         explored = _explored(name, config, store)
-        truth = read_tum(truth_file(f"{name}_corrected.tum"))
-        known_at, found = associate(truth.stamps_ns, np.array(store.stamps_ns), 5_000_000)
-        rows = np.full(len(store), -1)
-        rows[known_at] = found
-        poses = truth.poses
-        tracks = {}
-        for region, keyframes in explored.regions.items():
-            known = [k for k in keyframes if rows[k] >= 0]
-            if known:
-                base = np.array(store.base_from_laser(known[0]).inverse())
-                tracks[region] = compose(poses[rows[known]], base)
-        return _judged(explored, store, tracks, rows, poses)
+        found = judged(explored, store, true_poses(truth_file(f"{name}_corrected.tum"), store))
+    return (
+        f"{found.regions} regions, {found.merges} merges, {found.right} right | "
+        f"{found.found}/{found.revisits} | {found.constraints}, {found.wrong} wrong, "
+        f"{found.error_cm:.1f} cm {found.error_deg:.2f} deg"
+    )
 
 
-def _judged(explored: Explored, store: KeyframeStore, tracks: Any, rows: Any, poses: Any) -> str:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement:
+    """The closures of Algorithm 1 against the truth.
+
+    `right` of the `merges` are of regions that share ground; `found` of the `revisits` were merged
+    with a region of the same place. `wrong` of the `constraints` are off by more than 0.6 m or 7
+    degrees; the errors are medians.
+    """
+
+    regions: int
+    merges: int
+    right: int
+    found: int
+    revisits: int
+    constraints: int
+    wrong: int
+    error_cm: float
+    error_deg: float
+
+
+def true_poses(path: Path, store: KeyframeStore, *, of_laser: bool = True) -> FloatArray:
+    """(n, 3) true poses of the base at all keyframes, NaN where none is given.
+
+    A file of TUM poses is of the laser or of the base.
+    """
+    truth = read_tum(path)
+    known, found = associate(truth.stamps_ns, np.array(store.stamps_ns), 5_000_000)
+    poses = np.full((len(store), 3), np.nan)
+    for keyframe, row in zip(known.tolist(), found.tolist(), strict=True):
+        pose = Pose2(*truth.poses[row].tolist())
+        poses[keyframe] = pose @ store.base_from_laser(keyframe).inverse() if of_laser else pose
+    return poses
+
+
+def judged(explored: Explored, store: KeyframeStore, poses: FloatArray) -> Judgement:
+    """Hold the closures against true poses (n, 3) of all keyframes, NaN where not known."""
+    known = np.isfinite(poses[:, 0])
+    tracks = {
+        region: poses[[k for k in keyframes if known[k]]]
+        for region, keyframes in explored.regions.items()
+        if known[list(keyframes)].any()
+    }
     here = Pose2(0.0, 0.0, 0.0)
     overlap = {
         (a, b): tracks_overlap(tracks[a], tracks[b], here, 1.0)
@@ -118,19 +156,22 @@ def _judged(explored: Explored, store: KeyframeStore, tracks: Any, rows: Any, po
     }
     merges = [c for c in explored.closures if c.merged]
     submap = submap_of_regions(explored.regions, [(c.old, c.new) for c in merges])
-    right = sum(_overlap(overlap, c.old, c.new) > 0.25 for c in merges)
     back = [b for b in tracks if any(overlap[a, b] >= REVISIT for a in tracks if a < b)]
-    found = sum(
-        any(submap[a] == submap[b] and overlap[a, b] >= REVISIT for a in tracks if a < b)
-        for b in back
-    )
-    errors = np.array(_constraint_errors(explored, store, rows, poses)).reshape(-1, 2)
-    wrong = int(((errors[:, 0] > 0.6) | (errors[:, 1] > 7.0)).sum())
+    errors = np.array(_constraint_errors(explored, store, poses)).reshape(-1, 2)
     median = np.median(errors, axis=0) if len(errors) else np.full(2, np.nan)
-    return (
-        f"{len(explored.regions)} regions, {len(merges)} merges, {right} right | "
-        f"{found}/{len(back)} | {len(errors)}, {wrong} wrong, "
-        f"{100 * median[0]:.1f} cm {median[1]:.2f} deg"
+    return Judgement(
+        regions=len(explored.regions),
+        merges=len(merges),
+        right=sum(_overlap(overlap, c.old, c.new) > 0.25 for c in merges),
+        found=sum(
+            any(submap[a] == submap[b] and overlap[a, b] >= REVISIT for a in tracks if a < b)
+            for b in back
+        ),
+        revisits=len(back),
+        constraints=len(errors),
+        wrong=int(((errors[:, 0] > 0.6) | (errors[:, 1] > 7.0)).sum()),
+        error_cm=100.0 * float(median[0]),
+        error_deg=float(median[1]),
     )
 
 
@@ -139,20 +180,18 @@ def _overlap(overlap: dict[tuple[int, int], float], a: int, b: int) -> float:
 
 
 def _constraint_errors(
-    explored: Explored, store: KeyframeStore, rows: Any, poses: Any
+    explored: Explored, store: KeyframeStore, poses: FloatArray
 ) -> list[tuple[float, float]]:
     """Metres and degrees between each verified transform and the truth, at the keyframes joined."""
     errors = []
     settings = load_config().relaxation
     constraints = constraints_of(explored.closures, explored.regions, store, settings)
     for constraint in constraints.values():
-        a, b = rows[constraint.source], rows[constraint.target]
-        if a < 0 or b < 0:
+        joined = poses[[constraint.source, constraint.target]]
+        if not np.isfinite(joined).all():
             continue
-        laser = store.base_from_laser(constraint.source)
-        base = [Pose2(*poses[k].tolist()) @ laser.inverse() for k in (a, b)]
-        true = base[0].inverse() @ base[1]
-        off = true.inverse() @ constraint.source_from_target
+        a, b = (Pose2(*pose) for pose in joined.tolist())
+        off = (a.inverse() @ b).inverse() @ constraint.source_from_target
         errors.append((off.distance, abs(np.degrees(wrap_angle(off.theta)))))
     return errors
 
@@ -245,22 +284,31 @@ def cost(quick: bool) -> None:
 
 
 def _many_submaps(count: int) -> None:
-    """Closing alone, for synthetic submaps of 150 scans with features around their own centres."""
-    config = load_config().recognition
+    marks = closing_seconds(count, load_config())
+    third = marks[count // 3] / (count // 3)
+    print(
+        f"{count} synthetic submaps: {marks[-1]:.1f} s in all, {1000 * third:.0f} ms a submap up "
+        f"to the first third, the last took {1000 * (marks[-1] - marks[-2]):.0f} ms"
+    )
+
+
+def closing_seconds(count: int, config: Config, limit_s: float = math.inf) -> list[float]:
+    """Processor seconds up to each of `count` submaps, of closing alone; at most some `limit_s`.
+
+    They are synthetic, of 150 scans with features around their own centres.
+    """
     rng = np.random.default_rng(0)
-    width = len(feature_names(config.feature_set))
-    loop = LoopCloser(config, rng)
+    width = len(feature_names(config.recognition.feature_set))
+    loop = LoopCloser(config.recognition, rng)
     empty = PackedGrid.of(GridMap(np.full((4, 4), 2, dtype=np.uint8), RESOLUTION_M))
     started, marks = time.process_time(), []
     for number in range(count):
         features = rng.normal(rng.normal(0.0, 1.0, width), 0.7, (150, width))
         loop.consider(Stay(number=number, features=features, packed=empty, track=np.zeros((5, 3))))
         marks.append(time.process_time() - started)
-    third = marks[count // 3] / (count // 3)
-    print(
-        f"{count} synthetic submaps: {marks[-1]:.1f} s in all, {1000 * third:.0f} ms a submap up "
-        f"to the first third, the last took {1000 * (marks[-1] - marks[-2]):.0f} ms"
-    )
+        if marks[-1] > limit_s:
+            break
+    return marks
 
 
 if __name__ == "__main__":

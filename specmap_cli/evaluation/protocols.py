@@ -104,7 +104,7 @@ def hold_out(
         KeyframeStore() as store,
         KeyframeStore() as held_out,
     ):
-        selector = _HoldingOut(config.keyframes, options.chooser(), held_out)
+        selector = HoldingOut(config.keyframes, options.chooser(), held_out)
         stream = SweepStream(log, config.log)
         finished = map_log(stream, config, store, progress, accepts=selector.accepts)
         if not len(held_out):
@@ -112,8 +112,11 @@ def hold_out(
         return score_hold_out(finished, store, held_out, config)
 
 
-class _HoldingOut:
-    """A selector of keyframes that lays some of them aside: these are for evaluation only."""
+class HoldingOut:
+    """A selector of keyframes that lays some of them aside: these are for evaluation only.
+
+    `chooser` tells of each keyframe, by its number, whether it goes to `held_out`.
+    """
 
     def __init__(
         self, config: KeyframeConfig, chooser: Callable[[int], bool], held_out: KeyframeStore
@@ -138,7 +141,7 @@ def score_hold_out(
     """Label the keyframes of a finished map and those held out."""
     classifiers = finished.classifiers
     ids = classifiers.ids
-    poses = _poses_at(finished, held_out.stamps_ns)
+    poses = poses_at(finished, held_out.stamps_ns)
     truth = nearest_labels(poses, finished.labels.poses, finished.labels.submaps)
     train = raw_labels(classifiers, store)
     test = raw_labels(classifiers, held_out)
@@ -164,6 +167,12 @@ def nearest_labels(
     """(n,) label of the known place (k, 2 or 3) nearest each place, -1 where none is in reach."""
     distance, nearest = cKDTree(known[:, :2]).query(places[:, :2])
     return np.where(distance <= reach_m, np.asarray(labels)[nearest], -1).astype(np.int64)
+
+
+def poses_at(finished: FinishedMap, stamps_ns: Sequence[int]) -> FloatArray:
+    """(n, 3) poses in the finished map at stamps of registered scans."""
+    _, rows = associate(finished.trajectory.stamps_ns, np.array(stamps_ns, dtype=np.int64), 0)
+    return finished.trajectory.poses[rows]
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,12 +213,6 @@ def revisit(
         classification_scores(truth, [label.filtered_submap for label in labels], ids),
         truth,
     )
-
-
-def _poses_at(finished: FinishedMap, stamps_ns: Sequence[int]) -> FloatArray:
-    """(n, 3) poses in the finished map at stamps of registered scans."""
-    _, rows = associate(finished.trajectory.stamps_ns, np.array(stamps_ns, dtype=np.int64), 0)
-    return finished.trajectory.poses[rows]
 
 
 def _filtered_labels(

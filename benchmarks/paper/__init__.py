@@ -1,0 +1,1 @@
+"""The paper by one command: its tables and figures, computed and put on one page."""

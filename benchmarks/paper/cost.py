@@ -1,0 +1,69 @@
+"""What training and closing loops cost, against the number of submaps."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from benchmarks.paper.blocks import Block, Chart, Row, Series, Table, figure
+from benchmarks.paper.samples import Samples, fitted, the_papers
+from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Workshop
+from benchmarks.recognition import closing_seconds
+from specmap_cli.core.config import load_config
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.recognition.features.sets import feature_names
+
+MOST = {PAPER: 60, OURS: 160}
+LIMIT_S = 60.0  # of closing with one preset: what takes longer ends there
+_TRAINED = {PAPER: (5, 10, 20), OURS: (5, 10, 20, 40)}
+_SCANS = 150  # of a submap
+
+
+def make(workshop: Workshop) -> list[Block]:
+    """Closing, submap by submap, and the final classifiers; the recordings do not matter."""
+    del workshop
+    return blocks(MOST, _TRAINED)
+
+
+def blocks(most: Mapping[str, int], trained: Mapping[str, Sequence[int]]) -> list[Block]:
+    """The same for up to so many submaps, and for final classifiers of so many."""
+    marks = {p: closing_seconds(most[p], load_config(preset=p), LIMIT_S) for p in PRESETS}
+    closing = [_series(preset, marks[preset]) for preset in PRESETS]
+    configs = {PAPER: the_papers(), OURS: load_config().recognition}
+    rows = [
+        Row((WORDS[preset], str(count), figure(_training_s(configs[preset], count), 2)))
+        for preset in PRESETS
+        for count in trained[preset]
+    ]
+    return [
+        Chart(
+            closing,
+            "submaps so far",
+            "seconds in all",
+            f"Recognising each new submap among all before it, classifiers trained for it "
+            f"included: synthetic submaps of {_SCANS} scans, processor seconds, a measurement "
+            f"ends after {LIMIT_S:.0f} s.",
+        ),
+        Table(
+            ("choices", "submaps", "seconds"),
+            rows,
+            "The final classifiers of a map, one a submap against all others.",
+        ),
+    ]
+
+
+def _series(preset: str, marks: Sequence[float]) -> Series:
+    return Series(WORDS[preset], [(k + 1.0, second) for k, second in enumerate(marks)])
+
+
+def _training_s(config: RecognitionConfig, submaps: int) -> float:
+    """Processor seconds of the final classifiers of so many submaps."""
+    rng = np.random.default_rng(0)
+    width = len(feature_names(config.feature_set))
+    own = [rng.normal(rng.normal(0.0, 1.0, width), 0.7, (_SCANS, width)) for _ in range(submaps)]
+    samples = Samples(np.vstack(own), np.repeat(np.arange(submaps), _SCANS))
+    started = time.process_time()
+    fitted(samples, config)
+    return time.process_time() - started

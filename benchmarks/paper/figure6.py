@@ -1,0 +1,103 @@
+"""Figure 6: the scans of another way through the building, labelled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.paper import pictures
+from benchmarks.paper.blocks import Block, Gallery, Picture, Row, Table, figure
+from benchmarks.paper.cases import Case
+from benchmarks.paper.workshop import OURS, PRESETS, WORDS, Built, Workshop
+from benchmarks.recognition import true_poses
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
+from specmap_cli.core.labels import neighbours
+from specmap_cli.core.records import NO_SUBMAP, IntArray
+from specmap_cli.drawing.predictions import render_labels
+from specmap_cli.evaluation.classification import ClassificationScores
+from specmap_cli.evaluation.protocols import RevisitResult, revisit
+from specmap_cli.evaluation.trajectories import associate, read_tum
+from specmap_cli.recognition.localization.localizer import Label, Localizer
+
+_HEAD = ("tour", "choices", "labels", "submaps", "recall", "precision", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The labels of another way, and their scores; `places` (n, 2) are true ones in the map."""
+
+    labels: list[Label]
+    result: RevisitResult
+    places: FloatArray
+
+
+def make(workshop: Workshop) -> list[Block]:
+    """Every building with a second way through it, with both presets."""
+    rows, galleries = [], []
+    for case in workshop.cases.found:
+        if case.again is None:
+            continue
+        shown = []
+        for preset in PRESETS:
+            built = workshop.built(case, preset)
+            asked = _ask(built, case, case.again, workshop)
+            shown.append(_picture(case, preset, built, asked))
+            rows.append(_row(case, preset, "single scans", asked.result.raw))
+            rows.append(_row(case, preset, "filtered", asked.result.filtered))
+        galleries.append(Gallery(shown))
+    caption = (
+        "The robot drives through the building again, another way. The truth of a scan is the "
+        "submap of the map's keyframe nearest to where it was taken, by true poses. The paper "
+        "shows its Figure 6 without figures."
+    )
+    return [*galleries, Table(_HEAD, rows, caption)]
+
+
+def _ask(built: Built, case: Case, again: Case, workshop: Workshop) -> Asked:
+    finished = built.finished
+    reference = read_tum(again.ready().truth)
+    localizer = _localizer(built)
+    labels = [localizer.update(scan) for scan in workshop.recording(again).scans]
+    given = true_poses(case.truth, built.store, of_laser=False)
+    known = np.isfinite(given[:, 0])
+    moved: Pose2 = nearest_motion(given[known, :2], finished.labels.poses[known, :2])
+    keyframes = finished.labels.poses, finished.labels.submaps
+    stamps = np.array([label.stamp_ns for label in labels])
+    joined, rows = associate(reference.stamps_ns, stamps, 5_000_000)
+    places = np.full((len(labels), 3), np.nan)
+    places[joined] = compose(np.array(moved), reference.poses[rows])
+    return Asked(labels, revisit(labels, reference, keyframes, moved), places)
+
+
+def _localizer(built: Built) -> Localizer:
+    finished = built.finished
+    submaps = finished.topology.submaps
+    return Localizer(
+        finished.classifiers,
+        neighbours(finished.classifiers.ids, finished.topology.joined),
+        {i: submap.grid for i, submap in submaps.items()},
+        built.config.localization,
+        {i: submap.map_from_submap for i, submap in submaps.items()},
+    )
+
+
+def _picture(case: Case, preset: str, built: Built, asked: Asked) -> Picture:
+    """The raw labels of the paper, the filtered ones of ours."""
+    told = [x.filtered_submap if preset == OURS else x.submap for x in asked.labels]
+    submaps: IntArray = np.array([NO_SUBMAP if x is None else x for x in told], dtype=np.int64)
+    kind = "filtered labels" if preset == OURS else "labels of single scans"
+    finished = built.finished
+    image = render_labels(
+        asked.places,
+        submaps,
+        f"{case.name}: {WORDS[preset]}, {kind}",
+        map_with_regions=(finished.topology, finished.regions),
+        truth=asked.result.truth,
+    )
+    return Picture(pictures.shrunk(image), f"{case.name}: {WORDS[preset]}, {kind}")
+
+
+def _row(case: Case, preset: str, kind: str, scores: ClassificationScores) -> Row:
+    figures = map(figure, (scores.recall, scores.precision, scores.accuracy))
+    return Row((case.name, WORDS[preset], kind, str(len(scores.ids)), *figures))

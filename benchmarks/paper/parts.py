@@ -1,0 +1,113 @@
+"""The parts of the page in the paper's order: what the paper shows, and what makes ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from benchmarks.paper import cost, figure2, figure3, figure6, room_hallway, table1, table2, topology
+from benchmarks.paper.blocks import Block
+from benchmarks.paper.cases import FREIBURG, STATA
+from benchmarks.paper.workshop import Workshop
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """A figure or a table: `said` is what the paper shows, `commands` are specmap's own for it."""
+
+    name: str
+    title: str
+    said: str
+    make: Callable[[Workshop], list[Block]]
+    commands: tuple[str, ...] = ()
+
+
+PARTS = (
+    Part(
+        name="figure2",
+        title="Figure 2: a finished map, segmented",
+        said=(
+            "The Stata Center, segmented into submaps by spectral clustering. The paper gives no "
+            "figures for it."
+        ),
+        make=figure2.make,
+        commands=("specmap segment MAP.yaml -o DIR", "python -m benchmarks.rooms"),
+    ),
+    Part(
+        name="figure3",
+        title="Figure 3: segmentation while the robot moves",
+        said=(
+            "Six maps of a robot that leaves a room, the second eigenvalue below each; the submap "
+            "is split where it passes 0.8."
+        ),
+        make=figure3.make,
+        commands=("specmap build LOG -o DIR --explain PICTURES", "python -m benchmarks.online"),
+    ),
+    Part(
+        name="figure4",
+        title="Figure 4: closing loops, Freiburg",
+        said=(
+            "The first three submaps, the return to the corridor recognised, the final topology: "
+            "all three returns to the corridor are closed."
+        ),
+        make=partial(topology.make, manner=FREIBURG),
+        commands=("specmap build LOG -o DIR", "python -m benchmarks.recognition --only closures"),
+    ),
+    Part(
+        name="figure5",
+        title="Figure 5a, b: closing loops, Stata",
+        said=(
+            "The tour of the Stata Center's third floor and its topology: the loop is closed; on a "
+            "second lap new submaps are merged with old ones, and a few overlapping ones stay."
+        ),
+        make=partial(topology.make, manner=STATA),
+        commands=("specmap build LOG -o DIR", "python -m benchmarks.recognition --only closures"),
+    ),
+    Part(
+        name="figure5c",
+        title="Figure 5c: rooms and hallways do not divide a map",
+        said=(
+            "A classifier of rooms and hallways, learned in Freiburg and asked in Stata, “does not "
+            "generalize well”; the paper gives no figures."
+        ),
+        make=room_hallway.make,
+        commands=("specmap evaluate LOG LOG2 --baseline room-hallway",),
+    ),
+    Part(
+        name="table1",
+        title="Table I: what the features are worth",
+        said="The twelve groups of features; the paper does not say what each is worth.",
+        make=table1.make,
+    ),
+    Part(
+        name="table2",
+        title="Table II: localisation by a single scan",
+        said=(
+            "Freiburg: training recall 0.9728, precision 0.9818; test 0.9089, 0.9212. Stata: "
+            "training 0.9689, 0.9739; test 0.8300, 0.8458. Both by simulated scans."
+        ),
+        make=table2.make,
+        commands=(
+            "specmap evaluate LOG --protocol holdout",
+            "python -m benchmarks.recognition --only table2",
+        ),
+    ),
+    Part(
+        name="figure6",
+        title="Figure 6: another way through the building",
+        said="The labels of single scans on a new trajectory in Freiburg, as a picture.",
+        make=figure6.make,
+        commands=("specmap evaluate MAP LOG2 --protocol revisit",),
+    ),
+    Part(
+        name="cost",
+        title="What training costs",
+        said=(
+            "A classifier is trained for each new submap against each existing one; the paper "
+            "gives no times."
+        ),
+        make=cost.make,
+        commands=("python -m benchmarks.recognition --only cost",),
+    ),
+)

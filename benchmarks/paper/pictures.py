@@ -1,0 +1,113 @@
+"""The pictures of the page: a map in the colours of its regions, and what stands on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
+from specmap_cli.drawing import symbols
+from specmap_cli.drawing.canvas import Image
+from specmap_cli.drawing.overview import spread
+from specmap_cli.drawing.palette import FILLS, Colour, colour_graph, touching
+from specmap_cli.drawing.sheet import TITLE, Sheet, extent_of
+from specmap_cli.drawing.strokes import strokes
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.topology.regions import Regions, divide
+
+WIDTH = 900  # pixels of a picture on the page
+_BELOW = 66  # of paper under the map, with the scale bar
+_NEAR_CELLS = 12  # regions so near, across a wall, differ in colour
+
+Pair = tuple[int, int]
+
+
+def divided(grid: GridMap, owner: NDArray[Any]) -> Image:
+    """A finished map in regions: `owner` (H, W) is the number of the region of each cell, or -1."""
+    regions = Regions.of(grid, np.asarray(owner, dtype=np.int64))
+    sheet = Sheet(*extent_of(regions), ())
+    sheet.ground(regions, _fills(regions))
+    return _cut(sheet)
+
+
+def topology(
+    whole: GridMap, labels: Labels, edges: Iterable[Pair] = (), *, way: bool = True
+) -> Image:
+    """The map in the colours of the submaps of its keyframes, with the way and the links."""
+    regions = divide(whole, labels)
+    fills = _fills(regions) | _unseen(labels.submaps, regions)
+    sheet = Sheet(*_extent(regions, labels.poses), ())
+    sheet.ground(regions, fills)
+    if way:
+        for stroke in strokes(labels.poses[:, :2]):
+            line = labels.poses[stroke.first : stroke.drawn_to, :2]
+            sheet.canvas.line(sheet.pixels(line), symbols.PATH, 2)
+    _draw_graph(sheet, labels, edges, fills)
+    first, last = sheet.pixels(labels.poses[[0, -1], :2])
+    symbols.start(sheet.canvas, first)
+    symbols.end(sheet.canvas, last)
+    return _cut(sheet)
+
+
+def kinds(whole: GridMap, labels: Labels) -> Image:
+    """The map in two colours, by the kind 0 or 1 of its keyframes' scans."""
+    regions = divide(whole, labels)
+    sheet = Sheet(*_extent(regions, labels.poses), ())
+    sheet.ground(regions, {0: FILLS[2], 1: FILLS[1]})
+    return _cut(sheet)
+
+
+def shrunk(image: Image, width: int = WIDTH) -> Image:
+    """A picture no wider than the page shows it."""
+    scale = min(1.0, width / image.shape[1])
+    return np.asarray(
+        cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8
+    )
+
+
+def _fills(regions: Regions) -> dict[int, Colour]:
+    ids = np.unique(regions.owner[regions.owner >= 0]).tolist()
+    return colour_graph(ids, touching(regions.owner, _NEAR_CELLS))
+
+
+def _unseen(submaps: IntArray, regions: Regions) -> dict[int, Colour]:
+    """A colour for the submaps that own no cell."""
+    none = set(np.unique(submaps).tolist()) - set(regions.outlines) - {NO_SUBMAP}
+    return dict.fromkeys(none, FILLS[0])
+
+
+def _extent(regions: Regions, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    low, high = extent_of(regions)
+    places = poses[:, :2]
+    return np.minimum(low, places.min(axis=0) - 0.3), np.maximum(high, places.max(axis=0) + 0.3)
+
+
+def _draw_graph(
+    sheet: Sheet, labels: Labels, edges: Iterable[Pair], fills: dict[int, Colour]
+) -> None:
+    """A link for each edge, and a badge on each submap, at the middle one of its keyframes."""
+    ids = [int(id_) for id_ in np.unique(labels.submaps) if id_ != NO_SUBMAP]
+    places = np.array([_middle(labels.poses[labels.submaps == id_, :2]) for id_ in ids])
+    at = dict(zip(ids, spread(sheet.pixels(places), symbols.BADGE_GAP), strict=True))
+    for a, b in edges:
+        if a in at and b in at:
+            symbols.edge(sheet.canvas, np.array([at[a], at[b]]), "traversed")
+    for id_ in ids:
+        symbols.badge(sheet.canvas, at[id_], str(id_), fills[id_])
+
+
+def _middle(places: FloatArray) -> FloatArray:
+    """That of the places (n, 2) which is nearest to their mean: it lies on the way."""
+    away = np.linalg.norm(places - places.mean(axis=0), axis=1)
+    return np.asarray(places[int(away.argmin())])
+
+
+def _cut(sheet: Sheet) -> Image:
+    """The map and its scale bar, without the paper for a title and a legend."""
+    rows = slice(TITLE - 24, TITLE + sheet.map_height + _BELOW)
+    return shrunk(sheet.canvas.image[rows])

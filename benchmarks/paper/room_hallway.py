@@ -1,0 +1,79 @@
+"""Figure 5c: a classifier of rooms and hallways does not divide a map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.paper import pictures
+from benchmarks.paper.blocks import Block, Gallery, Picture, Row, Table, Words, figure
+from benchmarks.paper.cases import FREIBURG, STATA, Case, Drawing
+from benchmarks.paper.workshop import OURS, Built, Workshop
+from benchmarks.recognition import tour_of, true_poses
+from specmap_cli.core.records import IntArray
+from specmap_cli.evaluation.semantic import (
+    HALLWAY,
+    ROOM,
+    RoomHallway,
+    hallways,
+    kinds_of,
+    semantic_scores,
+)
+from specmap_cli.recognition.learning.sensor import Sensor
+
+_RATE_HZ = 2.0  # of the scans to learn from: enough of every place
+
+
+def make(workshop: Workshop) -> list[Block]:
+    """Learn the kinds in a building like Freiburg, name the scans of those like Stata."""
+    drawn = [case for case in workshop.of_manner(FREIBURG) if case.drawing is not None]
+    if not drawn:
+        return [Words("No building in the manner of Freiburg has rooms drawn by hand.", True)]
+    learned, shown, rows = drawn[0], [], []
+    assert learned.drawing is not None
+    for case in workshop.of_manner(STATA):
+        built = workshop.built(case, OURS)
+        predicted = _predicted(learned.drawing, built)
+        rows.append(_row(case, built, predicted))
+        labels = replace(built.finished.labels, submaps=predicted)
+        shown.append(
+            Picture(
+                pictures.kinds(built.finished.regions.grid, labels),
+                f"{case.name}: where most scans are taken for a room (green) or a hallway (red)",
+            )
+        )
+    head = ("recording", "scans", "rooms named right", "hallways named right", "borders", "seen")
+    caption = (
+        f"Boosted stumps on Table I, learned from {learned.name.partition(',')[0]} with rooms and "
+        "hallways known. A border between two submaps can be seen only where a room meets a "
+        "hallway. Where nobody drew the rooms, the first figures are missing."
+    )
+    return [Gallery(shown), Table(head, rows, caption)]
+
+
+def _predicted(drawing: Drawing, built: Built) -> IntArray:
+    """(n,) the kind of every keyframe, by a classifier that learned with the same laser."""
+    sensor = Sensor.of(built.store.scan(0))
+    view = min(360.0, float(np.degrees(sensor.field_of_view)))
+    tour = tour_of(drawing.plan, view, 0, beams=sensor.beams, rate_hz=_RATE_HZ)
+    kinds = kinds_of(
+        drawing.rooms.at(np.array([scan.map_from_base for scan in tour])), hallways(drawing.rooms)
+    )
+    known = [scan.planar for scan, kind in zip(tour, kinds, strict=True) if kind >= 0]
+    model = RoomHallway().fit(known, kinds[kinds >= 0])
+    return model.predict(built.store.scan(k) for k in range(len(built.store)))
+
+
+def _row(case: Case, built: Built, predicted: IntArray) -> Row:
+    truth = np.full(len(predicted), -1, dtype=np.int64)
+    if case.drawing is not None:
+        rooms = case.drawing.rooms
+        places = true_poses(case.truth, built.store, of_laser=False)
+        truth = kinds_of(rooms.at(places), hallways(rooms))
+    submaps, joined = built.finished.labels.submaps, built.finished.topology.joined
+    found = semantic_scores(predicted, truth, submaps, joined)
+    recall = found.scores.recall_of
+    right = [figure(recall.get(kind, float("nan"))) for kind in (ROOM, HALLWAY)]
+    seen = f"{100.0 * found.borders_seen:.0f} %"
+    return Row((case.name, f"{len(predicted):,}", *right, str(found.borders), seen))

@@ -1,0 +1,107 @@
+"""The frame of the page: what is on it, and that it needs nothing beside itself."""
+
+from __future__ import annotations
+
+import base64
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from benchmarks.paper.__main__ import main
+from benchmarks.paper.blocks import (
+    Block,
+    Chart,
+    Gallery,
+    Picture,
+    Row,
+    Series,
+    Table,
+    Words,
+    figure,
+)
+from benchmarks.paper.cases import Cases
+from benchmarks.paper.charts import drawn, ticks
+from benchmarks.paper.page import Done, render
+from benchmarks.paper.parts import PARTS
+
+BLOCKS: list[Block] = [
+    Words("plain <words>"),
+    Words("a warning", warning=True),
+    Table(("map", "recall"), [Row(("a & b", "0.900")), Row(("paper", "0.8"), published=True)]),
+    Gallery([Picture(np.full((4, 6, 3), 7, dtype=np.uint8), "a picture")], across=3),
+    Chart([Series("one", [(0.0, 0.1), (2.0, 0.9)], frozenset({1}), 0.8)], "s", "value", top=1.0),
+]
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    done = [Done(PARTS[0], BLOCKS, 12.3), Done(PARTS[1], [], 0.0)]
+    return render(done, Cases((), missing=("Something is not here.",)), "python -m this")
+
+
+def test_every_kind_of_block_is_shown_and_escaped(page: str) -> None:
+    assert "plain &lt;words&gt;" in page
+    assert '<p class="warning">a warning</p>' in page
+    assert '<tr class="published"><td>paper</td><td class="n">0.8</td></tr>' in page
+    assert "a &amp; b" in page
+    assert page.count('class="filled"') == 1
+
+
+def test_the_page_says_what_is_missing_and_how_it_was_made(page: str) -> None:
+    assert '<p class="warning">Something is not here.</p>' in page
+    assert "<code>python -m this</code>" in page
+    assert "<code>python -m benchmarks.paper --only figure2</code>" in page
+    assert "12 s of processor time" in page
+    assert page.count("<section") == 2
+
+
+def test_a_picture_is_in_the_page_itself(page: str) -> None:
+    (data,) = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
+    decoded = cv2.imdecode(np.frombuffer(base64.b64decode(data), dtype=np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
+    assert (decoded.min(), decoded.max()) == (7, 7)
+
+
+def test_nothing_is_loaded_from_elsewhere(page: str) -> None:
+    assert not re.search(r"https?:|<script|<link|@import|url\(", page)
+
+
+def test_a_chart_is_drawn_to_scale() -> None:
+    at = drawn(Chart([Series("one", [(0.0, 0.0), (5.0, 2.0)])], "x", "y"))
+    (line,) = at.lines
+    assert line.points.split() == [f"{at.left}.0,{at.bottom}.0", f"{at.right}.0,{at.top}.0"]
+    assert line.level is None
+    assert [tick.text for tick in at.up] == ["0", "0.5", "1", "1.5", "2"]
+    assert at.across[-1].at == at.right
+
+
+@pytest.mark.parametrize(
+    ("most", "expected"), [(1.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]), (160, [0.0, 50.0, 100.0, 150.0])]
+)
+def test_ticks_are_round(most: float, expected: list[float]) -> None:
+    assert ticks(most) == expected
+
+
+def test_no_figure_is_a_dash() -> None:
+    assert figure(float("nan")) == "–"
+    assert figure(0.12345) == "0.123"
+
+
+def test_every_part_of_the_paper_has_its_name() -> None:
+    names = [part.name for part in PARTS]
+    assert names == [
+        *("figure2", "figure3", "figure4", "figure5", "figure5c"),
+        *("table1", "table2", "figure6", "cost"),
+    ]
+    assert len({part.title for part in PARTS}) == len(PARTS)
+
+
+def test_an_unknown_part_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["paper", "--only", "figure9"])
+    with pytest.raises(SystemExit):
+        main()
+    assert "figure9" in capsys.readouterr().err

@@ -1,0 +1,206 @@
+"""The page of the paper's figures: its parts on a small simulated building, and their inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from benchmarks.paper import (
+    cost,
+    figure2,
+    figure3,
+    figure6,
+    ring,
+    room_hallway,
+    table1,
+    table2,
+    topology,
+)
+from benchmarks.paper.blocks import Block, Chart, Gallery, Table, Words
+from benchmarks.paper.cases import FREIBURG, STATA, Cases, Drawing, cases, tour
+from benchmarks.paper.samples import Samples, fitted, samples_of, scored, the_papers
+from benchmarks.paper.workshop import OURS, PAPER, Workshop
+from benchmarks.recognition import judged, true_poses
+from specmap_cli.evaluation.protocols import HoldOut
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.simulator import SimulationOptions
+
+QUICK = SimulationOptions(
+    field_of_view_deg=360, beams=90, range_max_m=12, rate_hz=4, speed_mps=0.8, spacing_m=2.5
+)
+
+
+@pytest.fixture(scope="module")
+def workshop(
+    flat: GridMap, flat_rooms: RoomTruth, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Workshop]:
+    """The flat in the manner of either building, one recording for both."""
+    folder = tmp_path_factory.mktemp("paper")
+    drawing = Drawing(flat, flat_rooms)
+    found = tour("flat, simulated", FREIBURG, drawing, folder, QUICK)
+    with Workshop(Cases((found, replace(found, manner=STATA, again=None)))) as shop:
+        yield shop
+
+
+def tables(blocks: list[Block]) -> list[Table]:
+    return [block for block in blocks if isinstance(block, Table)]
+
+
+def pictures(blocks: list[Block]) -> int:
+    return sum(len(block.pictures) for block in blocks if isinstance(block, Gallery))
+
+
+def test_a_recording_is_registered_once_and_a_map_built_once(workshop: Workshop) -> None:
+    first = workshop.cases.found[0]
+    assert workshop.recording(first) is workshop.recording(first)
+    assert workshop.built(first, OURS) is workshop.built(first, OURS)
+    assert workshop.built(first, OURS) is not workshop.built(first, PAPER)
+
+
+def test_figure_2_divides_the_drawing_with_both_presets(workshop: Workshop) -> None:
+    blocks = figure2.make(workshop)
+    (table,) = tables(blocks)
+    assert pictures(blocks) == 2
+    assert [row.cells[1] for row in table.rows] == ["the paper's choices", "specmap's choices"]
+    assert table.rows[1].cells[2] == "4"  # three rooms and the corridor
+    assert float(table.rows[1].cells[3]) > 0.95
+
+
+def test_figure_3_ends_with_the_test_that_split(workshop: Workshop) -> None:
+    blocks = figure3.make(workshop)
+    galleries = [block for block in blocks if isinstance(block, Gallery)]
+    for gallery in galleries:
+        split = [picture.caption.endswith("split") for picture in gallery.pictures]
+        assert split == [False] * (len(split) - 1) + [True]
+    (chart,) = (block for block in blocks if isinstance(block, Chart))
+    assert [series.level for series in chart.series] == [0.8, 0.6]
+    assert len(tables(blocks)[0].rows) == 4
+
+
+def test_figures_4_and_5_show_fewer_submaps_after_than_before(workshop: Workshop) -> None:
+    blocks = topology.make(workshop, FREIBURG)
+    (table,) = tables(blocks)
+    assert pictures(blocks) == 4
+    ours = table.rows[1].cells
+    assert ours[1] == "specmap's choices"
+    assert int(ours[7]) < int(ours[2])
+    assert topology.make(workshop, "elsewhere")[:-1] == []
+
+
+def test_every_merge_of_the_flat_is_right(workshop: Workshop) -> None:
+    case = workshop.cases.found[0]
+    built = workshop.built(case, OURS)
+    found = judged(built.explored, built.store, true_poses(case.truth, built.store, of_laser=False))
+    assert 0 < found.merges == found.right
+    assert found.wrong == 0
+    nowhere = np.full((len(built.store), 3), np.nan)
+    assert judged(built.explored, built.store, nowhere).right == 0
+
+
+def test_true_poses_of_a_laser_are_moved_to_the_base(workshop: Workshop) -> None:
+    case = workshop.cases.found[0]
+    store = workshop.built(case, OURS).store
+    base, laser = (true_poses(case.truth, store, of_laser=given) for given in (False, True))
+    away = np.hypot(*(base - laser)[:, :2].T)
+    assert np.allclose(away, store.base_from_laser(0).distance)
+
+
+def test_figure_5c_sees_only_borders_of_hallways(workshop: Workshop) -> None:
+    (table,) = tables(room_hallway.make(workshop))
+    (row,) = table.rows
+    assert row.cells[5].endswith(" %")
+    (words,) = room_hallway.make(Workshop(Cases(())))
+    assert isinstance(words, Words)
+    assert words.warning
+
+
+def test_table_1_shares_out_all_votes(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table1, "ROUNDS", 10)
+    papers, ours = tables(table1.make(workshop))
+    assert [row.cells[0].partition(".")[0] for row in papers.rows[:12]] == [
+        str(number) for number in range(1, 13)
+    ]
+    for table in (papers, ours):
+        for column in (1, 2):
+            shares = [float(row.cells[column].split()[0]) for row in table.rows[:-1]]
+            assert sum(shares) == pytest.approx(100.0, abs=0.7)
+
+
+def test_nothing_is_learned_from_columns_taken_away(workshop: Workshop) -> None:
+    built = workshop.built(workshop.cases.found[0], OURS, HoldOut(seed=0))
+    train, test = samples_of(built, "table1")
+    config = the_papers(rounds=5)
+    assert scored(fitted(train, config), test).recall > 0.5
+    gone = list(range(train.X.shape[1]))
+    blind = fitted(train.without(gone), config)
+    assert scored(blind, test).recall == pytest.approx(1.0 / len(blind.classes_))
+    assert (train.without([3]).X[:, 3] == 0.0).all()
+    assert (train.X[:, 3] != 0.0).any()
+
+
+def test_table_2_stands_beside_the_published_figures(workshop: Workshop) -> None:
+    (table,) = tables(table2.make(workshop))
+    published = [row.cells[3:7] for row in table.rows if row.published]
+    assert published == [
+        ("0.9728", "0.9818", "0.9089", "0.9212"),
+        ("0.9689", "0.9739", "0.8300", "0.8458"),
+    ]
+    ours = [row for row in table.rows if row.cells[1] == "specmap's choices"]
+    assert len(ours) == 2
+    assert all(float(row.cells[5]) > 0.8 for row in ours)
+
+
+def test_figure_6_labels_another_way(workshop: Workshop) -> None:
+    blocks = figure6.make(workshop)
+    (table,) = tables(blocks)
+    assert pictures(blocks) == 2
+    filtered = [r.cells for r in table.rows if r.cells[1:3] == ("specmap's choices", "filtered")]
+    assert all(float(cells[6]) > 0.8 for cells in filtered)
+
+
+def test_the_cost_grows_with_the_submaps() -> None:
+    chart, table = cost.blocks({PAPER: 4, OURS: 4}, {PAPER: (2,), OURS: (2, 3)})
+    assert isinstance(chart, Chart)
+    assert isinstance(table, Table)
+    assert [len(series.points) for series in chart.series] == [4, 4]
+    for series in chart.series:
+        assert all(a[1] <= b[1] for a, b in pairwise(series.points))
+    assert [row.cells[1] for row in table.rows] == ["2", "2", "3"]
+
+
+def test_one_can_walk_from_every_room_of_the_ring_to_every_other() -> None:
+    plan, rooms = ring.plan(), ring.rooms()
+    wide = (plan.clearance() > 0.3).astype(np.uint8)
+    _, part = cv2.connectedComponents(wide)
+    reached = [
+        set(part[(rooms.labels == room) & (wide > 0)].tolist())
+        for room in range(1, rooms.count + 1)
+    ]
+    assert rooms.count == len(ring.ROOMS) + 1
+    assert set.intersection(*reached)
+
+
+def test_without_data_only_simulated_buildings_are_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPECMAP_DATA", str(tmp_path / "nowhere"))
+    found = cases(tmp_path)
+    assert {case.manner for case in found.found} == {FREIBURG, STATA}
+    assert all(case.drawing is not None and case.again is not None for case in found.found)
+    assert "SPECMAP_DATA" in found.missing[0]
+    (tmp_path / "data" / "logs").mkdir(parents=True)
+    monkeypatch.setenv("SPECMAP_DATA", str(tmp_path / "data"))
+    gone = " ".join(cases(tmp_path).missing)
+    assert all(name in gone for name in ("fr079", "mit_csail", "plan"))
+
+
+def test_samples_without_a_submap_teach_nothing() -> None:
+    train = Samples(np.array([[0.0] * 52, [1.0] * 52, [5.0] * 52]), np.array([0, 1, -1]))
+    assert fitted(train, the_papers(rounds=1)).classes_ == (0, 1)
