@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 LOWEST := .venv-lowest
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo pictures docs dist test test-lowest lint format bench fuzz sample-logs constraints-lowest clean
+.PHONY: demo paper pictures docs dist test test-lowest lint format bench fuzz sample-logs constraints-lowest clean
 
 demo: $(VENV)/installed
 	$(BIN)/specmap build sample_logs/office.mcap --out demo/map --overwrite
@@ -41,6 +41,11 @@ bench: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.localizing
 	$(BIN)/python -m benchmarks.reading
 	$(BIN)/python -m benchmarks.resolutions
+
+# Every table and figure of the paper on one page, computed anew: 20 minutes. SPECMAP_DATA names the
+# folder with the real recordings; without it only simulated buildings are shown.
+paper: $(VENV)/installed-dev
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.paper --out paper
 
 # A mutation fuzzer of our own over logs and maps: see docs/reliability.md.
 CASES ?= 20000
@@ -82,7 +87,7 @@ constraints-lowest: $(LOWEST)/created
 		--python-version 3.11 --custom-compile-command "make $@" pyproject.toml --output-file constraints-lowest.txt
 
 clean:
-	rm -rf $(VENV) $(LOWEST) demo site dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(LOWEST) demo paper site dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 $(VENV)/created:
 	@if [ -z "$(PYTHON)" ]; then echo "make: no Python 3.11 or newer with the venv module found: install python3 and python3-venv, or say make PYTHON=/path/to/python3" >&2; exit 2; fi

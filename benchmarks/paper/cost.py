@@ -15,8 +15,8 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 
-MOST = {PAPER: 60, OURS: 160}
-LIMIT_S = 60.0  # of closing with one preset: what takes longer ends there
+MOST = {PAPER: 40, OURS: 160}
+LIMIT_S = 30.0  # of closing with one preset: what takes longer ends there
 _TRAINED = {PAPER: (5, 10, 20), OURS: (5, 10, 20, 40)}
 _SCANS = 150  # of a submap
 

@@ -41,7 +41,7 @@ def make(workshop: Workshop) -> list[Block]:
         shown = []
         for preset in PRESETS:
             built = workshop.built(case, preset)
-            asked = _ask(built, case, case.again, workshop)
+            asked = ask(built, case, case.again, workshop)
             shown.append(_picture(case, preset, built, asked))
             rows.append(_row(case, preset, "single scans", asked.result.raw))
             rows.append(_row(case, preset, "filtered", asked.result.filtered))
@@ -54,7 +54,8 @@ def make(workshop: Workshop) -> list[Block]:
     return [*galleries, Table(_HEAD, rows, caption)]
 
 
-def _ask(built: Built, case: Case, again: Case, workshop: Workshop) -> Asked:
+def ask(built: Built, case: Case, again: Case, workshop: Workshop) -> Asked:
+    """Label the scans of another way by the map of the first, and score them by true poses."""
     finished = built.finished
     reference = read_tum(again.ready().truth)
     localizer = _localizer(built)

@@ -145,12 +145,37 @@ def score_hold_out(
     truth = nearest_labels(poses, finished.labels.poses, finished.labels.submaps)
     train = raw_labels(classifiers, store)
     test = raw_labels(classifiers, held_out)
-    filtered = _filtered_labels(finished, held_out, poses, config)
+    filtered = [label.filtered_submap for label in labels_of(finished, held_out, config)]
     return HoldOutResult(
         classification_scores(finished.labels.submaps, train, ids),
         classification_scores(truth, test, ids),
         classification_scores(truth, filtered, ids),
     )
+
+
+def labels_of(finished: FinishedMap, held_out: KeyframeStore, config: Config) -> list[Label]:
+    """The labels of held-out scans in turn; the filter starts afresh after every gap."""
+    poses = poses_at(finished, held_out.stamps_ns)
+    classifiers = finished.classifiers
+    adjacency = neighbours(classifiers.ids, finished.topology.joined)
+    submaps = finished.topology.submaps
+    grids = {i: submap.grid for i, submap in submaps.items()}
+    frames = {i: submap.map_from_submap for i, submap in submaps.items()}
+    localizer = Localizer(classifiers, adjacency, grids, config.localization, frames)
+    labels: list[Label] = []
+    for k in range(len(held_out)):
+        place = Pose2(*poses[k].tolist())
+        gap = k > 0 and float(np.hypot(*(poses[k, :2] - poses[k - 1, :2]))) > 1.0
+        scan = PosedScan(
+            index=k,
+            stamp_ns=held_out.stamps_ns[k],
+            map_from_base=place,
+            planar=held_out.scan(k),
+            base_from_laser=held_out.base_from_laser(k),
+            restarted=gap,
+        )
+        labels.append(localizer.update(scan))
+    return labels
 
 
 def raw_labels(classifiers: ClassifierSet, store: KeyframeStore) -> IntArray:
@@ -213,35 +238,6 @@ def revisit(
         classification_scores(truth, [label.filtered_submap for label in labels], ids),
         truth,
     )
-
-
-def _filtered_labels(
-    finished: FinishedMap,
-    held_out: KeyframeStore,
-    poses: FloatArray,
-    config: Config,
-) -> list[int | None]:
-    """Filtered labels of the held-out scans in turn, started afresh after every gap."""
-    classifiers = finished.classifiers
-    adjacency = neighbours(classifiers.ids, finished.topology.joined)
-    submaps = finished.topology.submaps
-    grids = {i: submap.grid for i, submap in submaps.items()}
-    frames = {i: submap.map_from_submap for i, submap in submaps.items()}
-    localizer = Localizer(classifiers, adjacency, grids, config.localization, frames)
-    labels: list[int | None] = []
-    for k in range(len(held_out)):
-        place = Pose2(*poses[k].tolist())
-        gap = k > 0 and float(np.hypot(*(poses[k, :2] - poses[k - 1, :2]))) > 1.0
-        scan = PosedScan(
-            index=k,
-            stamp_ns=held_out.stamps_ns[k],
-            map_from_base=place,
-            planar=held_out.scan(k),
-            base_from_laser=held_out.base_from_laser(k),
-            restarted=gap,
-        )
-        labels.append(localizer.update(scan).filtered_submap)
-    return labels
 
 
 def _rounded(value: float | None) -> float | None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import base64
+import importlib.util
 import re
 
 import cv2
 import numpy as np
 import pytest
+import typer
 
 from benchmarks.paper.__main__ import main
 from benchmarks.paper.blocks import (
@@ -25,6 +27,7 @@ from benchmarks.paper.cases import Cases
 from benchmarks.paper.charts import drawn, ticks
 from benchmarks.paper.page import Done, render
 from benchmarks.paper.parts import PARTS
+from specmap_cli.cli.app import app
 
 BLOCKS: list[Block] = [
     Words("plain <words>"),
@@ -96,6 +99,18 @@ def test_every_part_of_the_paper_has_its_name() -> None:
         *("table1", "table2", "figure6", "cost"),
     ]
     assert len({part.title for part in PARTS}) == len(PARTS)
+
+
+def test_the_commands_of_the_parts_exist() -> None:
+    commands = [command for part in PARTS for command in part.commands]
+    known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    for command in commands:
+        words = command.split()
+        if words[0] == "specmap":
+            options = {option for p in known[words[1]].params for option in p.opts}
+            assert {word for word in words if word.startswith("-")} <= options, command
+        else:
+            assert importlib.util.find_spec(words[2]) is not None, command
 
 
 def test_an_unknown_part_is_refused(
