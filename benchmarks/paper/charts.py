@@ -47,7 +47,7 @@ class Drawn:
 
 
 def drawn(chart: Chart) -> Drawn:
-    """The drawing of a chart; both axes begin at nought."""
+    """The drawing of a chart; both axes begin at nought, and what lies beyond one lies on it."""
     xs = [x for series in chart.series for x, _ in series.points]
     ys = [y for series in chart.series for _, y in series.points]
     wide, high = max([*xs, 1e-9]), chart.top or max([*ys, 1e-9])
@@ -56,7 +56,9 @@ def drawn(chart: Chart) -> Drawn:
         return round(_LEFT + (WIDTH - _LEFT - _RIGHT) * x / wide, 1)
 
     def up(y: float) -> float:
-        return round(HEIGHT - _BOTTOM - (HEIGHT - _TOP - _BOTTOM) * min(y, high) / high, 1)
+        return round(
+            HEIGHT - _BOTTOM - (HEIGHT - _TOP - _BOTTOM) * min(max(y, 0.0), high) / high, 1
+        )
 
     lines = [
         Line(

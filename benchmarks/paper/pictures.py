@@ -12,16 +12,27 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.drawing import symbols
-from specmap_cli.drawing.canvas import Image
+from specmap_cli.drawing.canvas import Canvas, Image
 from specmap_cli.drawing.overview import spread
-from specmap_cli.drawing.palette import FILLS, Colour, colour_graph, touching
-from specmap_cli.drawing.sheet import TITLE, Sheet, extent_of
+from specmap_cli.drawing.palette import (
+    FILLS,
+    INK,
+    PAPER,
+    TRAVERSED,
+    Colour,
+    colour_graph,
+    darker,
+    touching,
+)
+from specmap_cli.drawing.sheet import MARGIN, TITLE, Sheet, extent_of, round_length
 from specmap_cli.drawing.strokes import strokes
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.topology.regions import Regions, divide
 
-WIDTH = 900  # pixels of a picture on the page
-_BELOW = 66  # of paper under the map, with the scale bar
+WIDTH = 1000  # pixels of a picture on the page; what follows is of the sheet, twice as large
+_ABOVE, _BELOW = 24, 84  # of paper over the map, and under it for the scale bar
+_BADGE, _LETTERS, _LINK = 32.0, 26.0, 9
+_SCALE_BAR = 400.0  # at the most
 _NEAR_CELLS = 12  # regions so near, across a wall, differ in colour
 
 Pair = tuple[int, int]
@@ -93,12 +104,15 @@ def _draw_graph(
     """A link for each edge, and a badge on each submap, at the middle one of its keyframes."""
     ids = [int(id_) for id_ in np.unique(labels.submaps) if id_ != NO_SUBMAP]
     places = np.array([_middle(labels.poses[labels.submaps == id_, :2]) for id_ in ids])
-    at = dict(zip(ids, spread(sheet.pixels(places), symbols.BADGE_GAP), strict=True))
+    at = dict(zip(ids, spread(sheet.pixels(places), 2.2 * _BADGE), strict=True))
     for a, b in edges:
         if a in at and b in at:
-            symbols.edge(sheet.canvas, np.array([at[a], at[b]]), "traversed")
+            for colour, width in ((PAPER, _LINK + 6), (TRAVERSED, _LINK)):
+                sheet.canvas.line(np.array([at[a], at[b]]), colour, width)
     for id_ in ids:
-        symbols.badge(sheet.canvas, at[id_], str(id_), fills[id_])
+        sheet.canvas.disc(at[id_], _BADGE, PAPER, darker(fills[id_]))
+        x, y = at[id_].tolist()
+        sheet.canvas.text(x, y, str(id_), _LETTERS, INK, "centre", bold=True)
 
 
 def _middle(places: FloatArray) -> FloatArray:
@@ -108,6 +122,13 @@ def _middle(places: FloatArray) -> FloatArray:
 
 
 def _cut(sheet: Sheet) -> Image:
-    """The map and its scale bar, without the paper for a title and a legend."""
-    rows = slice(TITLE - 24, TITLE + sheet.map_height + _BELOW)
-    return shrunk(sheet.canvas.image[rows])
+    """The map without the paper for a title and a legend; a scale bar under it."""
+    bottom = TITLE + sheet.map_height
+    picture = sheet.canvas.image[TITLE - _ABOVE : bottom + _BELOW]
+    picture[-_BELOW + 8 :] = PAPER
+    length, _ = round_length(_SCALE_BAR / sheet.pixels_per_m)
+    canvas, end = Canvas.over(picture), MARGIN + length * sheet.pixels_per_m
+    level = float(len(picture) - _BELOW // 2)
+    canvas.box(np.array([MARGIN, level - 5]), np.array([end, level + 5]), INK)
+    canvas.text(end + 20.0, level, f"{length:g} m", _LETTERS)
+    return shrunk(picture)
