@@ -25,11 +25,12 @@ FREIBURG, STATA = "Freiburg", "Stata"
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"
 REAL = {"fr079": FREIBURG, "mit_csail": STATA}
 FREIBURG_PLAN = "Freiburg79_scan"
-_NO_DATA = (
-    "The recordings of Freiburg's building 079 and of the Stata Center, and the plans drawn by "
-    "hand, are not here: SPECMAP_DATA names no folder with them (benchmarks/README.md says how it "
-    "is laid out). Only simulated buildings are shown."
-)
+# What SPECMAP_DATA may lack, by name.
+LACKING = {
+    "fr079": "Freiburg's building 079 (logs/fr079.mcap, truth/fr079_corrected.tum)",
+    "mit_csail": "the Stata Center (logs/mit_csail.mcap, truth/mit_csail_corrected.tum)",
+    "plans": "the plans drawn by hand (rooms/)",
+}
 _TOUR = SimulationOptions(beams=181, speed_mps=0.8, spacing_m=3.0, rate_hz=5.0)
 
 
@@ -66,7 +67,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Cases:
-    """All recordings that are at hand, the names of plans drawn by hand, and what is missing."""
+    """All recordings that are at hand, the names of plans drawn by hand; what of LACKING is not."""
 
     found: tuple[Case, ...]
     plans: tuple[str, ...] = ()
@@ -78,18 +79,15 @@ def cases(folder: Path) -> Cases:
     simulated = (office(), ring_case(folder))
     data = _data()
     if data is None:
-        return Cases(simulated, missing=(_NO_DATA,))
-    real = [_real(data, name, manner) for name, manner in REAL.items()]
-    here = [case for case in real if case.log.exists() and case.truth.exists()]
-    missing = [
-        f"{case.name} is not in the folder SPECMAP_DATA." for case in real if case not in here
-    ]
+        return Cases(simulated, missing=tuple(LACKING))
+    real = {name: _real(data, name, manner) for name, manner in REAL.items()}
+    here = {n: case for n, case in real.items() if case.log.exists() and case.truth.exists()}
+    missing = [name for name in real if name not in here]
     plans = [path.name.removesuffix(TRUTH) for path in sorted((data / "rooms").glob("*" + TRUTH))]
-    if FREIBURG_PLAN in plans:
-        here.append(freiburg(folder))
-    else:
-        missing.append("The plan of Freiburg's building 079 is not in the folder SPECMAP_DATA.")
-    return Cases((*here, *simulated), tuple(plans), tuple(missing))
+    drawn = (freiburg(folder),) if FREIBURG_PLAN in plans else ()
+    if not drawn:
+        missing.append("plans")
+    return Cases((*here.values(), *drawn, *simulated), tuple(plans), tuple(missing))
 
 
 def office() -> Case:

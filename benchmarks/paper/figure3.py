@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from benchmarks.online import Tour, score
 from benchmarks.paper import pictures
 from benchmarks.paper.blocks import Block, Chart, Gallery, Picture, Row, Series, Table, figure
-from benchmarks.paper.cases import Case
+from benchmarks.paper.cases import FREIBURG, Case
 from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Built, Workshop
 from benchmarks.recognition import true_poses
 from specmap_cli.drawing.split_tests import draw_test
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter
 from specmap_cli.segmentation.splitting import SplitTest
 
-_SHOWN = 6  # tests up to the first split, as many as the paper shows
+_SHOWN = 6  # tests up to the first split
 _SECONDS = 180.0  # of the chart
 
 Shown = tuple[SplitTest, bool, Occasion]
@@ -24,7 +24,7 @@ Shown = tuple[SplitTest, bool, Occasion]
 def make(workshop: Workshop) -> list[Block]:
     """The tests up to the first split, the eigenvalues of the first minutes, and all tours."""
     drawn = [case for case in workshop.cases.found if case.drawing is not None]
-    first = drawn[-2] if len(drawn) > 1 else drawn[0]  # the sample office, which is always here
+    first = [case for case in drawn if case.manner == FREIBURG][-1]  # the sample office
     blocks: list[Block] = []
     for preset in PRESETS:
         built = workshop.built(first, preset)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -12,7 +12,7 @@ import cv2
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from benchmarks.paper.blocks import Block, Picture, Table
-from benchmarks.paper.cases import Cases
+from benchmarks.paper.cases import LACKING, Cases
 from benchmarks.paper.charts import drawn
 from benchmarks.paper.parts import Part
 from specmap_cli import __version__
@@ -37,7 +37,7 @@ def render(parts: Sequence[Done], cases: Cases, command: str) -> str:
     sheets = styles / "page.css", styles / "parts.css", _TEMPLATES / "paper.css"
     return (
         _environment()
-        .get_template("paper.html")
+        .get_template("page.html")
         .render(
             parts=parts,
             missing=cases.missing,
@@ -56,6 +56,11 @@ def image(picture: Picture) -> str:
     return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode("ascii")
 
 
+def lacking(names: Iterable[str]) -> str:
+    """What is missing, in words."""
+    return "; ".join(LACKING[name] for name in names)
+
+
 def numeric(table: Table, column: int) -> bool:
     """Whether a column holds figures: it is set to the right."""
     cells = [row.cells[column] for row in table.rows if column < len(row.cells)]
@@ -70,5 +75,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update({"image": image, "numeric": numeric, "drawn": drawn})
+    environment.filters.update(
+        {"image": image, "numeric": numeric, "drawn": drawn, "lacking": lacking}
+    )
     return environment

@@ -14,18 +14,23 @@ from benchmarks.paper.workshop import Workshop
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """A figure or a table: `said` is what the paper shows, `commands` are specmap's own for it."""
+    """A figure or a table: `said` is what the paper shows, `commands` are specmap's own for it.
+
+    `data` names what of cases.LACKING it would show.
+    """
 
     name: str
     title: str
     said: str
     make: Callable[[Workshop], list[Block]]
     commands: tuple[str, ...] = ()
+    data: tuple[str, ...] = ()
 
 
 PARTS = (
     Part(
         name="figure2",
+        data=("mit_csail", "plans"),
         title="Figure 2: a finished map, segmented",
         said=(
             "The Stata Center, segmented into submaps by spectral clustering. The paper gives no "
@@ -36,16 +41,18 @@ PARTS = (
     ),
     Part(
         name="figure3",
+        data=("plans",),
         title="Figure 3: segmentation while the robot moves",
         said=(
-            "Six maps of a robot that leaves a room, the second eigenvalue below each; the submap "
-            "is split where it passes 0.8."
+            "A sequence of maps of a robot that goes into a second room, the second eigenvalue "
+            "of each: it steps up in the second map and in the fifth. The threshold is 0.8."
         ),
         make=figure3.make,
         commands=("specmap build LOG -o DIR --explain PICTURES", "python -m benchmarks.online"),
     ),
     Part(
         name="figure4",
+        data=("fr079", "plans"),
         title="Figure 4: closing loops, Freiburg",
         said=(
             "The first three submaps, the return to the corridor recognised, the final topology: "
@@ -56,6 +63,7 @@ PARTS = (
     ),
     Part(
         name="figure5",
+        data=("mit_csail",),
         title="Figure 5a, b: closing loops, Stata",
         said=(
             "The tour of the Stata Center's third floor and its topology: the loop is closed; on a "
@@ -66,6 +74,7 @@ PARTS = (
     ),
     Part(
         name="figure5c",
+        data=("mit_csail", "plans"),
         title="Figure 5c: rooms and hallways do not divide a map",
         said=(
             "A classifier of rooms and hallways, learned in Freiburg and asked in Stata, “does not "
@@ -76,12 +85,14 @@ PARTS = (
     ),
     Part(
         name="table1",
+        data=("fr079", "mit_csail"),
         title="Table I: what the features are worth",
         said="The twelve groups of features; the paper does not say what each is worth.",
         make=table1.make,
     ),
     Part(
         name="table2",
+        data=("fr079", "mit_csail", "plans"),
         title="Table II: localisation by a single scan",
         said=(
             "Freiburg: training recall 0.9728, precision 0.9818; test 0.9089, 0.9212. Stata: "
@@ -95,6 +106,7 @@ PARTS = (
     ),
     Part(
         name="figure6",
+        data=("plans",),
         title="Figure 6: another way through the building",
         said="The labels of single scans on a new trajectory in Freiburg, as a picture.",
         make=figure6.make,

@@ -23,7 +23,7 @@ from benchmarks.paper import (
     topology,
 )
 from benchmarks.paper.blocks import Block, Chart, Gallery, Table, Words
-from benchmarks.paper.cases import FREIBURG, STATA, Cases, Drawing, cases, tour
+from benchmarks.paper.cases import FREIBURG, LACKING, STATA, Cases, Drawing, cases, tour
 from benchmarks.paper.samples import Samples, fitted, samples_of, scored, the_papers
 from benchmarks.paper.workshop import OURS, PAPER, Workshop
 from benchmarks.recognition import judged, true_poses
@@ -194,11 +194,16 @@ def test_without_data_only_simulated_buildings_are_shown(
     found = cases(tmp_path)
     assert {case.manner for case in found.found} == {FREIBURG, STATA}
     assert all(case.drawing is not None and case.again is not None for case in found.found)
-    assert "SPECMAP_DATA" in found.missing[0]
+    assert found.missing == tuple(LACKING)
     (tmp_path / "data" / "logs").mkdir(parents=True)
     monkeypatch.setenv("SPECMAP_DATA", str(tmp_path / "data"))
-    gone = " ".join(cases(tmp_path).missing)
-    assert all(name in gone for name in ("fr079", "mit_csail", "plan"))
+    assert cases(tmp_path).missing == ("fr079", "mit_csail", "plans")
+    for folder, name in (("logs", "fr079.mcap"), ("truth", "fr079_corrected.tum")):
+        (tmp_path / "data" / folder).mkdir(exist_ok=True)
+        (tmp_path / "data" / folder / name).touch()
+    with_one = cases(tmp_path)
+    assert with_one.missing == ("mit_csail", "plans")
+    assert with_one.found[0].name == "fr079, real"
 
 
 def test_samples_without_a_submap_teach_nothing() -> None:
