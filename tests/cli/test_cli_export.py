@@ -32,6 +32,7 @@ def test_the_result_for_a_machine(house: Path, capsys: pytest.CaptureFixture[str
     target = house.parent / "house.geojson"
     assert main(["export", str(house), "-f", "geojson", "-o", str(target), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {
+        "schema_version": 1,
         "map": str(house),
         "out": str(target),
         "format": "geojson",

@@ -22,6 +22,7 @@ def test_the_result_for_a_machine(run: Run, tiny_map: Path, tmp_path: Path) -> N
     target = tmp_path / "tiny.html"
     outcome = run("report", tiny_map, "-o", target, "--compare", tiny_map, "--json")
     assert json.loads(outcome.out) == {
+        "schema_version": 1,
         "map": str(tiny_map),
         "compare": str(tiny_map),
         "out": str(target),
