@@ -26,7 +26,9 @@ NoRelax = Annotated[
 ]
 Explain = Annotated[
     Path | None,
-    typer.Option(help="Directory for a picture of every test that may split a submap."),
+    typer.Option(
+        help="Directory for a picture of every test that may split a submap; not with --like."
+    ),
 ]
 FailOn = Annotated[
     FailingVerdict | None,

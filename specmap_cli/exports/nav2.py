@@ -12,7 +12,7 @@ from itertools import count
 from typing import IO
 
 from specmap_cli.core.progress import Progress
-from specmap_cli.core.text import to_json
+from specmap_cli.core.text import counted, to_json
 from specmap_cli.exports.fields import Fields, known
 from specmap_cli.exports.fitness import check_routes
 from specmap_cli.exports.geojson import collection, feature
@@ -30,8 +30,9 @@ class Nav2:
         """Write the routes of a map; `frame` is the map's. MapError for a map without ways."""
         check_routes(stored, progress)
         found = routes(stored.record)
-        features = [*_nodes(found, stored.record), *_edges(found)]
-        target.write(to_json(collection(features)).encode())
+        nodes, edges = list(_nodes(found, stored.record)), list(_edges(found))
+        progress.note(f"{counted(len(nodes), 'node')} and {counted(len(edges), 'directed edge')}")
+        target.write(to_json(collection([*nodes, *edges])).encode())
 
 
 def _nodes(found: Routes, record: TopologyRecord) -> Iterator[Fields]:

@@ -42,6 +42,14 @@ _SAID = {
     "unusable_odometry": "odometry messages that could not be read and were left out",
 }
 
+# What to do about it, and the share of the scans from which on it is worth a word: a drive begins
+# and ends with a scan or two outside its odometry, and scan matching places them.
+_ADVICE = {
+    "without_odometry": "; scan matching alone places them: is the odometry of the same clock, and "
+    "of the whole drive?"
+}
+_LEAST_SHARE = {"without_odometry": 0.01}
+
 
 class SweepStream:
     """Iterable of the sweeps of a log; every iteration reads the log anew.
@@ -65,7 +73,11 @@ class SweepStream:
     @property
     def warnings(self) -> list[str]:
         """What to know about the input: assumptions, and messages that were not as they should."""
-        found = [f"{text}: {self.counts[key]:,}" for key, text in _SAID.items() if self.counts[key]]
+        found = [
+            f"{text}: {self.counts[key]:,}{_ADVICE.get(key, '')}"
+            for key, text in _SAID.items()
+            if self.counts[key] > _LEAST_SHARE.get(key, 0.0) * self.counts["scans"]
+        ]
         assumed = [legible(line) for line in self.selection.warnings]
         return [*self.log.damage, *assumed, *found]
 

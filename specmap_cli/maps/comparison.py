@@ -37,15 +37,16 @@ class MapFigures(_Record):
     keyframes: Count
     path_m: Amount = Field(description="driven from keyframe to keyframe")
     duration_s: Amount = Field(description="of its recordings, from first keyframe to last")
-    area_m2: Amount = Field(description="free space")
+    area_m2: Amount = Field(description="free cells of the whole grid, also those of no submap")
     verdict: str | None = Field(description="what the map thinks of itself")
 
 
 class AlignmentRecord(_Record):
     """Where the new map lies in the old one, and what that stands on.
 
-    `votes` pairs of submaps found it by themselves, of `submaps` in either map. `rival` is the part
-    of the walls that the next best transform explains. `residual_m` is how far submaps lie off.
+    `submaps` of either map found it by themselves. They did so in `votes` pairs: a submap may match
+    several of the other map. `rival` is the part of the walls that the next best transform
+    explains. `residual_m` is how far submaps lie off.
     """
 
     old_from_new: Transform

@@ -61,7 +61,7 @@ def lines_of(record: ComparisonRecord) -> list[str]:
     at = record.alignment
     return [
         f"{record.new.map} against {record.old.map}: "
-        f"aligned by {counted(at.votes, 'pair')} of submaps, "
+        f"aligned by {counted(at.submaps, 'submap')} of either map, "
         f"{at.area_m2:.0f} m2 are in both, off by {at.residual_m:.2f} m",
         *_of_submaps(record),
         *_of_doors(record),
@@ -69,7 +69,7 @@ def lines_of(record: ComparisonRecord) -> list[str]:
         *_of_things("vanished", record.things.vanished, record.old.names),
         *([] if _changes(record) else ["the building: no change found"]),
         f"driven: {record.old.path_m:.0f} m, then {record.new.path_m:.0f} m; submaps: "
-        f"{record.old.submaps}, then {record.new.submaps}; free space: "
+        f"{record.old.submaps}, then {record.new.submaps}; free cells: "
         f"{record.old.area_m2:.0f} m2, then {record.new.area_m2:.0f} m2",
     ]
 

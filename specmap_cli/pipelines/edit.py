@@ -165,7 +165,9 @@ def _refuse_absent(submaps: IntArray, wishes: Wishes) -> None:
     for id_ in wishes.submaps:
         if id_ not in known:
             there = ", ".join(str(each) for each in known)
-            raise UsageError(f"there is no submap {id_} to name or to describe: there are {there}")
+            raise UsageError(
+                f"there is no submap {id_} to name or to describe: choose from {there}"
+            )
 
 
 def _skipped(found: Drawn) -> list[str]:

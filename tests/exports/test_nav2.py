@@ -101,6 +101,7 @@ def test_narrow_and_forbidden_links_are_left_out_and_told(
     assert notes.notes == [
         "left out: 1 link (0-2) forbidden",
         "left out: 1 link (1-2) without a way wide enough",
+        "5 nodes and 6 directed edges",
     ]
     assert warnings == [
         "2 parts that no way joins, no route leads from one to another: submaps 0, 1; 2"

@@ -121,7 +121,23 @@ def test_waiting_ends_when_log_time_goes_on() -> None:
     assert next(iterator).odom_from_base == (0.0, 0.0, 0.0), "held for a moment"
     assert next(iterator).odom_from_base is None
     assert stream.counts["without_odometry"] == 1
-    assert "scans without odometry near their stamp: 1" in stream.warnings
+    assert stream.warnings[-1] == (
+        "scans without odometry near their stamp: 1; scan matching alone places them: is the "
+        "odometry of the same clock, and of the whole drive?"
+    )
+
+
+def test_a_scan_outside_the_odometry_is_counted_and_no_warning() -> None:
+    """A drive begins and ends with one: one of two hundred is worth no word."""
+    messages = [scan(START - SECOND)]
+    for number in range(200):
+        stamp = START + number * SECOND // 10
+        messages += [odometry(stamp, 0.0), scan(stamp)]
+    spy = Spy(lambda: iter(messages))
+    stream = SweepStream(Log([spy], [Path("spy")]), LogConfig())
+    assert sum(sweep.odom_from_base is None for sweep in stream) == 1
+    assert stream.counts["without_odometry"] == 1
+    assert not any("without odometry" in warning for warning in stream.warnings)
 
 
 def test_memory_does_not_grow_with_the_log() -> None:

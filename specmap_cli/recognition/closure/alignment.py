@@ -272,6 +272,6 @@ def _gap(best: _Candidate, rival: _Candidate) -> str:
 def _praise(found: Alignment) -> str:
     """What a transform stands on."""
     return (
-        f"aligned by {counted(found.votes, 'pair')} of submaps, "
+        f"aligned by {counted(found.party, 'submap')} of either map, "
         f"{found.area_m2:.0f} m2 are in both maps"
     )
