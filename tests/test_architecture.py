@@ -56,11 +56,12 @@ MAY_IMPORT: dict[str, set[str]] = {
     "checking": _STAGE | {"topology", "maps"},
     "report": _STAGE | {"topology", "maps", "drawing"},
     "history": _STAGE | {"maps", "report"},
+    "batch": _STAGE | {"topology", "maps", "checking", "logs", "logs/readers"},
     "pipelines": {*_ORDER, "checking", "history", "report"},
     "evaluation": {*_ORDER, "pipelines"},
-    "cli": {*_ORDER, "pipelines", "evaluation", "exports", "checking"},
+    "cli": {*_ORDER, "pipelines", "evaluation", "exports", "checking", "batch"},
 }
-MOST_ROOMS, MOST_FLOORS = 23, 10
+MOST_ROOMS, MOST_FLOORS = 24, 10
 # what `specmap --help` must not load
 HEAVY = {
     "cv2",

@@ -1,0 +1,166 @@
+"""The records of a batch: what a job is, and what came of it.
+
+`Job` and its parts say what is to be done; they are made by `batch.jobs`, and can be pickled.
+`JobRecord` and its parts are the format of `job.json`, which a finished job leaves in its folder.
+`job.schema.json` beside this file is the same as JSON Schema, for other tools. After a change of
+the models, `python -m specmap_cli.batch.records` prints the new one.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field
+
+SCHEMA_VERSION = 1
+SCHEMA_ID = f"urn:specmap:job:{SCHEMA_VERSION}"
+SCHEMA_FILE = Path(__file__).with_name("job.schema.json")
+
+Command = Literal["build", "localize", "evaluate", "export", "report", "check"]
+COMMANDS: tuple[Command, ...] = get_args(Command)
+
+# Why a job failed:
+#   log       a recording is missing, damaged or holds nothing usable (exit code 3)
+#   no-result the step finished and has nothing to show (4)
+#   rule      the result breaks a rule that was asked for; it is kept (5)
+#   settings  an option or a setting is wrong (2)
+#   memory    more memory than the limit, or than the machine has
+#   time      more time than the limit
+#   place     a disk or a store where files are cannot be used: full, out of reach
+#   worker    the worker was lost or told to end
+#   bug       a bug of the program (1)
+Kind = Literal["log", "no-result", "rule", "settings", "memory", "time", "place", "worker", "bug"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+OptionValue = str | int | float | bool | list[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A command of a job, and its options as they stand on the command line: `--seed=3`."""
+
+    command: Command
+    options: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Steps to run on one recording.
+
+    `name` is that of its folder in the output: safe, and no other job's. `logs` are the files of
+    the recording, one as a rule: absolute paths, or URLs that fsspec knows.
+    """
+
+    name: str
+    logs: tuple[str, ...]
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is to be done with each log: steps by name, and the options of each step.
+
+    Options have their long names without the dashes; a list gives one several times, and `true`
+    is a flag. It is what a TOML file of jobs says, and what holds where it is silent.
+    """
+
+    steps: tuple[Command, ...] = ("build", "report", "check")
+    options: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What each step of a job may use: megabytes of memory and seconds; None: any."""
+
+    memory_mb: int | None = None
+    time_s: float | None = None
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class StepOutcome(_Record):
+    """How one step ended."""
+
+    command: Command = Field(description="the command that was run")
+    exit_code: int = Field(description="of its process; negative: the signal that ended it")
+    wall_s: float = Field(description="seconds that it took")
+    cpu_s: float = Field(description="seconds of processor time that it used")
+    memory_mb: float | None = Field(description="most megabytes it was seen to hold")
+    reason: str | None = Field(description="why it failed, in a line; null where it did not")
+
+
+class InputRecord(_Record):
+    """One log of the job as it was when the job was run."""
+
+    log: str = Field(description="path or URL")
+    bytes: int | None = Field(description="its size; null where the store does not tell")
+    identity: str = Field(description="hash of what it was known by: see docs/batch.md")
+
+
+class LimitsRecord(_Record):
+    """The limits that held for each step."""
+
+    memory_mb: int | None = Field(description="megabytes; null: none")
+    time_s: float | None = Field(description="seconds; null: none")
+
+
+class JobRecord(_Record):
+    """The whole of job.json: a folder that has it holds a complete result."""
+
+    schema_version: Literal[1] = Field(description="the version of this format")
+    name: str = Field(description="of the job, and of its folder")
+    digest: str = Field(description="SHA-256 of all that decides the result, in hexadecimal")
+    version: str = Field(description="of specmap")
+    state: Literal["done", "failed"] = Field(description="how the job ended")
+    kind: Kind | None = Field(description="what kind of failure; null where it is done")
+    reason: str | None = Field(description="why it failed, in a line; null where it is done")
+    attempts: int = Field(description="how many times it was tried, this time included")
+    limits: LimitsRecord = Field(description="the limits of the last attempt")
+    started_utc: str = Field(description="when the last attempt began, ISO 8601")
+    wall_s: float = Field(description="seconds of the last attempt, fetching of logs included")
+    cpu_s: float = Field(description="seconds of processor time of its steps")
+    memory_mb: float | None = Field(description="most megabytes that a step was seen to hold")
+    steps: tuple[StepOutcome, ...] = Field(description="the steps that were run, in order")
+    figures: dict[str, float | str | None] = Field(
+        description="figures of the map, as `specmap check` has them, and its verdict; else empty"
+    )
+    inputs: tuple[InputRecord, ...] = Field(description="the logs")
+    files: dict[str, int] = Field(description="the files of the result and their bytes")
+
+
+class JobResult(JobRecord):
+    """What a worker returns of a job: its record, and whether it was there already."""
+
+    resumed: bool = False
+
+    @property
+    def record(self) -> JobRecord:
+        """What stands in the file."""
+        return JobRecord.model_construct(**self.model_dump(exclude={"resumed"}))
+
+
+def json_schema() -> dict[str, Any]:
+    """The models as JSON Schema (draft 2020-12)."""
+    schema = JobRecord.model_json_schema()
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": SCHEMA_ID,
+        **schema,
+        "title": "specmap batch: job.json",
+    }
+
+
+def schema_text() -> str:
+    """The text of `job.schema.json`."""
+    return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(schema_text())
