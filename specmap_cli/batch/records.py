@@ -75,7 +75,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What each step of a job may use: megabytes of memory and seconds; None: any."""
+    """What a job may use: megabytes at any time, seconds for all its steps; None: any."""
 
     memory_mb: int | None = None
     time_s: float | None = None
@@ -105,7 +105,7 @@ class InputRecord(_Record):
 
 
 class LimitsRecord(_Record):
-    """The limits that held for each step."""
+    """The limits that held."""
 
     memory_mb: int | None = Field(description="megabytes; null: none")
     time_s: float | None = Field(description="seconds; null: none")
@@ -116,7 +116,9 @@ class JobRecord(_Record):
 
     schema_version: Literal[1] = Field(description="the version of this format")
     name: str = Field(description="of the job, and of its folder")
-    digest: str = Field(description="SHA-256 of all that decides the result, in hexadecimal")
+    digest: str = Field(
+        description="SHA-256 of all that decides the result; empty where a log cannot be reached"
+    )
     version: str = Field(description="of specmap")
     state: Literal["done", "failed"] = Field(description="how the job ended")
     kind: Kind | None = Field(description="what kind of failure; null where it is done")
@@ -143,7 +145,7 @@ class JobResult(JobRecord):
     @property
     def record(self) -> JobRecord:
         """What stands in the file."""
-        return JobRecord.model_construct(**self.model_dump(exclude={"resumed"}))
+        return JobRecord.model_validate(self.model_dump(exclude={"resumed"}))
 
 
 def json_schema() -> dict[str, Any]:

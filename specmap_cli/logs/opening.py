@@ -70,14 +70,15 @@ def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
         visible = [file for file in files if file.is_file() and not file.name.startswith(".")]
     except OSError as error:
         raise unreadable(path, error) from None
-    found = [file for file in visible if _looks_like_a_log(file, readers)]
+    found = [file for file in visible if looks_like_a_log(file, readers)]
     if not found:
         expected = format_names(readers.values())
         raise LogError(f"{path}: no recording in this directory; expected {expected}")
     yield from found
 
 
-def _looks_like_a_log(file: Path, readers: _Readers) -> bool:
+def looks_like_a_log(file: Path, readers: _Readers) -> bool:
+    """Whether a file begins as a recording, or as a compressed file. Raises LogError."""
     head = head_of(file)
     return compression_of(head) is not None or reader_for(head, file, readers) is not None
 

@@ -72,7 +72,7 @@ class OutputDirectory:
 
     def __enter__(self) -> Path:
         try:
-            for line in put_right(self._target):
+            for line in put_right(self._target, self.marker):
                 self.progress.note(line)
             self._check_target()
             self._make_parents()

@@ -24,15 +24,16 @@ def sibling(target: Path, role: str, token: str) -> Path:
     return target.parent / f".{target.name}.{role}-{token}"
 
 
-def put_right(target: Path) -> list[str]:
+def put_right(target: Path, marker: str = TOPOLOGY) -> list[str]:
     """Restore the map that a killed run had moved away, remove what it had written; one line each.
 
     A run that was killed between its two renames leaves the old map as `.replaced` and no map in
-    its place. Directories of other names, and those that a living run holds, stay untouched.
+    its place. Directories of other names, those without the file `marker`, and those that a living
+    run holds, stay untouched.
     """
     done = []
     for old in _ours(target, "replaced"):
-        if not (old / TOPOLOGY).is_file():
+        if not (old / marker).is_file():
             continue  # no map: not ours
         if target.exists():
             os.rename(old, _as_partial(old, target))  # by that name it may go piece by piece

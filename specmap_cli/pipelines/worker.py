@@ -110,7 +110,9 @@ def _possible() -> bool:
 
 
 def _processors() -> int:
-    """How many processors this process may use."""
+    """How many processors this process may use; SPECMAP_PROCESSES=1 leaves the others to others."""
+    if os.environ.get("SPECMAP_PROCESSES") == "1":
+        return 1
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -1,0 +1,179 @@
+"""The steps of a job: made of a plan and checked, and as arguments of the command line."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from specmap_cli.batch.options import OF_THE_BATCH, OPTIONS, Option
+from specmap_cli.batch.records import COMMANDS, Command, Plan, Step
+from specmap_cli.core.errors import UsageError
+
+# What lies in the folder of a job.
+MAP, REPORT, LABELS, CONFUSION = "map", "report.html", "labels.csv", "confusion.png"
+JOB, LOG_TEXT = "job.json", "log.txt"
+SUFFIXES = {  # of exports, for the programs that go by them
+    "nav2": ".geojson",
+    "tmap2": ".yaml",
+    "geojson": ".geojson",
+    "graphml": ".graphml",
+    "csv": ".zip",
+    "pose-graph": ".g2o",
+    "foxglove": ".mcap",
+    "rerun": ".rrd",
+}
+_OF_A_MAP = ("export", "report", "check")
+_FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
+_FORMAT = "--format="
+
+
+def steps_of(plan: Plan, base: Path, where: str = "") -> tuple[Step, ...]:
+    """The steps of a plan; paths in its options are relative to `base`.
+
+    Raises UsageError, `where` standing before it, for a step or an option that is none, one whose
+    value is of the wrong kind, and a step that needs another one before it.
+    """
+    _check_commands(plan, where)
+    steps: list[Step] = []
+    for command in plan.steps:
+        options = plan.options.get(command, {})
+        steps += _split(command, tuple(_written(command, options, base, where)), where)
+    _check_outputs(steps, where)
+    return tuple(steps)
+
+
+def arguments_of(step: Step, logs: Sequence[str]) -> list[str]:
+    """The command line of a step that is run in the folder of its job."""
+    own = [*step.options, "--json"]
+    if step.command == "build":
+        return ["build", *own, f"--out={MAP}", "--", *logs]
+    if step.command == "localize":
+        map_ = [] if _has(step, "map") else [f"--map={MAP}"]
+        return ["localize", *own, *map_, f"--out={LABELS}", "--", *logs]
+    if step.command == "evaluate":
+        return ["evaluate", *own, *_evaluated(step, logs)]
+    out = {"export": _export_name(step), "report": REPORT}.get(step.command)
+    return [step.command, *own, *([] if out is None else [f"--out={out}"]), "--", MAP]
+
+
+def _evaluated(step: Step, logs: Sequence[str]) -> list[str]:
+    if _has(step, "protocol"):
+        return [f"--out={CONFUSION}", "--", *logs]
+    return ["--", *logs] if _has(step, "baseline") else [f"--trajectory={MAP}/trajectory.tum"]
+
+
+def _has(step: Step, option: str) -> bool:
+    return any(each.startswith(f"--{option}=") for each in step.options)
+
+
+def _export_name(step: Step) -> str:
+    chosen = [each.removeprefix(_FORMAT) for each in step.options if each.startswith(_FORMAT)]
+    return "".join(f"{name}{SUFFIXES.get(name, '')}" for name in chosen)
+
+
+def _check_commands(plan: Plan, where: str) -> None:
+    """Refuse unknown steps, one given twice, and one that needs a map before there is one."""
+    choices = ", ".join(COMMANDS)
+    for name in [*plan.steps, *plan.options]:
+        if name not in COMMANDS:
+            raise UsageError(f"{where}{name!r:.60}: no such step: choose from {choices}")
+    if not plan.steps:
+        raise UsageError(f"{where}steps: empty: choose from {choices}")
+    for place, command in enumerate(plan.steps):
+        before = plan.steps[:place]
+        if command in before:
+            raise UsageError(f"{where}steps: {command} is given twice: name each step once")
+        if "build" not in before and _needs_map(command, plan.options.get(command, {})):
+            raise UsageError(f"{where}steps: {command} needs a map: put build before it")
+
+
+def _needs_map(command: Command, options: Mapping[str, Any]) -> bool:
+    if command == "localize":
+        return "map" not in options
+    if command == "evaluate":
+        return "protocol" not in options and "baseline" not in options
+    return command in _OF_A_MAP
+
+
+def _written(command: Command, options: Mapping[str, Any], base: Path, where: str) -> Iterator[str]:
+    """The options of one step as they stand on the command line."""
+    for name, value in options.items():
+        place = f"{where}options.{command}.{name}"
+        option = _known(command, name, place)
+        values = value if option.several and isinstance(value, list) else [value]
+        for each in values:
+            yield from _option(name, option, each, base, place)
+
+
+def _known(command: Command, name: str, place: str) -> Option:
+    if name in OF_THE_BATCH[command]:
+        raise UsageError(f"{place}: the batch says that itself: leave it out")
+    if name in OPTIONS[command]:
+        return OPTIONS[command][name]
+    near = difflib.get_close_matches(name, OPTIONS[command], 1)
+    hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(OPTIONS[command])}"
+    raise UsageError(f"{place}: no such option: {hint}")
+
+
+def _option(name: str, option: Option, value: Any, base: Path, place: str) -> Iterator[str]:
+    """One use of an option; a flag that is false is none."""
+    if option.meaning == "flag":
+        if not isinstance(value, bool):
+            raise UsageError(f"{place} is {value!r:.60}: expected true or false")
+        yield from [f"--{name}"] if value else []
+        return
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        many = " or a list of them" if option.several else ""
+        raise UsageError(f"{place} is {value!r:.60}: expected a text or a number{many}")
+    if option.meaning == "input":
+        yield f"--{name}={_input(str(value), base, place)}"
+        return
+    if option.meaning == "output" and not _FILE_NAME.fullmatch(str(value)):
+        raise UsageError(
+            f"{place} is {value!r:.60}: expected the bare name of a file: it goes into the job's "
+            "folder"
+        )
+    yield f"--{name}={value}"
+
+
+def _input(value: str, base: Path, place: str) -> Path:
+    path = base / value
+    if not path.exists():
+        raise UsageError(f"{place}: {path}: no such file or directory")
+    return path.absolute()
+
+
+def _split(command: Command, options: tuple[str, ...], where: str) -> list[Step]:
+    """The steps of one command: an export for each format, else a single one."""
+    if command != "export":
+        return [Step(command, options)]
+    formats = [each for each in options if each.startswith(_FORMAT)]
+    if not formats:
+        raise UsageError(f'{where}options.export.format: missing: say which, such as "nav2"')
+    others = tuple(each for each in options if each not in formats)
+    for each in formats:
+        if not _FILE_NAME.fullmatch(each.removeprefix(_FORMAT)):
+            raise UsageError(f"{where}options.export.format: no format has the name {each!r:.60}")
+    return [Step(command, (*others, each)) for each in formats]
+
+
+def _check_outputs(steps: Iterable[Step], where: str) -> None:
+    """Refuse two outputs of one name."""
+    taken = {MAP, REPORT, LABELS, CONFUSION, JOB, LOG_TEXT, *(f"{each}.json" for each in COMMANDS)}
+    for step in steps:
+        for name in _outputs(step):
+            if name.lower() in taken:
+                raise UsageError(f"{where}options.{step.command}: {name} is written twice")
+            taken.add(name.lower())
+
+
+def _outputs(step: Step) -> Iterator[str]:
+    if step.command == "export":
+        yield _export_name(step)
+    for option in step.options:
+        name, _, value = option.removeprefix("--").partition("=")
+        if OPTIONS[step.command][name].meaning == "output":
+            yield value
