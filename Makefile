@@ -83,7 +83,7 @@ sample-logs: $(VENV)/installed
 # The pins of test-lowest, made anew when a floor in pyproject.toml has changed.
 constraints-lowest: $(LOWEST)/created
 	$(LOWEST)/bin/python -m pip install --quiet uv
-	$(LOWEST)/bin/python -m uv pip compile --quiet --resolution lowest-direct --extra dev --no-annotate \
+	$(LOWEST)/bin/python -m uv pip compile --quiet --resolution lowest-direct --extra dev --extra batch --no-annotate \
 		--python-version 3.11 --custom-compile-command "make $@" pyproject.toml --output-file constraints-lowest.txt
 
 clean:
@@ -99,7 +99,7 @@ $(VENV)/installed: $(VENV)/created pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/installed-dev: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,consumers]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,batch,consumers]'
 	@touch $@
 
 $(VENV)/installed-docs: $(VENV)/installed-dev
@@ -116,5 +116,5 @@ $(LOWEST)/created:
 	@touch $@
 
 $(LOWEST)/installed-dev: $(LOWEST)/created pyproject.toml constraints-lowest.txt
-	$(LOWEST)/bin/python -m pip install --quiet --constraint constraints-lowest.txt --editable '.[dev]'
+	$(LOWEST)/bin/python -m pip install --quiet --constraint constraints-lowest.txt --editable '.[dev,batch]'
 	@touch $@

@@ -20,9 +20,10 @@ ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 RUNTIME = [Requirement(line) for line in PROJECT["dependencies"]]
 DEVELOPMENT = [Requirement(line) for line in PROJECT["optional-dependencies"]["dev"]]
+BATCH = [Requirement(line) for line in PROJECT["optional-dependencies"]["batch"]]
 CONSUMERS = [Requirement(line) for line in PROJECT["optional-dependencies"]["consumers"]]
 RERUN = [Requirement(line) for line in PROJECT["optional-dependencies"]["rerun"]]
-BOTH_ENDS = [*RUNTIME, *DEVELOPMENT]  # tested with the lowest versions, too
+BOTH_ENDS = [*RUNTIME, *DEVELOPMENT, *BATCH]  # tested with the lowest versions, too
 PINNED = [*BOTH_ENDS, *CONSUMERS]
 DECLARED = [*PINNED, *RERUN]
 # For the site and for archives: pinned as the others, and no part of what is tested at both ends.
@@ -84,8 +85,10 @@ def test_the_package_imports_what_is_declared_and_nothing_else() -> None:
     foreign = imported - sys.stdlib_module_names - {"specmap_cli"}
     distributions = dict(metadata.packages_distributions())
     declared = {canonicalize_name(requirement.name) for requirement in RUNTIME}
-    declared |= {canonicalize_name(requirement.name) for requirement in RERUN}
+    declared |= {canonicalize_name(requirement.name) for requirement in [*RERUN, *BATCH]}
     distributions |= {"rerun": ["rerun-sdk"]}  # which need not be installed
+    distributions |= {name: [name] for name in ("distributed", "fsspec", "psutil", "pyarrow")}
+    distributions |= {"dask": ["distributed"]}  # it comes with it
     undeclared = {
         name for name in foreign if not {*map(canonicalize_name, distributions[name])} & declared
     }

@@ -18,6 +18,7 @@ from specmap_cli.core.text import to_json
 from specmap_cli.maps.directory import OutputDirectory
 
 _MOST_MB = 16.0  # of a job.json: some hundred thousand files
+_FLAT = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "memory"}  # without directories
 _BEGUN = "job.begun"  # lies in a folder of a store while it is written
 
 
@@ -125,7 +126,7 @@ class _InStore:
         """Old away, new in; whenever this is cut off, there is no job.json or a complete result."""
         system: Any = self._system
         present = self._sizes()
-        system.makedirs(self._root, exist_ok=True)
+        self._make(self._root)
         system.pipe_file(self._at(_BEGUN), b"")
         if JOB in present:
             system.rm_file(self._at(JOB))
@@ -135,10 +136,16 @@ class _InStore:
         for name in [*files_in(directory), JOB]:
             parent = self._at(name).rsplit("/", 1)[0]
             if parent not in made:
-                system.makedirs(parent, exist_ok=True)
+                self._make(parent)
                 made.add(parent)
             system.put_file(str(directory / name), self._at(name))
         system.rm_file(self._at(_BEGUN))
+
+    def _make(self, directory: str) -> None:
+        """Make a directory where files need one; elsewhere it could only make a whole bucket."""
+        spoken = self._system.protocol
+        if _FLAT.isdisjoint([spoken] if isinstance(spoken, str) else spoken):
+            self._system.makedirs(directory, exist_ok=True)
 
     def _sizes(self) -> dict[str, int]:
         """The files in the folder and their bytes."""

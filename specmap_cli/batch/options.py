@@ -80,7 +80,7 @@ OF_THE_BATCH: Mapping[Command, frozenset[str]] = {
     "evaluate": _SAID | {"confusion", "trajectory"},
     "export": _SAID,
     "report": _SAID,
-    "check": _SAID,
+    "check": _SAID - {"out"},
 }
 
 

@@ -49,7 +49,7 @@ def stands(stored: JobRecord, digest: str, limits: Limits, attempt: int) -> bool
     It is of the same inputs, settings and version; and if it failed, the same would happen again:
     nothing has changed that it failed for, and it was not to be tried once more.
     """
-    if stored.digest != digest:
+    if not digest or stored.digest != digest:
         return False
     if stored.kind in ("worker", "place"):
         return False

@@ -10,6 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import IO, Literal
 
@@ -56,6 +57,7 @@ def run_process(
     It is killed with all its children when it breaks a bound, when this function is left by an
     exception, and when this process ends.
     """
+    _need_psutil()
     began = time.monotonic()
     process = subprocess.Popen(
         [sys.executable, "-I", "-S", tether.__file__, str(os.getpid()), *command],
@@ -95,6 +97,13 @@ def _watched(tree: _Tree, bounds: Bounds) -> Literal["memory", "time"] | None:
     return None
 
 
+def _need_psutil() -> None:
+    try:
+        import_module("psutil")
+    except ImportError:
+        raise UsageError("jobs need an extra: pip install 'specmap-cli[batch]'") from None
+
+
 def _has_ended(pid: int) -> bool:
     """Whether a child has ended; it is left as it is, so that its number stays its own."""
     return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
@@ -104,10 +113,8 @@ class _Tree:
     """A process and its children: the megabytes that they hold together."""
 
     def __init__(self, pid: int) -> None:
-        try:
-            import psutil
-        except ImportError:
-            raise UsageError("jobs need an extra: pip install 'specmap-cli[batch]'") from None
+        import psutil
+
         self.pid = pid
         self.most_mb = 0.0
         self._gone = psutil.Error

@@ -21,6 +21,7 @@ from specmap_cli.checking.figures import figures_of
 from specmap_cli.core.errors import LogError, MapError
 from specmap_cli.maps.store import read_map
 
+PROGRAM = (sys.executable, "-P", "-m", "specmap_cli")
 # A worker is one process on one processor: the other processors have workers of their own.
 _ALONE = {
     "OMP_NUM_THREADS": "1",
@@ -90,13 +91,17 @@ class _Bench:
         """Run one step: its answer goes to `STEP.json`, all else that it says to log.txt."""
         arguments = arguments_of(step, logs)
         answer = self._directory / f"{step.command}.json"
-        command = [sys.executable, "-P", "-m", "specmap_cli", *arguments]
         with self.log_text.open("ab") as log, answer.open("wb") as stdout:
             log.write(f"$ specmap {' '.join(arguments)}\n".encode("utf-8", "backslashreplace"))
             log.flush()
             begin = log.tell()
             ended = run_process(
-                command, self._directory, stdout, log, self._environment, self._bounds
+                [*PROGRAM, *arguments],
+                self._directory,
+                stdout,
+                log,
+                self._environment,
+                self._bounds,
             )
         _clear(self._directory)
         outcome, kind = judged(step, ended, answer, self._said(begin), self._limits)

@@ -1,0 +1,228 @@
+"""Which jobs there are: of logs, directories, patterns, stores and TOML files."""
+
+from __future__ import annotations
+
+import pickle
+import typing
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from specmap_cli.batch.jobs import jobs_of
+from specmap_cli.batch.options import OF_THE_BATCH, OPTIONS
+from specmap_cli.batch.records import COMMANDS, Job, Plan, Step
+from specmap_cli.batch.steps import SUFFIXES, arguments_of
+from specmap_cli.cli.app import app
+from specmap_cli.core.errors import UsageError
+from specmap_cli.exports.table import exporters
+from specmap_cli.logs.readers.mcap import McapFile
+
+DEFAULT = (Step("build"), Step("report"), Step("check"))
+Lay = Callable[..., Path]
+
+
+@pytest.fixture
+def lay(tmp_path: Path) -> Lay:
+    """Write files that begin as a recording does, or hold the text given; returns the directory."""
+
+    def lay(*names: str, **texts: str) -> Path:
+        for name in names:
+            path = tmp_path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(McapFile.magic)
+        for name, text in texts.items():
+            (tmp_path / name.replace("__", ".")).write_text(text)
+        return tmp_path
+
+    return lay
+
+
+def names(jobs: tuple[Job, ...]) -> list[str]:
+    return [job.name for job in jobs]
+
+
+def test_a_log_is_a_job_called_as_it_with_the_default_steps(lay: Lay) -> None:
+    where = lay("monday.bag.zst")
+    (job,) = jobs_of([str(where / "monday.bag.zst")])
+    assert job == Job("monday", (str(where / "monday.bag.zst"),), DEFAULT)
+    assert pickle.loads(pickle.dumps(job)) == job
+
+
+def test_a_directory_gives_every_recording_below_it_once(lay: Lay) -> None:
+    where = lay("b.mcap", "a/b.mcap", "a/without suffix", ".hidden/c.mcap", "a/.d.mcap")
+    lay("maps/map/keyframes.mcap", "maps/map/topology.json", "old/job/job.json", "old/job/e.mcap")
+    lay("bag/metadata.yaml", "bag/bag_0.mcap", "bag/bag_1.mcap", note__txt="not a recording")
+    found = jobs_of([str(where), str(where / "b.mcap")])
+    assert {job.name: Path(job.logs[0]).relative_to(where).as_posix() for job in found} == {
+        "b": "b.mcap",
+        "a-b": "a/b.mcap",
+        "a-without_suffix": "a/without suffix",
+        "bag": "bag",
+    }
+
+
+def test_a_damaged_beginning_does_not_hide_a_recording(lay: Lay) -> None:
+    where = lay(empty__mcap="", rubbish__bag="rubbish", some__log="some text")
+    assert names(jobs_of([str(where)])) == ["empty", "rubbish"]
+
+
+def test_a_pattern_gives_what_matches(lay: Lay) -> None:
+    where = lay("may/1/run.mcap", "may/2/run.mcap", "june/run.mcap")
+    assert names(jobs_of([f"{where}/may/*/run.mcap"])) == ["1-run", "2-run"]
+    assert names(jobs_of([f"{where}/**/run.mcap"])) == ["june-run", "may-1-run", "may-2-run"]
+
+
+def test_names_are_safe_and_stay_when_other_logs_come(lay: Lay) -> None:
+    where = lay("x/run one.mcap", "y/run one.mcap", "y/Run_One.bag")
+    alone = jobs_of([str(where / "y" / "run one.mcap")])
+    several = jobs_of([str(where / "x" / "run one.mcap"), str(where / "y")])
+    assert names(alone) == ["run_one"]
+    first, second, third = names(several)
+    assert first == "run_one"
+    assert second.startswith("Run_One-")
+    assert third.startswith("run_one-")
+    assert second[-8:] != third[-8:]
+    assert names(several) == names(jobs_of([str(where / "x" / "run one.mcap"), str(where / "y")]))
+
+
+def test_options_of_the_command_line_are_those_of_every_job(lay: Lay) -> None:
+    where = lay("a.mcap")
+    plan = Plan(("build",), {"build": {"set": ["seed=1", "grid.resolution_m=0.1"], "seed": 3}})
+    (job,) = jobs_of([str(where / "a.mcap")], plan)
+    assert job.steps == (
+        Step("build", ("--set=seed=1", "--set=grid.resolution_m=0.1", "--seed=3")),
+    )
+
+
+TOML = """
+steps = ["build", "export", "check"]
+logs = ["fleet/*.mcap"]
+
+[options.build]
+preset = "paper"
+set = ["grid.resolution_m=0.1"]
+
+[options.check]
+rules = "rules.toml"
+
+[options.export]
+format = ["nav2", "csv"]
+
+[[job]]
+name = "lobby"
+logs = ["lobby/part_*.mcap"]
+steps = ["build"]
+[job.options.build]
+set = []
+no-relax = true
+
+[[job]]
+logs = "cellar.mcap"
+"""
+
+
+def test_a_file_of_jobs_says_which_logs_steps_and_options(lay: Lay) -> None:
+    where = lay("fleet/1.mcap", "fleet/2.mcap", "lobby/part_1.mcap", "lobby/part_2.mcap")
+    lay("cellar.mcap", rules__toml="", jobs__toml=TOML)
+    one, two, lobby, cellar = jobs_of([str(where / "jobs.toml")])
+    assert names((one, two, cellar)) == ["1", "2", "cellar"]
+    assert one.steps == (
+        Step("build", ("--preset=paper", "--set=grid.resolution_m=0.1")),
+        Step("export", ("--format=nav2",)),
+        Step("export", ("--format=csv",)),
+        Step("check", (f"--rules={where / 'rules.toml'}",)),
+    )
+    assert one.steps == two.steps == cellar.steps
+    parts = tuple(str(where / "lobby" / f"part_{number}.mcap") for number in (1, 2))
+    assert lobby == Job("lobby", parts, (Step("build", ("--preset=paper", "--no-relax")),))
+
+
+def test_a_step_without_a_map_of_the_job_takes_another_one(lay: Lay) -> None:
+    where = lay("a.mcap", "golden/topology.json")
+    lay(
+        jobs__toml='logs = "a.mcap"\nsteps = ["localize", "evaluate"]\n'
+        '[options.localize]\nmap = "golden"\n[options.evaluate]\nprotocol = "holdout"'
+    )
+    (job,) = jobs_of([str(where / "jobs.toml")])
+    localize, evaluate = (arguments_of(step, job.logs) for step in job.steps)
+    assert localize[1:] == [f"--map={where}/golden", "--json", "--out=labels.csv", "--", *job.logs]
+    assert evaluate[-3:] == ["--out=confusion.png", "--", *job.logs]
+
+
+LOGS = 'logs = "a.mcap"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "jobs.toml: no jobs"),
+        ("logs = [", "jobs.toml: not valid TOML"),
+        (LOGS + "stepz = []", "jobs.toml: stepz: no such key"),
+        (LOGS + 'steps = ["biuld"]', "jobs.toml: 'biuld': no such step: choose from build"),
+        (LOGS + "steps = []", "jobs.toml: steps: empty"),
+        (LOGS + 'steps = "build, check"', "jobs.toml: 'build, check': no such step"),
+        (LOGS + 'steps = ["check"]', "jobs.toml: steps: check needs a map: put build before it"),
+        (LOGS + 'steps = ["build", "build"]', "build is given twice"),
+        (LOGS + "[options.biuld]", "jobs.toml: 'biuld': no such step"),
+        (
+            LOGS + "[options.build]\nsett = 1",
+            "options.build.sett: no such option: did you mean set",
+        ),
+        (LOGS + '[options.build]\nout = "/etc"', "options.build.out: the batch says that itself"),
+        (LOGS + "[options.check]\njson = true", "options.check.json: the batch says that itself"),
+        (LOGS + '[options.check]\njunit = "../x"', "options.check.junit is '../x': expected the"),
+        (LOGS + '[options.check]\njunit = "job.json"', "job.json is written twice"),
+        (LOGS + '[options.check]\nrules = "none.toml"', "none.toml: no such file"),
+        (LOGS + "[options.build]\nno-relax = 1", "options.build.no-relax is 1: expected true"),
+        (LOGS + "[options.build]\nseed = [1]", "options.build.seed is [1]: expected a text or a"),
+        (LOGS + "[options]\nbuild = 3", "options.build is 3: expected a table"),
+        (LOGS + 'steps = ["build", "export"]', "options.export.format: missing"),
+        ('logs = "none/*.mcap"', "jobs.toml: logs: "),
+        ("logs = 3", "jobs.toml: logs is 3: expected a list"),
+        ("job = 3", "jobs.toml: job is 3: expected tables"),
+        ('[[job]]\nname = "x"', "jobs.toml: job 1 (x): logs: missing"),
+        ('[[job]]\nname = "../x"\n' + LOGS, "job 1 (../x): name is '../x': expected letters"),
+        (
+            f'[[job]]\nname = "x"\n{LOGS}[[job]]\nname = "X"\n{LOGS}',
+            "job 2 (X): name: X is another",
+        ),
+        (f'[[job]]\n{LOGS}log = "b"', "jobs.toml: job 1: log: no such key: use name, logs"),
+        (f"[[job]]\n{LOGS}[job.options.build]\nseeed = 1", "job 1: options.build.seeed: no such"),
+    ],
+)
+def test_what_a_file_of_jobs_says_wrong_is_told_with_its_place(
+    lay: Lay, text: str, complaint: str
+) -> None:
+    where = lay("a.mcap", jobs__toml=text)
+    with pytest.raises(UsageError) as told:
+        jobs_of([str(where / "jobs.toml")])
+    assert complaint in str(told.value)
+    assert "\n" not in str(told.value).split("TOML")[0]
+    assert str(told.value).startswith(str(where))
+
+
+@pytest.mark.parametrize("place", ["none.mcap", "none/*.mcap", "empty"])
+def test_a_place_without_a_recording_is_refused(tmp_path: Path, place: str) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UsageError, match=r"no recording there|no such file"):
+        jobs_of([str(tmp_path / place)])
+
+
+def test_the_table_of_options_is_that_of_the_command_line() -> None:
+    commands: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    for command in COMMANDS:
+        real = {
+            option.removeprefix("--")
+            for parameter in commands[command].params
+            for option in parameter.opts
+            if option.startswith("--") and option != "--help"
+        }
+        assert real == set(OPTIONS[command]) | OF_THE_BATCH[command], command
+
+
+def test_every_export_of_ours_has_the_suffix_that_its_programs_know() -> None:
+    assert set(SUFFIXES) == set(exporters())
+    assert set(typing.get_args(typing.get_type_hints(Step)["command"])) == set(COMMANDS)

@@ -1,0 +1,298 @@
+"""Logs and results in stores that fsspec knows: fetched, written whole, and killed in between."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import json
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from specmap_cli.batch import work
+from specmap_cli.batch.digest import bytes_of
+from specmap_cli.batch.fetching import fetched
+from specmap_cli.batch.folders import files_in, folder_at, write_record
+from specmap_cli.batch.jobs import jobs_of
+from specmap_cli.batch.places import PlaceError, path_at, reaching, store_at
+from specmap_cli.batch.records import Job, Limits, Step
+from specmap_cli.batch.running import may_retry, run_job
+from specmap_cli.core.errors import MapError, UsageError
+from tests.batch import fake_specmap
+
+fsspec = pytest.importorskip("fsspec")
+pytest.importorskip("psutil")
+
+ALL = (Step("build"), Step("report"), Step("check"))
+OUT = "memory://bucket/maps"
+
+
+@pytest.fixture
+def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """An empty store in memory, and the fake program in the place of specmap."""
+    _fake(monkeypatch)
+    system = fsspec.filesystem("memory")
+    system.store.clear()
+    system.pseudo_dirs[:] = [""]
+    yield system
+    system.store.clear()
+    system.pseudo_dirs[:] = [""]
+
+
+def put(system: Any, path: str, words: str = "fine") -> str:
+    system.pipe(f"/bucket/{path}", words.encode())
+    return f"memory://bucket/{path}"
+
+
+def names(system: Any, folder: str = "/bucket/maps") -> set[str]:
+    return {path.removeprefix(f"{folder}/") for path in system.find(folder)}
+
+
+def test_a_job_from_store_to_store(store: Any, tmp_path: Path) -> None:
+    put(store, "logs/monday.mcap", "fine")
+    (job,) = jobs_of(["memory://bucket/logs"])
+    assert (job.name, job.logs) == ("monday", ("memory:///bucket/logs/monday.mcap",))
+    assert bytes_of(job) == 4
+    result = run_job(job, OUT, scratch=str(tmp_path))
+    assert (result.state, result.reason) == ("done", None)
+    assert names(store, "/bucket/maps/monday") == {*result.files, "job.json"}
+    assert {"map/part-0", "report.html", "log.txt"} <= set(result.files)
+    assert list(tmp_path.iterdir()) == []
+    assert run_job(job, OUT, scratch=str(tmp_path)).resumed
+    put(store, "logs/monday.mcap", "changed")
+    again = run_job(job, OUT, scratch=str(tmp_path))
+    assert not again.resumed
+    assert b"changed" in store.cat("/bucket/maps/monday/map/part-0")
+
+
+def test_a_reason_names_the_log_as_the_user_does(store: Any, tmp_path: Path) -> None:
+    url = put(store, "logs/monday.mcap", "damaged")
+    result = run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path))
+    assert result.kind == "log"
+    assert result.reason == f"{url}: cut off after 12 bytes; no message can be read"
+    assert names(store, "/bucket/maps/monday") == {"job.json", "log.txt"}
+
+
+def test_what_is_found_in_a_store(store: Any) -> None:
+    for path in ("a.mcap", "b/run.bag.zst", "b/notes.txt", ".x/c.mcap", "bag/metadata.yaml"):
+        put(store, f"logs/{path}")
+    for path in ("bag/bag_0.db3", "bag/bag_1.db3", "map/topology.json", "map/keyframes.mcap"):
+        put(store, f"logs/{path}")
+    found = {job.name: job.logs[0] for job in jobs_of(["memory://bucket/logs"])}
+    assert {name: log.rsplit("logs/")[1] for name, log in found.items()} == {
+        "a": "a.mcap",
+        "b-run": "b/run.bag.zst",
+        "bag": "bag",
+    }
+    assert [job.name for job in jobs_of(["memory://bucket/logs/*.mcap"])] == ["a"]
+    assert [job.name for job in jobs_of(["memory://bucket/logs/a.mcap"])] == ["a"]
+    with pytest.raises(UsageError, match="no recording there"):
+        jobs_of(["memory://bucket/none"])
+
+
+def test_a_recording_of_several_files_is_fetched_whole(store: Any, tmp_path: Path) -> None:
+    for name in ("metadata.yaml", "bag_0.db3", "bag_1.db3"):
+        put(store, f"logs/bag/{name}", name)
+    (job,) = jobs_of(["memory://bucket/logs"])
+    ((log, place),) = fetched(job.logs, tmp_path).items()
+    assert (log, Path(place).name) == (job.logs[0], "bag")
+    texts = {path.name: path.read_text() for path in Path(place).iterdir()}
+    assert texts == {name: name for name in ("metadata.yaml", "bag_0.db3", "bag_1.db3")}
+
+
+def test_logs_that_do_not_fit_into_the_scratch_are_refused(
+    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = put(store, "logs/monday.mcap", "x" * 3_000_000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=1_000_000))
+    result = run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path))
+    assert (result.kind, may_retry(result)) == ("place", True)
+    assert str(result.reason).endswith(
+        "the logs need 3 MB, 1 MB are free: choose another scratch directory"
+    )
+    assert not run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path)).resumed
+
+
+@pytest.mark.usefixtures("store")
+def test_a_log_that_is_not_in_the_store(tmp_path: Path) -> None:
+    job = Job("gone", ("memory://bucket/gone.mcap",), ALL)
+    result = run_job(job, OUT, scratch=str(tmp_path))
+    assert (result.kind, result.reason) == (
+        "log",
+        "memory://bucket/gone.mcap: no such file or directory",
+    )
+
+
+class _Cut(BaseException):
+    """As when the process is killed: nothing is put right after it."""
+
+
+def test_cut_off_at_any_call_there_is_a_complete_result_or_none(
+    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = put(store, "logs/monday.mcap")
+    result = run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path))
+    old, new = tmp_path / "old", tmp_path / "new"
+    store.get("/bucket/maps/monday", str(old), recursive=True)
+    shutil.copytree(old, new)
+    (new / "map" / "part-0").write_text("changed")
+    (new / "job.begun").unlink(missing_ok=True)
+    write_record(new, result.record.model_copy(update={"files": files_in(new), "attempts": 2}))
+    seen = set()
+    for calls in itertools.count(1):
+        _publish(old, tmp_path / f"old{calls}")
+        with monkeypatch.context() as context:
+            _cut_after(store, context, calls)
+            try:
+                _publish(new, tmp_path / f"new{calls}")
+                whole = True
+            except _Cut:
+                whole = False
+        stored = folder_at(OUT, "monday").stored()
+        seen.add(None if stored is None else stored.attempts)
+        if stored is not None:  # it is one of the two, whole
+            source = old if stored.attempts == 1 else new
+            for name in stored.files:
+                assert store.cat(f"/bucket/maps/monday/{name}") == (source / name).read_bytes()
+        if whole:
+            break
+    assert seen == {1, None, 2}
+    assert names(store, "/bucket/maps/monday") == {*files_in(new), "job.json"}
+
+
+def _publish(source: Path, scratch: Path) -> None:
+    """What a job makes becomes its result in the store."""
+    scratch.mkdir()
+    with folder_at(OUT, "monday").fresh(scratch) as directory:
+        shutil.copytree(source, directory, dirs_exist_ok=True)
+
+
+def _fake(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_map(path: Path) -> None:
+        raise MapError(str(path))
+
+    monkeypatch.setattr(work, "PROGRAM", (sys.executable, "-I", "-S", fake_specmap.__file__))
+    monkeypatch.setattr(work, "read_map", no_map)
+
+
+def _cut_after(system: Any, monkeypatch: pytest.MonkeyPatch, calls: int) -> None:
+    """The process ends before the call number `calls` that writes or removes."""
+    left = [calls]
+
+    def counted(real: Any) -> Any:
+        def call(*arguments: Any, **options: Any) -> Any:
+            left[0] -= 1
+            if left[0] == 0:
+                raise _Cut
+            return real(*arguments, **options)
+
+        return call
+
+    for name in ("pipe_file", "rm_file", "put_file"):
+        monkeypatch.setattr(system, name, counted(getattr(system, name)))
+
+
+def test_what_somebody_else_keeps_in_the_store_is_not_touched(store: Any, tmp_path: Path) -> None:
+    url = put(store, "logs/monday.mcap")
+    put(store, "maps/monday/thesis.txt", "years of work")
+    result = run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path))
+    assert (result.kind, may_retry(result)) == ("settings", False)
+    assert names(store, "/bucket/maps/monday") == {"thesis.txt"}
+
+
+def test_a_result_that_lost_a_file_is_none(store: Any, tmp_path: Path) -> None:
+    url = put(store, "logs/monday.mcap")
+    run_job(Job("monday", (url,), ALL), OUT, Limits(), str(tmp_path))
+    store.rm("/bucket/maps/monday/report.html")
+    assert folder_at(OUT, "monday").stored() is None
+
+
+def test_a_store_that_cannot_be_reached_may_be_tried_again(
+    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = put(store, "logs/monday.mcap")
+
+    def fail(*_: object, **__: object) -> None:
+        raise ConnectionError("the line is\ncut")
+
+    monkeypatch.setattr(store, "put_file", fail)
+    result = run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path))
+    assert (result.kind, may_retry(result)) == ("place", True)
+    assert str(result.reason).endswith("cannot be reached or used: the line is cut")
+
+
+@pytest.mark.parametrize(
+    ("url", "complaint"),
+    [("nowhere://x/y", "nowhere"), ("s3:/x", None)],
+)
+def test_what_is_a_store(url: str, complaint: str | None) -> None:
+    if complaint is None:
+        assert path_at(url) == Path(url)
+        return
+    with pytest.raises(UsageError, match=complaint):
+        store_at(url)
+
+
+def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "fsspec", None)
+    with pytest.raises(UsageError, match=r"pip install 'specmap-cli\[batch\]'"):
+        store_at("s3://bucket/logs")
+
+
+def test_files_of_this_machine_may_be_named_by_url(tmp_path: Path) -> None:
+    assert path_at(f"file://{tmp_path}") == tmp_path
+    (tmp_path / "a.mcap").write_bytes(b"x")
+    assert jobs_of([f"file://{tmp_path}/a.mcap"])[0].logs == (str(tmp_path / "a.mcap"),)
+    with pytest.raises(PlaceError), reaching("here"):
+        raise RuntimeError("anything")
+
+
+@pytest.fixture
+def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A bucket of a server that speaks as S3 does."""
+    for name in ("s3fs", "moto", "flask"):
+        if importlib.util.find_spec(name) is None:
+            pytest.skip(f"needs {name}: pip install s3fs 'moto[server]'")
+    from moto.server import ThreadedMotoServer
+
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    for key, value in {
+        "AWS_ACCESS_KEY_ID": "testing",
+        "AWS_SECRET_ACCESS_KEY": "testing",
+        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
+        "AWS_DEFAULT_REGION": "us-east-1",
+    }.items():
+        monkeypatch.setenv(key, value)
+    import s3fs
+
+    s3fs.S3FileSystem.clear_instance_cache()
+    s3fs.S3FileSystem().mkdir("fleet")
+    yield "s3://fleet"
+    s3fs.S3FileSystem.clear_instance_cache()
+    server.stop()
+
+
+@pytest.mark.filterwarnings("ignore")  # of libraries that only this test uses
+def test_a_bucket(bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _fake(monkeypatch)
+    system, _ = store_at(bucket)
+    system.pipe_file("fleet/logs/monday.mcap", b"fine")
+    (job,) = jobs_of([f"{bucket}/logs"])
+    first = run_job(job, f"{bucket}/maps", scratch=str(tmp_path))
+    assert (first.state, first.reason) == ("done", None)
+    record = json.loads(system.cat_file("fleet/maps/monday/job.json"))
+    assert record["files"]["map/part-0"] == system.info("fleet/maps/monday/map/part-0")["size"]
+    assert run_job(job, f"{bucket}/maps", scratch=str(tmp_path)).resumed
+    system.pipe_file("fleet/logs/monday.mcap", b"fine too")
+    assert not run_job(job, f"{bucket}/maps", scratch=str(tmp_path)).resumed
+    missing = Job("gone", (f"{bucket}/logs/gone.mcap",), ALL)
+    assert run_job(missing, f"{bucket}/maps", scratch=str(tmp_path)).kind == "log"
+    nowhere = run_job(job, "s3://no-such-bucket/maps", scratch=str(tmp_path))
+    assert nowhere.kind == "place", nowhere.reason
