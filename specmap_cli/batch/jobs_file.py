@@ -28,7 +28,7 @@ from specmap_cli.batch.naming import Names
 from specmap_cli.batch.places import path_at
 from specmap_cli.batch.records import Command, Job, Plan
 from specmap_cli.batch.steps import steps_of
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.tomltext import read_toml
 
 _OF_THE_FILE = ("steps", "options", "logs", "job")
@@ -40,6 +40,13 @@ def jobs_in(path: Path, defaults: Plan, names: Names) -> list[Job]:
 
     Raises UsageError, naming file and place, for what cannot be.
     """
+    try:
+        return _jobs(path, defaults, names)
+    except UsageError as error:
+        raise UsageError(str(error), code=SETTING) from None
+
+
+def _jobs(path: Path, defaults: Plan, names: Names) -> list[Job]:
     written, where = read_toml(path), f"{path}: "
     _check_keys(written, _OF_THE_FILE, where)
     plan = _plan(written, defaults, where)

@@ -73,7 +73,7 @@ OPTIONS: Mapping[Command, Mapping[str, Option]] = {
     },
 }
 # What the batch says itself.
-_SAID = frozenset({"out", "overwrite", "json", "quiet"})
+_SAID = frozenset({"out", "overwrite", "json", "quiet", "log-level"})
 OF_THE_BATCH: Mapping[Command, frozenset[str]] = {
     "build": _SAID,
     "localize": _SAID | {"output"},

@@ -12,7 +12,7 @@ from typing import Any
 
 from specmap_cli.batch.processes import Ended
 from specmap_cli.batch.records import JobRecord, Kind, Limits, Step, StepOutcome
-from specmap_cli.core.errors import BROKEN_RULE
+from specmap_cli.core.errors import BROKEN_RULE, MACHINE, MEMORY
 from specmap_cli.core.legible import legible
 
 MOST_ATTEMPTS = 2
@@ -29,8 +29,8 @@ _BY_CODE: Mapping[int, Kind] = {
     -signal.SIGTERM: "worker",
     -signal.SIGKILL: "memory",
 }
-# What steps say of a want of memory, and the system of a disk that is full or fails.
-_NO_MEMORY = ("not enough memory", "for want of memory")
+# Codes of errors that mean more than the exit code, and what the system says of a disk.
+_BY_WORD: Mapping[str, Kind] = {MEMORY: "memory", MACHINE: "place"}
 _NO_PLACE = tuple(os.strerror(one) for one in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS))
 _MOST_CHARACTERS = 1000  # of a reason
 
@@ -80,17 +80,18 @@ def judged(
         memory_mb=ended.memory_mb,
         reason=reason,
     )
-    return outcome, None if reason is None else _kind(ended, reason)
+    return outcome, None if reason is None else _kind(ended, told, reason)
 
 
-def _kind(ended: Ended, reason: str) -> Kind:
+def _kind(ended: Ended, told: Mapping[str, Any], reason: str) -> Kind:
     if ended.stopped is not None:
         return ended.stopped
-    if ended.exit_code in (2, 3):
-        if reason.startswith(_NO_MEMORY) or reason.find(_NO_MEMORY[1]) >= 0:
-            return "memory"
-        if any(words in reason for words in _NO_PLACE):
-            return "place"
+    error = told.get("error")
+    code = error.get("code") if isinstance(error, dict) else None
+    if isinstance(code, str) and code in _BY_WORD:
+        return _BY_WORD[code]
+    if any(words in reason for words in _NO_PLACE):
+        return "place"
     return _BY_CODE.get(ended.exit_code, "bug")
 
 

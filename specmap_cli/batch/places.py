@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from specmap_cli.core.errors import SpecmapError, UsageError
+from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)(://|::)")
 _LOCAL = ("file://", "local://")
@@ -18,6 +18,7 @@ class PlaceError(SpecmapError):
     """A disk or a store cannot be used: full, out of reach, or closed to us."""
 
     exit_code = 2
+    code = MACHINE
 
 
 def path_at(place: str) -> Path | None:
@@ -33,7 +34,9 @@ def store_at(url: str) -> tuple[Any, str]:
     try:
         import fsspec
     except ImportError:
-        raise UsageError(f"{url}: needs an extra: pip install 'specmap-cli[batch]'") from None
+        raise UsageError(
+            f"{url}: needs an extra: pip install 'specmap-cli[batch]'", code=PACKAGE
+        ) from None
     try:
         with reaching(url):
             system, path = fsspec.core.url_to_fs(url)
@@ -41,7 +44,7 @@ def store_at(url: str) -> tuple[Any, str]:
     except PlaceError as error:
         cause = error.__cause__
         if isinstance(cause, ImportError | ValueError):
-            raise UsageError(f"{url}: {cause}") from None
+            raise UsageError(f"{url}: {cause}", code=PACKAGE) from None
         raise
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Literal
 
 from specmap_cli.batch import tether
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import PACKAGE, UsageError
 
 _LOOK_S = 0.05  # how often memory and time are looked at: some 20 microseconds each
 _KIN_S = 1.0  # how often its children are looked for, which takes longer
@@ -101,7 +101,9 @@ def _need_psutil() -> None:
     try:
         import_module("psutil")
     except ImportError:
-        raise UsageError("jobs need an extra: pip install 'specmap-cli[batch]'") from None
+        raise UsageError(
+            "jobs need an extra: pip install 'specmap-cli[batch]'", code=PACKAGE
+        ) from None
 
 
 def _has_ended(pid: int) -> bool:

@@ -105,10 +105,10 @@ def _known(job: Job) -> _Known:
 def _refusal(error: SpecmapError | OSError) -> Work:
     """The work on a job that could not be begun."""
     kind: Kind = "settings"
-    if isinstance(error, PlaceError | OSError):
-        kind = "place"
-    elif isinstance(error, LogError):
+    if isinstance(error, LogError):
         kind = "log"
+    elif isinstance(error, PlaceError | OSError) or isinstance(error.__context__, OSError):
+        kind = "place"  # the system refused to write, or a store did
     return Work(kind=kind, reason=str(error))
 
 

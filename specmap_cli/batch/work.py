@@ -135,8 +135,12 @@ def _with_logs_named(outcome: StepOutcome, places: Mapping[str, str]) -> StepOut
 
 
 def _environment(temporary: Path) -> dict[str, str]:
-    """The environment of a step: this one, with a processor and temporary files of its own."""
-    found = {**os.environ, **_ALONE, "TMPDIR": str(temporary)}
+    """The environment of a step: this one, with a processor and temporary files of its own.
+
+    What SPECMAP_ variables a worker happens to have must not change a result.
+    """
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("SPECMAP_")}
+    found = {**kept, **_ALONE, "TMPDIR": str(temporary)}
     root = Path(specmap_cli.__file__).parent.parent
     if root.name not in _INSTALLED:  # run from its sources: a step must find them, too
         found["PYTHONPATH"] = os.pathsep.join(

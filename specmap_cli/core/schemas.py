@@ -28,6 +28,7 @@ FILES: Mapping[str, str] = {
     "classifiers.json": "classifiers",
     "compare.json": "comparison",
     "history.json": "history",
+    "job.json": "job",
 }
 _PRINTED: Mapping[str, str] = {"compare": FILES["compare.json"]}
 

@@ -15,14 +15,16 @@ from pathlib import Path
 OUT = "--out="
 
 
-def fail(code: int, message: str) -> int:
-    print(json.dumps({"error": {"code": code, "message": message}}))
+def fail(code: int, word: str, message: str) -> int:
+    print(json.dumps({"error": {"code": word, "message": message}}))
     print(f"specmap: error: {message}", file=sys.stderr)
     return code
 
 
 def build(log: Path) -> int:
     words = log.read_text().split()
+    if "SPECMAP_PRESET" in os.environ or os.environ["SPECMAP_PROCESSES"] != "1":
+        return fail(2, "setting", "of the environment")
     note = os.environ.get("FAKE_NOTE")
     if note:  # one line a build, for tests that count them
         with open(note, "a") as file:
@@ -41,10 +43,12 @@ def build(log: Path) -> int:
     if "bug" in words:
         print("Traceback ...\nValueError: no good", file=sys.stderr)
         return 1
+    if "large" in words:
+        return fail(3, "memory", "not enough memory; a shorter log needs less")
     if "full" in words:
-        return fail(2, "temporary files cannot be written: No space left on device")
+        return fail(2, "machine", "temporary files cannot be written: No space left on device")
     if "damaged" in words:
-        return fail(3, f"{log}: cut off after 12 bytes; no message can be read")
+        return fail(3, "log-damaged", f"{log}: cut off after 12 bytes; no message can be read")
     for number in range(8):  # long enough to be killed in the middle
         (partial / f"part-{number}").write_text(" ".join(words * 100))
         time.sleep(0.003)

@@ -16,7 +16,7 @@ from specmap_cli.batch.options import OF_THE_BATCH, OPTIONS
 from specmap_cli.batch.records import COMMANDS, Job, Plan, Step
 from specmap_cli.batch.steps import SUFFIXES, arguments_of
 from specmap_cli.cli.app import app
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.exports.table import exporters
 from specmap_cli.logs.readers.mcap import McapFile
 
@@ -200,6 +200,7 @@ def test_what_a_file_of_jobs_says_wrong_is_told_with_its_place(
     with pytest.raises(UsageError) as told:
         jobs_of([str(where / "jobs.toml")])
     assert complaint in str(told.value)
+    assert told.value.code == SETTING
     assert "\n" not in str(told.value).split("TOML")[0]
     assert str(told.value).startswith(str(where))
 

@@ -48,6 +48,7 @@ def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(work, "PROGRAM", program)
     monkeypatch.setattr(work, "read_map", _no_map)
     monkeypatch.setenv("FAKE_NOTE", str(tmp_path / "builds"))
+    monkeypatch.setenv("SPECMAP_PRESET", "paper")  # of a worker: no step may see it
     return tmp_path / "builds"
 
 
@@ -162,6 +163,7 @@ def test_a_log_that_only_moved_is_the_same(run: Run, tmp_path: Path) -> None:
     ("words", "kind", "reason"),
     [
         ("damaged", "log", "monday.mcap: cut off after 12 bytes; no message can be read"),
+        ("large", "memory", "not enough memory; a shorter log needs less"),
         ("full", "place", "No space left on device"),
         ("bug", "bug", "ValueError: no good"),
         ("killed", "memory", "build was killed, as a system does for want of memory"),
@@ -260,6 +262,12 @@ def test_what_somebody_else_keeps_there_is_not_touched(run: Run, tmp_path: Path)
     assert (result.kind, may_retry(result)) == ("settings", False)
     assert "choose another output directory" in str(result.reason)
     assert mine.read_text() == "years of work"
+
+
+def test_an_output_that_cannot_be_written_may_be_tried_again(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("a file")
+    result = run()
+    assert (result.kind, may_retry(result)) == ("place", True)
 
 
 def test_a_lost_worker_is_told_of_without_a_file() -> None:
