@@ -116,6 +116,6 @@ def test_settings_shown_exist(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     for section, key in re.findall(r"(?<![\w./])([a-z]+)\.([a-z_0-9]+)\b(?!\.|\()", text):
         module = ROOT / "specmap_cli" / section / f"{key}.py"
-        is_file = module.exists() or key in {"bag", "mcap", "md", "py", "tum"}
+        is_file = module.exists() or key in {"bag", "mcap", "md", "py", "tum", "txt"}
         if section in sections and not is_file:
             assert key in sections[section] or exists(f"{section}.{key}"), f"{section}.{key}"
