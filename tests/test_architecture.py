@@ -56,7 +56,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "checking": _STAGE | {"topology", "maps"},
     "report": _STAGE | {"topology", "maps", "drawing"},
     "history": _STAGE | {"maps", "report"},
-    "batch": _STAGE | {"topology", "maps", "checking", "logs", "logs/readers"},
+    "batch": _STAGE | {"topology", "maps", "checking", "logs", "logs/readers", "report"},
     "pipelines": {*_ORDER, "checking", "history", "report"},
     "evaluation": {*_ORDER, "pipelines"},
     "cli": {*_ORDER, "pipelines", "evaluation", "exports", "checking", "batch"},

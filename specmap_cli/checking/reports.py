@@ -43,7 +43,7 @@ def junit(record: CheckRecord) -> bytes:
     broken = sum(not outcome.passed for outcome in record.rules)
     suite = ElementTree.Element(
         "testsuite",
-        name=f"specmap check {_xml(record.map)}",
+        name=f"specmap check {xml_text(record.map)}",
         tests=str(len(record.rules)),
         failures=str(broken),
         errors="0",
@@ -51,12 +51,15 @@ def junit(record: CheckRecord) -> bytes:
     )
     for outcome in record.rules:
         case = ElementTree.SubElement(
-            suite, "testcase", classname=_xml(record.map), name=f"{outcome.rule} {_bound(outcome)}"
+            suite,
+            "testcase",
+            classname=xml_text(record.map),
+            name=f"{outcome.rule} {_bound(outcome)}",
         )
         if not outcome.passed:
             told = f"{outcome.rule} is {_value(outcome.value)}, allowed is {_bound(outcome)}"
             failure = ElementTree.SubElement(case, "failure", message=told, type="BrokenRule")
-            failure.text = _xml(outcome.detail)
+            failure.text = xml_text(outcome.detail)
     root = ElementTree.Element("testsuites")
     root.append(suite)
     ElementTree.indent(root)
@@ -67,13 +70,13 @@ def markdown(record: CheckRecord) -> str:
     """A section with a table for the summary page of a CI: broken rules first."""
     ordered = sorted(record.rules, key=lambda outcome: outcome.passed)
     rows = [
-        f"| {'ok' if one.passed else '**broken**'} | {_cell(one.rule)} | {_value(one.value)} "
-        f"| {_cell(_bound(one))} | {_cell(one.detail)} |"
+        f"| {'ok' if one.passed else '**broken**'} | {cell(one.rule)} | {_value(one.value)} "
+        f"| {cell(_bound(one))} | {cell(one.detail)} |"
         for one in ordered
     ]
     return "\n".join(
         [
-            f"### {_cell(summary(record))}",
+            f"### {cell(summary(record))}",
             "",
             "| | rule | value | bound | |",
             "|---|---|---:|---|---|",
@@ -96,7 +99,7 @@ def _value(value: float | str | None) -> str:
     return f"{value:.0f}" if value == round(value) or abs(value) >= 1e4 else f"{value:.4g}"
 
 
-def _cell(text: str) -> str:
+def cell(text: str) -> str:
     """Text as it stands in a cell of a table: names are a person's."""
     plain = legible(text).replace("\n", " ")
     for sign in "\\`*_[]|<>":
@@ -104,7 +107,7 @@ def _cell(text: str) -> str:
     return plain
 
 
-def _xml(text: str) -> str:
+def xml_text(text: str) -> str:
     """Text without the signs that XML cannot hold."""
     return _NOT_IN_XML.sub("", legible(text))
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from specmap_cli.cli import (
+    batch,
     build,
     check,
     compare,
@@ -98,6 +99,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "compare": compare.compare,
     "check": check.check,
     "history": history.history,
+    "batch": batch.batch,
     "edit": edit.edit,
     "report": report.report,
     "segment": segment.segment,

@@ -68,6 +68,11 @@ class ConsoleProgress:
         if self._stage is not None:
             self._stage.done += steps
 
+    def reach(self, steps: int, stage: str) -> None:
+        """`steps` of the current stage are done in all, and it says so in words of its own."""
+        if self._task is not None:
+            self._bars.update(self._task, completed=steps, description=stage)
+
     def note(self, message: str) -> None:
         """A line, where the level shows it."""
         self._line(Level.INFO, message)

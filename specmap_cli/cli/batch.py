@@ -1,0 +1,172 @@
+"""`specmap batch`: many logs at once."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from specmap_cli.cli.options import Common, Settings
+from specmap_cli.core.errors import BROKEN_RULE, UsageError
+
+if TYPE_CHECKING:
+    from specmap_cli.batch.batch import Listener
+    from specmap_cli.batch.ledger import Ledger
+    from specmap_cli.batch.records import Plan
+    from specmap_cli.cli.console import ConsoleProgress
+
+
+_MOST = 10  # failures that are named on stdout; all of them are in the summaries
+
+
+class StepName(StrEnum):
+    """The steps that a job may have; more of them, with options, in a TOML file of jobs."""
+
+    build = "build"
+    localize = "localize"
+    evaluate = "evaluate"
+    export = "export"
+    report = "report"
+    check = "check"
+
+
+Inputs = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="LOG|DIR|GLOB|JOBS.toml",
+        help="Recordings, directories and patterns of recordings, TOML files of jobs; paths or "
+        "URLs such as s3://bucket/logs.",
+        show_default=False,
+    ),
+]
+Out = Annotated[
+    str,
+    typer.Option(
+        "--out", "-o", metavar="DIR", help="Directory, or URL such as s3://bucket/maps, to write."
+    ),
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="Worker processes; default: one a processor.")
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Dask scheduler to use, such as tcp://host:8786."),
+]
+Dashboard = Annotated[
+    bool, typer.Option("--dashboard", help="Serve Dask's dashboard while the batch runs.")
+]
+MemoryLimit = Annotated[
+    int | None,
+    typer.Option(
+        min=64, metavar="MB", help="Memory of a worker; default: its share of the machine's."
+    ),
+]
+TimeLimit = Annotated[
+    float | None, typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a step.")
+]
+Retries = Annotated[
+    int, typer.Option(min=0, help="How often to try again what a lost worker or disk made fail.")
+]
+Steps = Annotated[
+    list[StepName] | None,
+    typer.Option("--step", help="Step of each job; repeatable. Default: build, report, check."),
+]
+Scratch = Annotated[Path | None, typer.Option(help="Directory of the workers for temporary files.")]
+Redo = Annotated[bool, typer.Option("--redo", help="Do again what is complete.")]
+
+
+def batch(
+    inputs: Inputs,
+    out: Out,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    dashboard: Dashboard = False,
+    memory_limit: MemoryLimit = None,
+    time_limit: TimeLimit = None,
+    retries: Retries = 1,
+    step: Steps = None,
+    scratch: Scratch = None,
+    redo: Redo = False,
+    *,
+    settings: Settings,
+    common: Common,
+) -> None:
+    """Build maps of many logs; exit code 5 when a job fails.
+
+    Every log is a job with a folder of its own in DIR. A bad log stops none of the others; a job
+    whose result is there, made of the same log with the same settings and version, is not done
+    again. Summaries and index.html tell what came of all. With --json, a line of JSON an event.
+
+    \b
+    specmap batch logs/ -o maps
+    specmap batch 'logs/*.mcap' -o maps --workers 4 --step build
+    specmap batch jobs.toml -o s3://bucket/maps --scheduler tcp://host:8786
+    """
+    if workers is not None and scheduler is not None:
+        raise UsageError("--workers and --scheduler do not go together: a scheduler has its own")
+    from specmap_cli.batch.batch import run_batch
+    from specmap_cli.batch.cluster import Place, Terms
+    from specmap_cli.batch.jobs import jobs_of
+    from specmap_cli.batch.records import Limits
+
+    settings.load()  # a wrong setting is told of once, not by every job
+    jobs = jobs_of(inputs, _plan(step, settings))
+    terms = Terms(
+        out, Limits(memory_limit, time_limit), str(scratch.absolute()) if scratch else None, redo
+    )
+    with common.progress() as progress:
+        progress.start(f"0 of {len(jobs)} jobs", len(jobs))
+        place = Place(workers, scheduler, dashboard)
+        ledger = run_batch(jobs, terms, place, retries, _listener(common, progress))
+    if not common.as_json:
+        common.show({}, _lines(out, ledger))
+    if ledger.failed:
+        raise typer.Exit(BROKEN_RULE)
+
+
+def _plan(steps: list[StepName] | None, settings: Settings) -> Plan:
+    """What is done with each log where no file of jobs says otherwise."""
+    from specmap_cli.batch.records import Plan
+
+    given: dict[str, Any] = {
+        "preset": settings.preset,
+        "config": settings.config and str(settings.config),
+        "set": settings.assignments,
+    }
+    options = {"build": {name: value for name, value in given.items() if value}}
+    return Plan(tuple(one.value for one in steps), options) if steps else Plan(options=options)
+
+
+def _listener(common: Common, progress: ConsoleProgress) -> Listener:
+    """Events as lines of JSON on stdout; what a person should know, and a bar, on stderr."""
+    from specmap_cli.batch.batch import Listener
+    from specmap_cli.batch.events import EventRecord
+    from specmap_cli.cli.streams import print_text
+
+    def tell(event: EventRecord) -> None:
+        if common.as_json:
+            print_text(event.line())
+        if event.event in ("failed", "retried") or event.state == "failed":
+            again = "; it is tried again" if event.event == "retried" else ""
+            progress.warn(f"{event.job}: {event.kind}: {event.reason}{again}")
+
+    def show(ledger: Ledger) -> None:
+        progress.reach(len(ledger.results), ledger.headline())
+
+    return Listener(tell, show)
+
+
+def _lines(out: str, ledger: Ledger) -> list[str]:
+    """How it went, for a person: what failed comes first."""
+    from specmap_cli.batch.outputs import INDEX
+    from specmap_cli.batch.tables import headline
+
+    failed = [one for one in ledger.results.values() if one.state == "failed"]
+    return [
+        *(f"{out}: {one.name}: {one.kind}: {one.reason}" for one in failed[:_MOST]),
+        *([f"{out}: ... and {len(failed) - _MOST:,} more"] if failed[_MOST:] else []),
+        f"{out}: {headline(ledger.rows())}",
+        f"look at {out}/{INDEX}",
+    ]

@@ -1,0 +1,56 @@
+"""Results of jobs that never ran, for tests of what is done with them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from specmap_cli.batch.records import InputRecord, Job, JobResult, LimitsRecord, Step
+
+FIGURES: dict[str, float | str | None] = {
+    "verdict": "good",
+    "lost_share": 0.0125,
+    "submaps": 7,
+    "area_m2": 123.456,
+    "path_m": 45.678,
+    "scans": 900,
+}
+
+
+def job(name: str) -> Job:
+    return Job(name, (f"/logs/{name}.mcap",), (Step("build"),))
+
+
+def result(name: str, **changes: Any) -> JobResult:
+    """A job that went well, but for the changes."""
+    return JobResult.model_validate(
+        {
+            "schema_version": 1,
+            "name": name,
+            "digest": "d" * 64,
+            "version": "0.1.0",
+            "state": "done",
+            "kind": None,
+            "reason": None,
+            "attempts": 1,
+            "limits": LimitsRecord(memory_mb=1000, time_s=None),
+            "started_utc": "2026-01-01T00:00:00+00:00",
+            "wall_s": 18.0,
+            "cpu_s": 17.0,
+            "memory_mb": 300.5,
+            "steps": (),
+            "figures": FIGURES,
+            "inputs": (InputRecord(log=f"/logs/{name}.mcap", bytes=1, identity="1"),),
+            "files": {
+                "map/overview.png": 1,
+                "map/topology.json": 1,
+                "report.html": 1,
+                "log.txt": 1,
+            },
+            **changes,
+        }
+    )
+
+
+def failed(name: str, kind: str = "log", reason: str = "holds no scans", **more: Any) -> JobResult:
+    nothing = {"figures": {}, "files": {"log.txt": 1}, "memory_mb": None}
+    return result(name, state="failed", kind=kind, reason=reason, **(nothing | more))
