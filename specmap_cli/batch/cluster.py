@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -202,7 +202,29 @@ def on_worker(turn: Turn, terms: Terms, version: str) -> JobResult:
     if version != __version__:
         told = f"the worker has specmap {__version__}, the client {version}: install the same"
         return failure(turn.job, "worker", told, turn.attempt, terms.limits)
-    return run_job(turn.job, terms.output, _own_limits(terms.limits), terms.scratch, turn.attempt)
+    return run_job(
+        turn.job,
+        terms.output,
+        _own_limits(terms.limits),
+        terms.scratch,
+        turn.attempt,
+        _wanted(),
+        redo=terms.redo,
+    )
+
+
+def _wanted() -> Callable[[], bool]:
+    """Whether the scheduler still wants this task: not after its client has gone."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    key = worker.get_current_task()
+
+    def wanted() -> bool:
+        task = worker.state.tasks.get(key)
+        return task is not None and task.state != "cancelled"
+
+    return wanted
 
 
 def _own_limits(limits: Limits) -> Limits:

@@ -40,6 +40,10 @@ def _scans_per_s(record: JobRecord) -> Value:
     return round(scans / record.wall_s, 1) if isinstance(scans, int | float) and scans else None
 
 
+def _memory(record: JobRecord) -> Value:
+    return None if record.memory_mb is None else round(record.memory_mb, 1)
+
+
 COLUMNS = (
     Column("name", "text", "of the job and of its folder", lambda one: one.name),
     Column("state", "text", "done, failed, or waiting", lambda one: one.state),
@@ -53,7 +57,7 @@ COLUMNS = (
     Column("scans", "whole", "scans that were read", _figure("scans", 0)),
     Column("scans_per_s", "real", "scans in each second of the job", _scans_per_s),
     Column("wall_s", "real", "seconds that the job took", lambda one: round(one.wall_s, 2)),
-    Column("memory_mb", "real", "most megabytes that a step held", lambda one: one.memory_mb),
+    Column("memory_mb", "real", "most megabytes that a step held", _memory),
     Column("attempts", "whole", "how many times it was tried", lambda one: one.attempts),
     Column("digest", "text", "SHA-256 of all that decides the result", lambda one: one.digest),
 )

@@ -125,7 +125,7 @@ def _judged(
             hungry.append(Turn(turn.job, turn.attempt + 1, alone=True))
             yield Retried(turn, result)
             return
-    elif result.state == "failed" and turn.attempt <= retries and may_retry(result):
+    elif may_retry(result, retries + 1):
         waiting.append(Turn(turn.job, turn.attempt + 1, turn.alone))
         yield Retried(turn, result)
         return

@@ -35,12 +35,12 @@ _NO_PLACE = tuple(os.strerror(one) for one in (errno.ENOSPC, errno.EDQUOT, errno
 _MOST_CHARACTERS = 1000  # of a reason
 
 
-def may_retry(result: JobRecord) -> bool:
-    """Whether a second attempt may succeed: after want of memory, a lost worker, a lost place.
+def may_retry(result: JobRecord, attempts: int = MOST_ATTEMPTS) -> bool:
+    """Whether another one of `attempts` may succeed: after want of memory, a lost worker or place.
 
     A log stays bad, a rule stays broken and a setting stays wrong.
     """
-    return result.kind in _RETRIED and result.attempts < MOST_ATTEMPTS
+    return result.kind in _RETRIED and result.attempts < attempts
 
 
 def stands(stored: JobRecord, digest: str, limits: Limits, attempt: int) -> bool:

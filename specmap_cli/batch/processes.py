@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
@@ -36,12 +36,25 @@ class Ended:
     stopped: Literal["memory", "time"] | None = None
 
 
+class GivenUpError(Exception):
+    """Nobody wants the result of the process any more."""
+
+
+def always() -> bool:
+    """Whether the result is still wanted: it is."""
+    return True
+
+
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Most megabytes of the process with its children, and when it must end (`time.monotonic`)."""
+    """Most megabytes of the process with its children, and when it must end (`time.monotonic`).
+
+    `wanted` says whether anybody still waits for it; it is asked often.
+    """
 
     memory_mb: float | None = None
     deadline: float | None = None
+    wanted: Callable[[], bool] = always
 
 
 def run_process(
@@ -55,7 +68,7 @@ def run_process(
     """Run a command in a folder, in a session of its own, and wait for its end.
 
     It is killed with all its children when it breaks a bound, when this function is left by an
-    exception, and when this process ends.
+    exception, and when this process ends. Raises GivenUpError when it is not wanted any more.
     """
     _need_psutil()
     began = time.monotonic()
@@ -93,6 +106,8 @@ def _watched(tree: _Tree, bounds: Bounds) -> Literal["memory", "time"] | None:
             return "memory"
         if bounds.deadline is not None and time.monotonic() > bounds.deadline:
             return "time"
+        if not bounds.wanted():
+            raise GivenUpError
         time.sleep(_LOOK_S)
     return None
 

@@ -8,15 +8,17 @@ the next run.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from specmap_cli import __version__
 from specmap_cli.batch.digest import digest_from, inputs_of
-from specmap_cli.batch.folders import files_in, folder_at, write_record
+from specmap_cli.batch.folders import Folder, files_in, folder_at, write_record
 from specmap_cli.batch.outcomes import may_retry, stands
 from specmap_cli.batch.places import PlaceError
+from specmap_cli.batch.processes import always
 from specmap_cli.batch.records import (
     InputRecord,
     Job,
@@ -58,17 +60,26 @@ def run_job(
     limits: Limits = Limits(),
     scratch: str | None = None,
     attempt: int = 1,
+    wanted: Callable[[], bool] = always,
+    *,
+    redo: bool = False,
 ) -> JobResult:
     """Run a job, its result going to `output`/NAME; a complete one that stands is not made again.
 
-    `output` is a directory or a URL of fsspec, `scratch` a directory for temporary files (None:
-    that of the system), `attempt` is 1 the first time. What a job may meet is no exception but a
-    result with the state `failed`; only where the output itself cannot be used, its record is in no
-    file.
+    Not unless it is to `redo`, that is. `output` is a directory or a URL of fsspec, `scratch` a
+    directory for temporary files (None: that of the system), `attempt` is 1 the first time. What a
+    job may meet is no exception but a result with the state `failed`; only where the output itself
+    cannot be used, its record is in no file. Raises GivenUpError when the job is not `wanted` any
+    more; nothing of it is left then.
     """
     this = _Attempt(job, limits, attempt, datetime.now(UTC).isoformat(), time.monotonic())
     try:
-        return _run(this, output, scratch)
+        folder = folder_at(output, job.name)
+        known = _known(job)
+        stored = None if redo else folder.stored()
+        if stored is not None and stands(stored, known.digest, limits, attempt):
+            return JobResult(**stored.model_dump(), resumed=True)
+        return _made(this, known, folder, scratch, wanted)
     except (SpecmapError, OSError) as error:
         return _result(this, _Known(), _refusal(error))
 
@@ -81,14 +92,16 @@ def failure(
     return _result(this, _Known(), Work(kind=kind, reason=reason))
 
 
-def _run(this: _Attempt, output: str, scratch: str | None) -> JobResult:
-    folder = folder_at(output, this.job.name)
-    known = _known(this.job)
-    stored = folder.stored()
-    if stored is not None and stands(stored, known.digest, this.limits, this.number):
-        return JobResult(**stored.model_dump(), resumed=True)
+def _made(
+    this: _Attempt,
+    known: _Known,
+    folder: Folder,
+    scratch: str | None,
+    wanted: Callable[[], bool],
+) -> JobResult:
+    """A new result, complete in its folder."""
     with scratch_directory(scratch) as temporary, folder.fresh(temporary) as directory:
-        work = known.refused or work_on(this.job, directory, temporary, this.limits)
+        work = known.refused or work_on(this.job, directory, temporary, this.limits, wanted)
         result = _result(this, known, work, directory)
         write_record(directory, result.record)
     return result

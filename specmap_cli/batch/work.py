@@ -6,7 +6,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import specmap_cli
 from specmap_cli.batch.fetching import fetched
 from specmap_cli.batch.outcomes import judged
 from specmap_cli.batch.places import PlaceError
-from specmap_cli.batch.processes import Bounds, run_process
+from specmap_cli.batch.processes import Bounds, always, run_process
 from specmap_cli.batch.records import Job, Kind, Limits, Step, StepOutcome
 from specmap_cli.batch.steps import LOG_TEXT, MAP, arguments_of
 from specmap_cli.checking.figures import figures_of
@@ -42,13 +42,19 @@ class Work:
     figures: Mapping[str, float | str | None] = field(default_factory=dict)
 
 
-def work_on(job: Job, directory: Path, scratch: Path, limits: Limits) -> Work:
+def work_on(
+    job: Job,
+    directory: Path,
+    scratch: Path,
+    limits: Limits,
+    wanted: Callable[[], bool] = always,
+) -> Work:
     """Run the steps of a job, their results going to `directory`.
 
     A broken rule lets the steps after it run; any other failure ends the job. Fetched logs and
     temporary files go to `scratch`.
     """
-    bench = _Bench(job, directory, scratch, limits)
+    bench = _Bench(job, directory, scratch, limits, wanted)
     try:
         with bench.log_text.open("wb"):
             places = fetched(job.logs, _made(scratch / "logs"))
@@ -62,13 +68,20 @@ def work_on(job: Job, directory: Path, scratch: Path, limits: Limits) -> Work:
 class _Bench:
     """Where the steps of one job are run, and until when."""
 
-    def __init__(self, job: Job, directory: Path, scratch: Path, limits: Limits) -> None:
+    def __init__(
+        self,
+        job: Job,
+        directory: Path,
+        scratch: Path,
+        limits: Limits,
+        wanted: Callable[[], bool],
+    ) -> None:
         self.log_text = directory / LOG_TEXT
         self._job = job
         self._directory = directory
         self._limits = limits
         deadline = None if limits.time_s is None else time.monotonic() + limits.time_s
-        self._bounds = Bounds(limits.memory_mb, deadline)
+        self._bounds = Bounds(limits.memory_mb, deadline, wanted)
         self._environment = _environment(_made(scratch / "tmp"))
 
     def run(self, places: Mapping[str, str]) -> Work:

@@ -45,11 +45,6 @@ class Obedient:
         return turn, self.answer(turn)
 
 
-@pytest.fixture(autouse=True)
-def _rule_of_retries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dispatch, "may_retry", lambda result: result.kind in {"worker", "place"})
-
-
 def happenings(names: str, crew: Obedient, retries: int = 1) -> list[Happening]:
     return list(dispatch.worked_off([job(name) for name in names], crew, retries))
 
