@@ -36,6 +36,7 @@ _SHARE = 0.9  # of the machine's memory: the rest is for the system and the clie
 _DASK = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.worker-ttl": "5 minutes",
+    "distributed.worker.preload": ["specmap_cli.batch.preload"],
     "distributed.worker.profile.enabled": False,
     "distributed.admin.system-monitor.gil.enabled": False,
 }
@@ -48,7 +49,6 @@ class Place:
 
     workers: int | None = None
     scheduler: str | None = None
-    dashboard: bool = False
     patience_s: float = 60.0
 
 
@@ -250,7 +250,7 @@ def _local(place: Place) -> Iterator[Client]:
             n_workers=place.workers or processors(),
             threads_per_worker=1,
             processes=True,
-            dashboard_address=":0" if place.dashboard else None,
+            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
             memory_limit=0,  # the steps of jobs have limits of their own
             silence_logs=logging.CRITICAL,
         ) as cluster,

@@ -18,6 +18,7 @@ _PACKAGE = "specmap_cli.batch"
 _SCRIPTS = ("core.js", "tables.js", "batch.js")
 _STYLES = ("page.css", "parts.css", "batch.css", "print.css")
 _FILTERS = ("lasting", "percent", "figure")
+_KM = 1000.0
 _OVERVIEW = f"{MAP}/overview.png"
 # Heads of the table: their words, and how the column is sorted.
 _HEADS = (
@@ -85,6 +86,10 @@ def _facts(rows: Sequence[Row]) -> list[tuple[str, str]]:
         ("failed", f"{sum(count for _, count in kinds_of(rows)):,}"),
         ("doubtful or poor", f"{sum(row['verdict'] in ('doubtful', 'poor') for row in rows):,}"),
         ("scans", f"{total(rows, 'scans'):,.0f}"),
-        ("driven", f"{total(rows, 'path_m') / 1000.0:,.1f} km"),
+        ("driven", _distance(total(rows, "path_m"))),
         ("of work", words.lasting(total(rows, "wall_s"))),
     ]
+
+
+def _distance(metres: float) -> str:
+    return f"{metres:,.0f} m" if metres < _KM else f"{metres / _KM:,.1f} km"

@@ -66,11 +66,11 @@ def run_job(
 ) -> JobResult:
     """Run a job, its result going to `output`/NAME; a complete one that stands is not made again.
 
-    Not unless it is to `redo`, that is. `output` is a directory or a URL of fsspec, `scratch` a
-    directory for temporary files (None: that of the system), `attempt` is 1 the first time. What a
-    job may meet is no exception but a result with the state `failed`; only where the output itself
-    cannot be used, its record is in no file. Raises GivenUpError when the job is not `wanted` any
-    more; nothing of it is left then.
+    With `redo` it is made again all the same. `output` is a directory or a URL of fsspec, `scratch`
+    a directory for temporary files (None: that of the system), `attempt` is 1 the first time. What
+    a job may meet is no exception but a result with the state `failed`; only where the output
+    itself cannot be used, its record is in no file. Raises GivenUpError when the job is not
+    `wanted` any more; nothing of it is left then.
     """
     this = _Attempt(job, limits, attempt, datetime.now(UTC).isoformat(), time.monotonic())
     try:

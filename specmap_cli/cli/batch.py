@@ -54,9 +54,6 @@ Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Dask scheduler to use, such as tcp://host:8786."),
 ]
-Dashboard = Annotated[
-    bool, typer.Option("--dashboard", help="Serve Dask's dashboard while the batch runs.")
-]
 MemoryLimit = Annotated[
     int | None,
     typer.Option(
@@ -82,7 +79,6 @@ def batch(
     out: Out,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    dashboard: Dashboard = False,
     memory_limit: MemoryLimit = None,
     time_limit: TimeLimit = None,
     retries: Retries = 1,
@@ -118,7 +114,7 @@ def batch(
     )
     with common.progress() as progress:
         progress.start(f"0 of {len(jobs)} jobs", len(jobs))
-        place = Place(workers, scheduler, dashboard)
+        place = Place(workers, scheduler)
         ledger = run_batch(jobs, terms, place, retries, _listener(common, progress))
     if not common.as_json:
         common.show({}, _lines(out, ledger))

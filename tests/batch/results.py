@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from typing import Any
 
+from specmap_cli.batch.cluster import Terms
+from specmap_cli.batch.dispatch import Turn
 from specmap_cli.batch.records import InputRecord, Job, JobResult, LimitsRecord, Step
 
 FIGURES: dict[str, float | str | None] = {
@@ -54,3 +58,18 @@ def result(name: str, **changes: Any) -> JobResult:
 def failed(name: str, kind: str = "log", reason: str = "holds no scans", **more: Any) -> JobResult:
     nothing = {"figures": {}, "files": {"log.txt": 1}, "memory_mb": None}
     return result(name, state="failed", kind=kind, reason=reason, **(nothing | more))
+
+
+def at_once(turn: Turn, terms: Terms, _version: str) -> JobResult:
+    """In the place of `on_worker`: does what the name of the job asks for."""
+    name = turn.job.name
+    if name.startswith("deadly") and turn.attempt == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if name.startswith("buggy"):
+        raise ValueError("a bug of the worker")
+    limit = LimitsRecord(memory_mb=terms.limits.memory_mb, time_s=None)
+    if name.startswith("hungry") and not turn.alone:
+        return failed(name, "memory", "too much", limits=limit, attempts=turn.attempt)
+    if name.startswith("bad"):
+        return failed(name, attempts=turn.attempt)
+    return result(name, attempts=turn.attempt, limits=limit)

@@ -44,8 +44,9 @@ SETTLED = READERS | {
     "report",
     "check",
     "history",
+    "batch",
 }
-ALL = READERS | WRITERS | {"config", "check", "schema"}
+ALL = READERS | WRITERS | {"config", "check", "schema", "batch"}
 HAVE = {
     "--quiet": ALL,
     "-q": ALL,
@@ -59,8 +60,8 @@ HAVE = {
     "--base-frame": READERS,
     "--no-odometry": READERS,
     "--overwrite": WRITERS | {"check"},
-    "--out": WRITERS,
-    "-o": WRITERS,
+    "--out": WRITERS | {"batch"},
+    "-o": WRITERS | {"batch"},
 }
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 

@@ -1,0 +1,203 @@
+"""A batch on workers of Dask: in this process, on this machine, and behind another scheduler."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from specmap_cli import __version__
+from specmap_cli.batch import batch, cluster
+from specmap_cli.batch.batch import Listener, run_batch
+from specmap_cli.batch.cluster import DaskCrew, Place, Terms
+from specmap_cli.batch.dispatch import Finished, Retried, Turn, worked_off
+from specmap_cli.batch.events import EventRecord
+from specmap_cli.batch.ledger import Ledger
+from specmap_cli.batch.records import Limits
+from specmap_cli.core.errors import UsageError
+from tests.batch.results import at_once, job
+
+distributed = pytest.importorskip("distributed")
+
+SUMMARIES = {"summary.csv", "summary.parquet", "summary.md", "junit.xml", "index.html"}
+# What Dask leaves to the garbage collector in a test's process is not ours.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Any]:
+    """Two workers that are threads of this process."""
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+        ) as local,
+        distributed.Client(local) as client,
+    ):
+        yield client
+
+
+@pytest.fixture
+def here(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`run_batch` uses these workers, and jobs do what their names say."""
+
+    @contextmanager
+    def opened(_place: Place) -> Iterator[Any]:
+        yield client
+
+    monkeypatch.setattr(batch, "opened", opened)
+    monkeypatch.setattr(cluster, "on_worker", at_once)
+
+
+def ran(out: Path, *names: str, retries: int = 0) -> tuple[Ledger, list[EventRecord]]:
+    told: list[EventRecord] = []
+    terms = Terms(str(out), Limits(memory_mb=500))
+    jobs = [job(name) for name in names]
+    return run_batch(jobs, terms, Place(), retries, Listener(told.append)), told
+
+
+@pytest.mark.usefixtures("here")
+class TestBatch:
+    def test_one_bad_log_stops_no_other(self, tmp_path: Path) -> None:
+        ledger, told = ran(tmp_path / "out", "a", "bad", "c", "d")
+        assert (ledger.done, ledger.failed) == (3, 1)
+        assert [one.job for one in told if one.event == "failed"] == ["bad"]
+        assert told[0].event == "began"
+        assert told[-1].event == "ended"
+
+    def test_it_writes_summaries_and_a_journal(self, tmp_path: Path) -> None:
+        _, told = ran(tmp_path, "a", "bad")
+        assert {path.name for path in tmp_path.iterdir() if path.name[0] != "."} == {
+            *SUMMARIES,
+            "events.jsonl",
+        }
+        journal = (tmp_path / "events.jsonl").read_text(encoding="utf-8")
+        assert journal == "".join(one.line() for one in told)
+        ran(tmp_path, "a")
+        assert (tmp_path / "events.jsonl").read_text(encoding="utf-8").startswith(journal)
+
+    def test_want_of_memory_gets_the_memory_of_all_workers(self, tmp_path: Path) -> None:
+        ledger, told = ran(tmp_path, "hungry", "a", "b")
+        assert ledger.results["hungry"].limits.memory_mb == 1000
+        assert [one.job for one in told if one.event in ("retried", "done")][-1] == "hungry"
+
+    def test_an_error_of_a_worker_fails_its_job_alone(self, tmp_path: Path) -> None:
+        ledger, _ = ran(tmp_path, "buggy", "a")
+        assert ledger.results["buggy"].kind == "worker"
+        assert (
+            ledger.results["buggy"].reason == "the worker failed: ValueError: a bug of the worker"
+        )
+        assert ledger.results["a"].state == "done"
+
+    def test_an_interruption_leaves_the_summaries(self, tmp_path: Path) -> None:
+        def interrupt(ledger: Ledger) -> None:
+            if ledger.done == 2:
+                raise KeyboardInterrupt
+
+        jobs = [job(name) for name in "abcd"]
+        with pytest.raises(KeyboardInterrupt):
+            run_batch(jobs, Terms(str(tmp_path)), listener=Listener(show=interrupt))
+        assert "2 of 4 jobs done, 2 waiting" in (tmp_path / "summary.md").read_text()
+
+    def test_two_batches_do_not_share_a_directory(self, tmp_path: Path) -> None:
+        def again(_: EventRecord) -> None:
+            with pytest.raises(UsageError, match="another batch is writing there"):
+                ran(tmp_path, "b")
+
+        run_batch([job("a")], Terms(str(tmp_path)), listener=Listener(again))
+        ran(tmp_path, "b")
+
+    def test_a_store_gets_summaries_and_the_journal_at_the_end(self) -> None:
+        fsspec = pytest.importorskip("fsspec")
+        store = fsspec.filesystem("memory")
+        for _ in range(2):
+            run_batch([job("a")], Terms("memory://fleet/maps"))
+        found = {path.rsplit("/", 1)[-1] for path in store.find("/fleet/maps")}
+        assert found == {*SUMMARIES, "events.jsonl"}
+        events = store.cat_file("/fleet/maps/events.jsonl").decode().splitlines()
+        assert [json.loads(line)["event"] for line in events].count("ended") == 2
+
+
+def test_no_jobs_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no logs"):
+        run_batch([], Terms(str(tmp_path)))
+
+
+def test_a_worker_of_another_version_makes_nothing(tmp_path: Path) -> None:
+    made = cluster.on_worker(Turn(job("a")), Terms(str(tmp_path)), "0.0")
+    assert made.kind == "worker"
+    assert made.reason is not None
+    assert f"the worker has specmap {__version__}, the client 0.0" in made.reason
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "_ANSWER_S", 0.2)
+    with (
+        pytest.raises(UsageError, match=r"tcp://127\.0\.0\.1:9: no Dask scheduler answers"),
+        cluster.opened(Place(scheduler="tcp://127.0.0.1:9")),
+    ):
+        pass
+
+
+def test_a_job_whose_worker_dies_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Real workers, one of which is killed by its job."""
+    monkeypatch.setattr(cluster, "on_worker", at_once)
+    with cluster.opened(Place(workers=2)) as client, DaskCrew(client, Terms("")) as crew:
+        happened = list(worked_off([job("deadly"), job("a"), job("b")], crew, retries=1))
+    retried = [one.result for one in happened if isinstance(one, Retried)]
+    assert [(one.name, one.kind) for one in retried] == [("deadly", "worker")]
+    assert retried[0].reason is not None
+    assert retried[0].reason.startswith("the worker died with the job (tcp://127.0.0.1:")
+    done = {one.result.name: one.result for one in happened if isinstance(one, Finished)}
+    assert {name: one.state for name, one in done.items()} == dict.fromkeys(
+        ("a", "b", "deadly"), "done"
+    )
+    assert done["deadly"].attempts == 2
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[str]:
+    """The address of a scheduler in a process of its own, with no worker."""
+    said = tmp_path / "scheduler.json"
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1"]
+    command += ["--port", "0", "--no-dashboard", "--scheduler-file", str(said)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        while process.poll() is None and not (said.exists() and said.stat().st_size):
+            pass
+        yield json.loads(said.read_text(encoding="utf-8"))["address"]
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_scheduler_in_another_process(scheduler: str, tmp_path: Path) -> None:
+    """Without a worker it is refused; with one it does the jobs, which fail as their logs ask."""
+    with (
+        pytest.raises(UsageError, match=r"no worker has come in 0 s: start one with `dask worker`"),
+        cluster.opened(Place(scheduler=scheduler, patience_s=0.1)),
+    ):
+        pass
+    command = [sys.executable, "-m", "distributed.cli.dask_worker", scheduler, "--nthreads", "1"]
+    command += ["--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path)]
+    worker = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        terms = Terms(str(tmp_path / "out"), scratch=str(tmp_path))
+        ledger = run_batch([job("lost"), job("gone")], terms, Place(scheduler=scheduler))
+    finally:
+        worker.kill()
+        worker.wait()
+    for name in ("lost", "gone"):
+        record = json.loads((tmp_path / "out" / name / "job.json").read_text(encoding="utf-8"))
+        assert record["reason"] == f"/logs/{name}.mcap: no such file or directory"
+        assert ledger.results[name].kind == "log"
+        assert record["limits"]["memory_mb"] > 0  # the worker's share

@@ -1,0 +1,119 @@
+"""`specmap batch` as a user runs it: workers of this machine, a good log and bad ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from xml.etree import ElementTree
+
+import jsonschema
+import pytest
+
+from specmap_cli.batch.events import SCHEMA_FILE
+from specmap_cli.pipelines.simulate import SimulationResult
+from tests.cli.conftest import Run
+
+pytest.importorskip("distributed")
+
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
+
+
+@pytest.fixture
+def logs(flat_log: SimulationResult, tmp_path: Path) -> Path:
+    """A good log, an empty one, and one that is no recording."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    (folder / "good.mcap").symlink_to(flat_log.log)
+    (folder / "empty.bag").touch()
+    (folder / "none.mcap").write_text("no recording", encoding="utf-8")
+    return folder
+
+
+def test_a_batch_and_the_same_again(logs: Path, tmp_path: Path, run: Run) -> None:
+    out = tmp_path / "maps"
+    command = ["batch", logs, "-o", out, "--workers", "2", "--step", "build"]
+    said = run(*command, "--json", "--quiet")
+    assert said.code == 5
+    assert said.err == ""
+    schema = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
+    events = [json.loads(line) for line in said.out.splitlines()]
+    for event in events:
+        jsonschema.validate(event, schema)
+    ended = {one["job"]: one["event"] for one in events if one["job"] is not None}
+    assert ended == {"good": "done", "empty": "failed", "none": "failed"}
+    assert (out / "good" / "map" / "topology.json").is_file()
+    tests = ElementTree.fromstring((out / "junit.xml").read_bytes())
+    assert {
+        one.get("name") for one in tests.iter("testcase") if one.find("failure") is not None
+    } == {
+        "empty",
+        "none",
+    }
+    before = (out / "good" / "job.json").stat()
+    again = run(*command)
+    assert again.code == 5
+    assert f"{out}: 1 of 3 jobs done, 2 failed" in again.out
+    assert "empty: log: " in again.err
+    assert (out / "good" / "job.json").stat() == before
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--workers", "2", "--scheduler", "tcp://x:1"], "--workers and --scheduler do not go"),
+        (["--set", "grid.nonsense=1"], "grid.nonsense"),
+        (["--step", "check"], "check needs a map: put build before it"),
+    ],
+)
+def test_wrong_usage(options: list[str], said: str, logs: Path, tmp_path: Path, run: Run) -> None:
+    found = run("batch", logs, "-o", tmp_path / "maps", *options)
+    assert found.code == 2
+    assert said in found.error
+    assert not (tmp_path / "maps").exists()
+
+
+def _is_gone(group: int) -> bool:
+    """Whether all processes of a group end, soon after the first one."""
+    until = time.monotonic() + 30.0
+    while time.monotonic() < until:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_ctrl_c_ends_workers_and_steps(logs: Path, tmp_path: Path) -> None:
+    """The whole group is sent the signal, as a terminal does."""
+    command = [
+        sys.executable,
+        "-m",
+        "specmap_cli",
+        "batch",
+        str(logs),
+        "-o",
+        str(tmp_path / "maps"),
+    ]
+    process = subprocess.Popen(
+        [*command, "--workers", "1", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    for line in process.stdout:
+        if json.loads(line)["event"] == "started":
+            break
+    os.killpg(process.pid, signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert error == "specmap: error: interrupted by SIGINT; nothing half-written is left\n"
+    assert _is_gone(process.pid)
+    assert (tmp_path / "maps" / "summary.csv").is_file()
