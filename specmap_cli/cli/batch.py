@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from specmap_cli.cli.console import ConsoleProgress
 
 
-_MOST = 10  # failures that are named on stdout; all of them are in the summaries
-
-
 class StepName(StrEnum):
     """The steps that a job may have; more of them, with options, in a TOML file of jobs."""
 
@@ -155,14 +152,14 @@ def _listener(common: Common, progress: ConsoleProgress) -> Listener:
 
 
 def _lines(out: str, ledger: Ledger) -> list[str]:
-    """How it went, for a person: what failed comes first."""
+    """How it went, for a person; what failed and why was told when it failed."""
     from specmap_cli.batch.outputs import INDEX
-    from specmap_cli.batch.tables import headline
+    from specmap_cli.batch.tables import headline, kinds_of
 
-    failed = [one for one in ledger.results.values() if one.state == "failed"]
+    rows = ledger.rows()
+    kinds = ", ".join(f"{count:,} {kind}" for kind, count in kinds_of(rows))
     return [
-        *(f"{out}: {one.name}: {one.kind}: {one.reason}" for one in failed[:_MOST]),
-        *([f"{out}: ... and {len(failed) - _MOST:,} more"] if failed[_MOST:] else []),
-        f"{out}: {headline(ledger.rows())}",
+        f"{out}: {headline(rows)}",
+        *([f"{out}: failures: {kinds}; reasons are in summary.md"] if kinds else []),
         f"look at {out}/{INDEX}",
     ]
