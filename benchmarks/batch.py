@@ -7,8 +7,8 @@ does them on two workers. Then every fifth log on one worker and on two, for the
 all of them again while somebody is killed at random, and started again until it is whole: the
 client, a worker, and with --scheduler the scheduler, which then is in a process of its own as the
 workers are. --bucket does them once more with results in a bucket of moto's server. Exit code 1
-when anything is not as it must be. `--work` keeps logs and results. Times are worth something only where
-two processors are free.
+when anything is not as it must be. --work keeps logs and results. Times are worth something only
+where two processors are free.
 """
 
 from __future__ import annotations
