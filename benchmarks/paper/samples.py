@@ -38,7 +38,7 @@ def samples_of(built: Built, feature_set: str) -> tuple[Samples, Samples]:
     labels = built.finished.labels
     poses = poses_at(built.finished, built.held_out.stamps_ns)
     return (
-        Samples(_features(built.store, feature_set), labels.submaps),
+        of_keyframes(built, feature_set),
         Samples(
             _features(built.held_out, feature_set),
             nearest_labels(poses, labels.poses, labels.submaps),
@@ -63,6 +63,11 @@ def scored(classifiers: OneVsAll, asked: Samples) -> ClassificationScores:
     ids = np.array(classifiers.classes_)
     told = ids[classifiers.margins(asked.X).argmax(axis=1)]
     return classification_scores(asked.y, told, classifiers.classes_)
+
+
+def of_keyframes(built: Built, feature_set: str) -> Samples:
+    """The scans of a map."""
+    return Samples(_features(built.store, feature_set), built.finished.labels.submaps)
 
 
 def _features(store: KeyframeStore, feature_set: str) -> FloatArray:
