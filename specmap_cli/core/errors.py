@@ -60,6 +60,9 @@ _ADVICE = re.compile(
     r"remove|rename|run|save|say|scale|see|set|take|turn|unpack|use|write"
     r")\b)"
 )
+_OF_USAGE = re.compile(  # how Typer begins
+    r"(?:No such option:?|Missing option|Missing argument|Invalid value for) '?([^\s':;.]+)"
+)
 _FILE = re.compile(r"[^\n]*(?:/[^/]*|\.[A-Za-z]\w{0,8})")
 
 
@@ -114,12 +117,17 @@ class NoResultError(SpecmapError):
 def where_of(message: str) -> str | None:
     """The place that a message begins with: one word, an option, or the name of a file.
 
+    Typer's own messages name an option or an argument behind their first words.
+
     >>> where_of("grid.resolution_m: Input should be a number")
     'grid.resolution_m'
     >>> where_of("my log.mcap: the file is empty")
     'my log.mcap'
     >>> where_of("there is no submap 3: choose from 0, 1")
     """
+    of_usage = _OF_USAGE.match(message)
+    if of_usage is not None:
+        return of_usage[1]
     head, colon, _ = message.partition(": ")
     named = " " not in head or head.startswith("-") or _FILE.fullmatch(head)
     return head if colon and named else None
