@@ -33,6 +33,7 @@ _FIGURES = 26.0  # from the bar to the figures below it
 _BORDER_BLUR, _BORDER_STRENGTH = 0.8, 1.5  # sigma in pixels; two pixels are then nearly full
 _WALL_STRENGTH = 1.6  # a wall of one cell is drawn as if it were at least this wide
 _SQUARES_FROM = 16.0  # larger cells have sharp edges: smooth ones would blur over the margin
+_STRIP = 64  # rows that are coloured at a time
 _LEAST_EXTENT_M = 0.5  # a map of a few cells, or of none, is drawn as if it were this large
 
 
@@ -118,10 +119,15 @@ class Sheet:
         self._blend(inside, cover[inside], colour)
 
     def _blend(self, rows: slice, cover: NDArray[Any], colour: Colour) -> None:
-        """Colour some rows of the canvas, as far as `cover` (rows, W) says."""
-        painted, share = self.canvas.image[rows], cover[..., None]
-        inked = painted * (1.0 - share) + np.array(colour, dtype=np.float32) * share
-        self.canvas.image[rows] = np.round(inked).astype(np.uint8)
+        """Colour some rows of the canvas, as far as `cover` (rows, W) says.
+
+        A strip at a time: all at once would be the most memory that a small map needs.
+        """
+        painted, ink = self.canvas.image[rows], np.array(colour, dtype=np.float32)
+        for start in range(0, len(cover), _STRIP):
+            strip = slice(start, start + _STRIP)
+            share = cover[strip, :, None]
+            painted[strip] = np.round(painted[strip] * (1.0 - share) + ink * share)
 
     def _to_scale(
         self,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -176,3 +178,17 @@ def test_a_border_is_drawn_where_regions_touch_and_nowhere_else() -> None:
     assert pixel(sheet.canvas.image, wall) == palette.INK
     beyond = sheet.pixels(np.array([[4.5, 2.0]])).astype(int)[0]
     assert pixel(sheet.canvas.image, beyond) == palette.SHADE
+
+
+def test_drawing_the_ground_takes_little_more_than_the_canvas() -> None:
+    """It would else be what a small map needs most memory for."""
+    _, regions = one_room((300, 300))
+    sheet = Sheet(*extent_of(regions), ())
+    tracemalloc.start()
+    try:
+        sheet.ground(regions, {0: palette.FILLS[0]})
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    pixels = sheet.canvas.image.size // 3
+    assert peak < 32 * pixels  # all colours of all pixels as float64, twice, would be 48
