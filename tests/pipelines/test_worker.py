@@ -57,6 +57,17 @@ class StubbornError(Exception):
         super().__init__(f"{first} and {second}")
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="needs Linux")
+@pytest.mark.parametrize(("said", "ahead_of_us"), [("1", False), ("2", True), ("", True)])
+def test_one_process_is_enough_where_others_need_the_processors(
+    monkeypatch: pytest.MonkeyPatch, said: str, ahead_of_us: bool
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setenv("SPECMAP_PROCESSES", said)
+    with ahead(lambda: pids(3)) as work:
+        assert (set(work) != {os.getpid()}) == ahead_of_us
+
+
 @pytest.mark.usefixtures("two_processors")
 class TestChild:
     def test_the_items_come_in_order_and_as_they_were(self) -> None:
