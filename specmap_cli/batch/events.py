@@ -1,6 +1,6 @@
 """What a batch tells while it runs: a line of JSON an event.
 
-These models are the format. `event.schema.json` beside this file is the same as JSON Schema, for
+These models are the format. `batch.schema.json` beside this file is the same as JSON Schema, for
 other tools. After a change of the models, `python -m specmap_cli.batch.events` prints the new one.
 """
 
@@ -16,8 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from specmap_cli.batch.records import Kind
 
 SCHEMA_VERSION = 1
-SCHEMA_ID = f"urn:specmap:batch-event:{SCHEMA_VERSION}"
-SCHEMA_FILE = Path(__file__).with_name("event.schema.json")
+SCHEMA_ID = f"urn:specmap:batch:{SCHEMA_VERSION}"
+SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
 
 # What happens:
 #   began    the batch, with so many jobs
@@ -68,7 +68,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def schema_text() -> str:
-    """The text of `event.schema.json`."""
+    """The text of `batch.schema.json`."""
     return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
 
 

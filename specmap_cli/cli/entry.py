@@ -134,7 +134,10 @@ def _fail(error: SpecmapError, as_json: bool) -> int:
 
 
 def _print_error(error: SpecmapError, as_json: bool) -> None:
-    """The error as the one object on stdout, when it is to be JSON: schemas/error.schema.json."""
+    """The error as one object on stdout, when it is to be JSON: schemas/error.schema.json.
+
+    It is one line, as `batch` prints lines.
+    """
     if not as_json:
         return
     line = one_line(str(error))
@@ -146,5 +149,5 @@ def _print_error(error: SpecmapError, as_json: bool) -> None:
         "exit_code": error.exit_code,
     }
     with suppress(OSError):
-        text = json.dumps({"schema_version": 1, "error": parts}, indent=1, ensure_ascii=False)
+        text = json.dumps({"schema_version": 1, "error": parts}, ensure_ascii=False)
         print_text(text + "\n")

@@ -75,8 +75,12 @@ def hold_to_schema(arguments: Sequence[str | Path], out: str) -> None:
     words = [str(word) for word in arguments]
     if "--json" not in words or not out:
         return
-    found = json.loads(out)
-    name = ERROR_SCHEMA if "error" in found else name_of_command(words[0])
+    for found in map(json.loads, out.splitlines()) if words[0] == "batch" else [json.loads(out)]:
+        _hold_to_schema(words[0], found)
+
+
+def _hold_to_schema(command: str, found: Any) -> None:
+    name = ERROR_SCHEMA if "error" in found else name_of_command(command)
     if "$schema" in found:
         jsonschema.Draft202012Validator.check_schema(found)
     else:

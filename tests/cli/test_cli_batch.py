@@ -11,10 +11,8 @@ import time
 from pathlib import Path
 from xml.etree import ElementTree
 
-import jsonschema
 import pytest
 
-from specmap_cli.batch.events import SCHEMA_FILE
 from specmap_cli.pipelines.simulate import SimulationResult
 from tests.cli.conftest import Run
 
@@ -40,10 +38,7 @@ def test_a_batch_and_the_same_again(logs: Path, tmp_path: Path, run: Run) -> Non
     said = run(*command, "--json", "--quiet")
     assert said.code == 5
     assert said.err == ""
-    schema = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
     events = [json.loads(line) for line in said.out.splitlines()]
-    for event in events:
-        jsonschema.validate(event, schema)
     ended = {one["job"]: one["event"] for one in events if one["job"] is not None}
     assert ended == {"good": "done", "empty": "failed", "none": "failed"}
     assert (out / "good" / "map" / "topology.json").is_file()
