@@ -7,13 +7,15 @@ to the map of those before, and the three maps merged in all six orders. `tours`
 simulated plans added to the map of the first, and five more in turn. A line an update: submaps that
 kept their ids, the least and the mean IoU of their borders over cells that both maps knew, how far
 old keyframes moved, new ids, the error of the layout against that of one build over everything
-(`kept / once`), and processor time against that of building the new log alone.
+(`kept / once`), keyframes before and after, and processor time against that of building the new log
+alone.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -24,6 +26,7 @@ import numpy as np
 from benchmarks.data import log_file, plan, truth_file
 from benchmarks.processes import SCRIPTS, measure
 from benchmarks.replays import write_pieces
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.evaluation.trajectories import (
     read_relations,
     read_tum,
@@ -121,16 +124,34 @@ def update(folder: Path, number: int, log: Path, error: Error) -> None:
     before, after = read_map(old), read_map(new)
     kept = [id_ for id_ in before.ids if id_ in after.ids]
     ious = [border_iou(before, after, id_) for id_ in kept]
-    count = len(before.labels.poses)
-    away = np.hypot(*(after.labels.poses[:count] - before.labels.poses)[:, :2].T)
+    away = moved_by(before, after)
     print(
         f"update {number + 1}: {len(kept)} of {len(before.ids)} ids kept, IoU at least "
         f"{min(ious):.3f}, mean {np.mean(ious):.3f}; moved {away.mean():.3f} m, at most "
         f"{away.max():.3f}; new {sorted(set(after.ids) - set(before.ids))}; error "
         f"{error(new / 'trajectory.tum'):.4f} m (before "
-        f"{error(old / 'trajectory.tum'):.4f}); cost {cost:.2f}",
+        f"{error(old / 'trajectory.tum'):.4f}); keyframes {len(before.labels.poses)} -> "
+        f"{len(after.labels.poses)}; cost {cost:.2f}",
         flush=True,
     )
+
+
+def moved_by(before: StoredMap, after: StoredMap) -> FloatArray:
+    """Metres by which the keyframes of a map moved in an update, of those that it left."""
+    logs = len(before.logs)
+    old, new = places(before, logs), places(after, logs)
+    left = sorted(old.keys() & new.keys())
+    return np.array([math.hypot(*(old[key] - new[key])[:2]) for key in left])
+
+
+def places(map_: StoredMap, logs: int) -> dict[tuple[int, int], FloatArray]:
+    """The poses of the keyframes of the first `logs` recordings, by recording and stamp."""
+    found = {}
+    for number, log in enumerate(map_.logs[:logs]):
+        first, last = log.keyframes or (0, -1)
+        for row in range(first, last + 1):
+            found[number, int(map_.labels.stamps_ns[row])] = map_.labels.poses[row]
+    return found
 
 
 def border_iou(before: StoredMap, after: StoredMap, submap: int) -> float:

@@ -14,7 +14,7 @@ import networkx as nx
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ComparisonRecord, ThingRecord
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.topology.topological_map import starts_of
+from specmap_cli.topology.topological_map import driven_m, starts_of
 
 Figures = Mapping[str, float | None]
 
@@ -127,7 +127,7 @@ def _of_way(stored: StoredMap) -> dict[str, float | None]:
     if not (stored.path / filenames.LABELS).exists():
         return {"duration_s": None, "path_m": None}
     labels, starts = stored.labels, starts_of(stored.logs)
-    return {"duration_s": labels.duration_s(starts), "path_m": labels.driven_m(starts)}
+    return {"duration_s": labels.duration_s(starts), "path_m": driven_m(stored.logs, labels)}
 
 
 def _of_findings(stored: StoredMap) -> dict[str, float | None]:

@@ -646,6 +646,14 @@ class LocalizationConfig(_Section):
     lost_score: float = Field(0.55, ge=0, le=1, description="below it the whole submap is searched")
 
 
+class UpdateConfig(_Section):
+    """What an update keeps of the recordings that the map was made of; docs/update.md."""
+
+    keep_all: bool = Field(
+        False, description="older keyframes stay, too, where newer ones show the same"
+    )
+
+
 class LimitsConfig(_Section):
     """How large a file of a map may be: a small one may swell, a wrong one may never end."""
 
@@ -679,4 +687,5 @@ class Config(_Section):
     audit: AuditConfig = AuditConfig()
     quality: QualityConfig = QualityConfig()
     localization: LocalizationConfig = LocalizationConfig()
+    update: UpdateConfig = UpdateConfig()
     limits: LimitsConfig = LimitsConfig()

@@ -16,7 +16,7 @@ from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import Sheet, extent_of
 from specmap_cli.drawing.strokes import strokes
 from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.topological_map import Edge, LogInfo, TopologicalMap, starts_of
+from specmap_cli.topology.topological_map import Edge, LogInfo, TopologicalMap, driven_m
 
 _STRAY_M = 2.0  # a centroid farther from the robot's way lies behind glass, not in the room
 _UNREACHED = 0.005  # share of the free cells that must be nobody's to be worth a word
@@ -65,8 +65,8 @@ def render_overview(
     for doubt in sheet.pixels(np.array(doubts).reshape(-1, 2)):
         symbols.doubt(sheet.canvas, doubt)
     scans = sum(log.scans for log in logs)
-    driven_m = labels.driven_m(starts_of(logs))
-    figures = [counted(scans, "scan"), f"{driven_m:,.0f} m driven", _size(low, high)]
+    way_m = driven_m(logs, labels)
+    figures = [counted(scans, "scan"), f"{way_m:,.0f} m driven", _size(low, high)]
     doubtful = [f"{quality.verdict}: {quality.worst[0].message}"] if quality.worst else []
     sheet.title(_headline(logs, topology), ",  ".join([*figures, *doubtful]))
     return sheet.canvas.image

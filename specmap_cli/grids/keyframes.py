@@ -28,7 +28,7 @@ from specmap_cli.grids.occupancy import OccupancyGrid
 
 _AT_ONCE = 32  # keyframes read and integrated in one go: bounds the memory, and fits a cache
 # A pass leaves some six keyframes in a place, so that two or three passes are taken in whole.
-_PLACE_M, _DIRECTION_RAD, _LOOKS = 0.5, math.pi / 6.0, 16
+PLACE_M, DIRECTION_RAD, LOOKS = 0.5, math.pi / 6.0, 16
 _READING = np.dtype(np.float32)  # a bearing or a range on disk: good to a micrometre in 10 m
 
 
@@ -72,12 +72,12 @@ def telling(poses: FloatArray) -> IntArray:
     sixteen, evenly spread. A cell's share of hits is known from so many, and the work that a map
     takes follows the building, however often the robot drives through it.
     """
-    looks = np.floor(poses / (_PLACE_M, _PLACE_M, _DIRECTION_RAD)).astype(np.int64)
+    looks = np.floor(poses / (PLACE_M, PLACE_M, DIRECTION_RAD)).astype(np.int64)
     _, look, counts = np.unique(looks, axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(look.reshape(-1), kind="stable")
     place = np.arange(len(poses)) - np.repeat(np.cumsum(counts) - counts, counts)
-    many = np.maximum(np.repeat(counts, counts), _LOOKS)
-    told = (place + 1) * _LOOKS // many > place * _LOOKS // many
+    many = np.maximum(np.repeat(counts, counts), LOOKS)
+    told = (place + 1) * LOOKS // many > place * LOOKS // many
     return np.sort(order[told])
 
 
@@ -111,7 +111,8 @@ class KeyframeStore:
         with temporary_files():
             self._file = tempfile.TemporaryFile(prefix="specmap-")  # noqa: SIM115 (closed by close)
         self._stamps_ns, self._poses = array("q"), array("d")
-        self._ends = array("q", [0])  # of the readings of each in the file: bearings, then ranges
+        # readings of each in the file, bearings and then ranges: where they begin, and their bytes
+        self._begins, self._bytes = array("q"), array("q")
         self._lasers: list[_Laser] = []
         self._number_of: dict[_Laser, int] = {}
         self._laser_of = array("l")  # the number of each one's laser
@@ -122,11 +123,12 @@ class KeyframeStore:
         laser = _Laser(planar.range_max, planar.full_circle, scan.base_from_laser)
         readings = np.stack([planar.bearings, planar.ranges]).astype(_READING)
         with temporary_files():
+            self._begins.append(self._file.tell())
             self._file.write(readings.tobytes())
             self._file.flush()  # a process forked from this one must not write it again
         self._stamps_ns.append(scan.stamp_ns)
         self._poses.extend(scan.map_from_base)
-        self._ends.append(self._ends[-1] + readings.nbytes)
+        self._bytes.append(readings.nbytes)
         if laser not in self._number_of:
             self._number_of[laser] = len(self._lasers)
             self._lasers.append(laser)
@@ -137,6 +139,16 @@ class KeyframeStore:
         """Store all keyframes of another store behind the own ones, in their order."""
         for number in range(len(other)):
             self.append(other.posed(number))
+
+    def keep(self, numbers: IntArray, poses: FloatArray) -> None:
+        """Keep the keyframes `numbers` (k,), ascending, alone: they get the numbers 0, 1, ... anew.
+
+        `poses` (k, 3) are theirs as registered from now on. The readings of the others stay in the
+        file until it is closed.
+        """
+        for column in (self._stamps_ns, self._begins, self._bytes, self._laser_of):
+            column[:] = array(column.typecode, np.array(column)[numbers].tolist())
+        self._poses = array("d", np.ascontiguousarray(poses).tobytes())
 
     def __len__(self) -> int:
         return len(self._stamps_ns)
@@ -163,8 +175,8 @@ class KeyframeStore:
 
     def scan(self, number: int) -> PlanarScan:
         """The planar scan of one keyframe, read from disk, without the times of its beams."""
-        start, end = self._ends[number], self._ends[number + 1]
-        readings = np.frombuffer(_read_at(self._file, start, end - start), dtype=_READING)
+        data = _read_at(self._file, self._begins[number], self._bytes[number])
+        readings = np.frombuffer(data, dtype=_READING)
         bearings, ranges = readings.astype(np.float64).reshape(2, -1)
         laser = self._laser(number)
         stamp_ns = self._stamps_ns[number]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angle, wrap_angles
 from specmap_cli.core.labels import runs
@@ -26,6 +27,14 @@ def carried(tracked: FloatArray, anchors: IntArray, relaxed: FloatArray) -> Floa
     last = np.maximum(np.searchsorted(anchors, np.arange(len(tracked)), side="right") - 1, 0)
     motion = compose(invert(tracked[anchors[last]]), tracked)
     return compose(relaxed[last], motion)
+
+
+def carried_places(places: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Places (m, 2) moved with the pose nearest to each, of those `before` (n, 3) to `after`."""
+    nearest = cKDTree(before[:, :2]).query(places)[1]
+    poses = np.column_stack([places, np.zeros(len(places))])
+    moved = compose(after[nearest], compose(invert(before[nearest]), poses))
+    return np.asarray(moved[:, :2])
 
 
 def bridged(poses: FloatArray, tracked: FloatArray, lost: BoolArray) -> FloatArray:

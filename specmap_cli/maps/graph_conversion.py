@@ -53,6 +53,7 @@ def log_of(record: LogRecord) -> LogInfo:
         end_ns=None if record.end is None else nanoseconds(record.end),
         scans=record.scans,
         keyframes=record.keyframes,
+        path_m=record.path_m,
     )
 
 
@@ -118,6 +119,7 @@ def _log_record(log: LogInfo) -> LogRecord:
         end=None if log.end_ns is None else seconds(log.end_ns),
         scans=log.scans,
         keyframes=log.keyframes,
+        path_m=None if log.path_m is None else rounded(log.path_m),
     )
 
 

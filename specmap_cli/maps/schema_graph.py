@@ -32,6 +32,11 @@ class LogRecord(Record):
         description="first and last keyframe that it gave, rows of labels.csv; null where there "
         "are none or it is not known"
     )
+    path_m: Amount | None = Field(
+        None,
+        description="metres driven in it, where the map keeps only some of its keyframes; null "
+        "where it keeps all",
+    )
 
 
 class StayRecord(Record):

@@ -11,7 +11,7 @@ from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.topology.blocked import Crossing
 from specmap_cli.topology.differences import Differences, PlacedThing
-from specmap_cli.topology.topological_map import default_name, starts_of
+from specmap_cli.topology.topological_map import default_name, driven_m, starts_of
 
 
 def figures_of(stored: StoredMap) -> dict[str, Any]:
@@ -24,7 +24,7 @@ def figures_of(stored: StoredMap) -> dict[str, Any]:
         "submaps": len(stored.record.nodes),
         "edges": len(stored.record.edges),
         "keyframes": len(labels.stamps_ns),
-        "path_m": labels.driven_m(starts),
+        "path_m": driven_m(stored.logs, labels),
         "duration_s": labels.duration_s(starts),
         "area_m2": stored.map_grid.free_area_m2,
         "verdict": None if quality is None else quality.verdict,

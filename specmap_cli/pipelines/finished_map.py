@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from specmap_cli.core.findings import Quality
-from specmap_cli.core.records import Labels, Trajectory
+from specmap_cli.core.records import IntArray, Labels, Trajectory
 from specmap_cli.core.text import legible
 from specmap_cli.core.tracks import path_length
 from specmap_cli.drawing.overview import render_overview
@@ -29,7 +29,8 @@ class FinishedMap:
     `regions` divide the grid of the whole map. `counts` are of messages and scans. `limits`
     say how often a setting of that name cut the work short. `quality` is what is thought of the
     map, `seconds` are those of each stage, `wall_s` those from the first to the last. `starts` are
-    the rows of the trajectory with which further recordings begin. `edits` is the text of
+    the rows of the trajectory with which further recordings begin, `driven_m` how far the robot
+    drove in each recording, where this is known from before. `edits` is the text of
     edits.toml, `unapplied` tells what of it does not apply.
     """
 
@@ -45,21 +46,17 @@ class FinishedMap:
     seconds: Mapping[str, float]
     wall_s: float = 0.0
     starts: tuple[int, ...] = ()
+    driven_m: tuple[float | None, ...] = ()
     edits: str = ""
     unapplied: tuple[str, ...] = ()
 
     @property
     def path_m(self) -> float:
-        """Metres driven, as far as they are known: over keyframes, and over scans that were lost.
-
-        Between keyframes a robot at rest would seem to move: its poses shiver.
-        """
-        trajectory = self.trajectory
-        counted = np.isin(trajectory.stamps_ns, self.labels.stamps_ns)
-        if trajectory.lost is not None:
-            counted |= trajectory.lost
-        ways = np.split(np.arange(len(counted)), self.starts)
-        return sum(path_length(trajectory.poses[way][counted[way]]) for way in ways)
+        """Metres driven, as far as known: over keyframes, and over scans that were lost."""
+        ways = ways_m(self.trajectory, self.labels.stamps_ns, self.starts)
+        known = self.driven_m or (None,) * len(ways)
+        pairs = zip(ways, known, strict=True)
+        return sum(way if driven is None else driven for way, driven in pairs)
 
     def result(self, logs: tuple[LogInfo, ...], run: Mapping[str, Any]) -> MapResult:
         """What the map directory is written from: the map, its picture, and `run` for run.json."""
@@ -78,6 +75,19 @@ class FinishedMap:
                 self.topology, self.regions, self.trajectory, self.labels, logs, self.quality
             ),
         )
+
+
+def ways_m(trajectory: Trajectory, stamps_ns: IntArray, starts: Sequence[int]) -> list[float]:
+    """Metres driven in each recording, over the keyframes of these stamps and over lost scans.
+
+    Between keyframes a robot at rest would seem to move: its poses shiver. `starts` are the rows
+    with which further recordings begin.
+    """
+    counted = np.isin(trajectory.stamps_ns, stamps_ns)
+    if trajectory.lost is not None:
+        counted |= trajectory.lost
+    ways = np.split(np.arange(len(counted)), starts)
+    return [path_length(trajectory.poses[way][counted[way]]) for way in ways]
 
 
 def recording(name: str, trajectory: Trajectory, keyframes: int) -> LogInfo:

@@ -11,7 +11,7 @@ import numpy as np
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import Finding
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import Closure, Labels, Trajectory
+from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -72,6 +72,23 @@ class KeptMap:
     def starts(self) -> tuple[int, ...]:
         """The keyframes with which the recordings after the first one begin."""
         return starts_of(self.logs)
+
+    @property
+    def recordings(self) -> IntArray:
+        """(n,) the recording, 0, 1, ..., of each keyframe."""
+        number = np.arange(len(self.labels.stamps_ns))
+        return np.searchsorted(np.array(self.starts, dtype=np.int64), number, side="right")
+
+    @property
+    def scan_starts(self) -> tuple[int, ...]:
+        """The rows of the trajectory with which the recordings after the first one begin."""
+        return tuple(np.cumsum([log.scans for log in self.logs])[:-1].tolist())
+
+
+def thinned_of(logs: Sequence[LogInfo], recordings: IntArray) -> IntArray:
+    """(n,) the recordings of keyframes, -1 for those of which a map keeps all."""
+    whole = [log.path_m is None for log in logs if log.keyframes is not None]
+    return np.where(np.array(whole)[recordings], -1, recordings)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,16 +16,18 @@ from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.carrying import carried, rows_of
+from specmap_cli.layout.dropping import gaps_of
 from specmap_cli.layout.healing import Audited, healed
 from specmap_cli.layout.joining import join_layouts, placed, without_guesses
+from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.pipelines.joint_edits import edits_of_both, without_borders
-from specmap_cli.pipelines.kept_map import KeptMap, Seen
+from specmap_cli.pipelines.kept_map import KeptMap, Seen, thinned_of
 from specmap_cli.pipelines.refutation import constraints_of, refute
 from specmap_cli.recognition.closure.joints import Joint
 from specmap_cli.topology.inheritance import Heritage, inherited
 from specmap_cli.topology.regions import Regions
-from specmap_cli.topology.topological_map import LogInfo
+from specmap_cli.topology.topological_map import LogInfo, starts_of
 
 _JOINED = "the maps were joined here"
 _APART_M = 20.0  # between maps that have nothing in common: walls within it are never matched
@@ -67,9 +69,10 @@ def join(
     breaks = {**old.breaks, first: None, **later.breaks}
     constraints = constraints_of(found, stays, store, config.relaxation)
     ties = tuple(constraints.values())
-    layout = join_layouts(store, old.layout, later.layout, ties, breaks, config.relaxation)
+    cuts = {**_gaps(store, old, later, config), **breaks}
+    layout = join_layouts(store, old.layout, later.layout, ties, cuts, config.relaxation)
     layout = _in_frame_of(old.layout, layout)
-    audited = healed(store, layout, breaks, config.relaxation, config.audit)
+    audited = healed(store, layout, cuts, config.relaxation, config.audit)
     layout = without_guesses(audited.layout, (*old.starts, first, *later.starts))
     plain = without_borders(new)
     submaps = inherit(old, regions, plain, layout.poses, old_from_new, config)
@@ -98,6 +101,14 @@ def _in_frame_of(old: Layout, joint: Layout) -> Layout:
     """The joint layout where its old keyframes lie nearest to their places in the old map."""
     count = len(old.poses)
     return placed(joint, nearest_motion(joint.poses[:count, :2], old.poses[:, :2]))
+
+
+def _gaps(store: KeyframeStore, old: KeptMap, later: KeptMap, config: Config) -> dict[int, Bridge]:
+    """Where keyframes of either were let go."""
+    logs = (*old.logs, *later.logs)
+    number = np.arange(len(store))
+    recordings = np.searchsorted(np.array(starts_of(logs)), number, side="right")
+    return gaps_of(store.poses, thinned_of(logs, recordings), config.relaxation)
 
 
 def beside(old: GridMap, new: GridMap) -> Pose2:

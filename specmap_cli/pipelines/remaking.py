@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from specmap_cli.core.findings import Quality
 from specmap_cli.core.progress import Progress
-from specmap_cli.core.settings import Config
+from specmap_cli.core.settings import Config, QualityConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.edits_text import written
 from specmap_cli.pipelines.edited import drawn, named, tell_unapplied
@@ -41,21 +39,27 @@ def remade(
 
     `counts` are of the messages and scans that were read for it, `features` those known by now.
     """
+    judge = judge_of(joined, config.quality)
+    return divided_anew(store, joined.kept, judge, config, progress, clock, counts, features)
+
+
+def judge_of(joined: Joined, config: QualityConfig) -> Judge:
+    """What judges two maps that were joined."""
     kept = joined.kept
 
     def judge(beyond: int) -> Quality:
         evidence = Evidence(
             trajectory=kept.trajectory,
-            keyframes_ns=store.stamps_ns,
+            keyframes_ns=tuple(kept.labels.stamps_ns.tolist()),
             breaks=tuple(kept.breaks),
             layout=kept.layout,
             audit=joined.audited.audit,
             beyond=beyond,
             warnings=(),
         )
-        return quality_of([*kept.findings, *of_layout(evidence, config.quality)])
+        return quality_of([*kept.findings, *of_layout(evidence, config)])
 
-    return divided_anew(store, kept, judge, config, progress, clock, counts, features)
+    return judge
 
 
 def divided_anew(
@@ -101,7 +105,8 @@ def divided_anew(
         quality=judge(beyond),
         seconds=dict(clock.seconds),
         wall_s=clock.elapsed_s,
-        starts=tuple(np.cumsum([log.scans for log in kept.logs])[:-1].tolist()),
+        starts=kept.scan_starts,
+        driven_m=tuple(log.path_m for log in kept.logs),
         edits=written(edited.edits, kept.edits_text),
         unapplied=unapplied,
     )

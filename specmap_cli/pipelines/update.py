@@ -32,10 +32,11 @@ from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.pipelines.kept_map import Seen, seen_of_stored
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
-from specmap_cli.pipelines.remaking import added, remade
+from specmap_cli.pipelines.remaking import added, divided_anew, judge_of
 from specmap_cli.pipelines.run_record import run_record, told
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.survey import survey
+from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import check_feature_sets
 
@@ -47,8 +48,9 @@ _SAME_SHARE = 0.5  # of the readings; those of a scan in motion stand at other b
 class UpdateReport:
     """What `update` did: the map directory, its run.json, and which submaps are new.
 
-    `visited` are the ids of the old map's submaps that the recording came to; `unapplied` tells
-    which of a person's edits do not apply.
+    `visited` are the ids of the old map's submaps that the recording came to; `dropped` older
+    keyframes were let go since newer ones show the same; `unapplied` tells which of a person's
+    edits do not apply.
     """
 
     out: Path
@@ -57,6 +59,7 @@ class UpdateReport:
     alignment: Alignment
     visited: tuple[int, ...]
     new: tuple[int, ...]
+    dropped: int = 0
     unapplied: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -69,6 +72,7 @@ class UpdateReport:
             "old_from_new": None if motion is None else list(motion),
             "visited": list(self.visited),
             "new": list(self.new),
+            "keyframes_dropped": self.dropped,
             "unapplied": list(self.unapplied),
             "quality": self.run["quality"],
             "warnings": self.run["warnings"],
@@ -85,7 +89,13 @@ class UpdateReport:
             f"{len(self.visited)} visited again, {fresh}; "
             f"{counted(counts['scans'], 'scan')} over {counts['path_m']:.0f} m"
         )
-        return told(self.out, self.quality, f"{self.out}: {self.alignment.reason}", made)
+        lines = [f"{self.out}: {self.alignment.reason}", made]
+        if self.dropped:
+            lines.append(
+                f"{self.out}: {counted(counts['keyframes'], 'keyframe')}; "
+                f"{self.dropped} older keyframes dropped, newer ones show the same"
+            )
+        return told(self.out, self.quality, *lines)
 
 
 def update_map(
@@ -117,15 +127,14 @@ def update_map(
     ):
         stream = SweepStream(log, config.log)
         updated = _updated(stored, stream, store, config, progress, allow_apart=allow_apart)
-        finished, joined = updated.finished, updated.joined
+        finished, fewer = updated.finished, updated.fewer
         run = {
             **run_record(log.given, stream.selection, config, finished),
-            "updates": [*_earlier(stored), _told(stored.path, updated.alignment)],
+            "updates": [*_earlier(stored), _told(stored.path, updated)],
         }
         tell(finished.quality, progress)
-        write_map(partial, finished.result(joined.kept.logs, run), store)
-    count = len(stored.labels.submaps)
-    before, visits = finished.labels.submaps[:count], finished.labels.submaps[count:]
+        write_map(partial, finished.result(fewer.kept.logs, run), store)
+    before, visits = np.split(finished.labels.submaps, [fewer.old])
     known = set(before.tolist())
     return UpdateReport(
         out=target,
@@ -134,16 +143,17 @@ def update_map(
         alignment=updated.alignment,
         visited=tuple(sorted(set(visits.tolist()) & known)),
         new=tuple(sorted(set(visits.tolist()) - known)),
+        dropped=fewer.dropped,
         unapplied=finished.unapplied,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Updated:
-    """A map with a recording more, and where that lies in it."""
+    """A map with a recording more, where that lies in it, and which keyframes are left."""
 
     finished: FinishedMap
-    joined: Joined
+    fewer: Thinned
     alignment: Alignment
 
 
@@ -173,10 +183,13 @@ def _updated(
     with clock.stage("layout"):
         joined = _joined(store, old, new, alignment, config)
     _refuse_loose(joined, old, name, allow=allow_apart)
+    with clock.stage("thinning"):
+        fewer = thinned(store, joined.kept, old, new, config)
     counts = added(stored.counts, surveyed.tracking.counts)
-    known = surveyed.features.among(store, len(old.kept.labels.stamps_ns))
-    finished = remade(store, joined, config, progress, clock, counts, known)
-    return _Updated(finished, joined, alignment)
+    known = surveyed.features.among(store, fewer.old)
+    judge = judge_of(joined, config.quality)
+    finished = divided_anew(store, fewer.kept, judge, config, progress, clock, counts, known)
+    return _Updated(finished, fewer, alignment)
 
 
 def _refuse_known(old: Seen, new: Seen, store: KeyframeStore, own: KeyframeStore) -> None:
@@ -232,11 +245,13 @@ def _earlier(stored: StoredMap) -> list[Any]:
     return updates if isinstance(updates, list) else []
 
 
-def _told(path: Path, alignment: Alignment) -> dict[str, Any]:
+def _told(path: Path, updated: _Updated) -> dict[str, Any]:
     """What run.json keeps of an update."""
-    motion = alignment.old_from_new
+    motion, fewer = updated.alignment.old_from_new, updated.fewer
     return {
         "map": path.resolve().name,
         "old_from_new": None if motion is None else np.round(motion, 6).tolist(),
-        "reason": alignment.reason,
+        "reason": updated.alignment.reason,
+        "keyframes_dropped": fewer.dropped,
+        "keyframes_kept_for_walls": fewer.witnesses,
     }

@@ -15,6 +15,7 @@ from specmap_cli.report.frame import Frame
 from specmap_cli.report.ground import Ground
 from specmap_cli.report.track import Track
 from specmap_cli.report.words import lasting
+from specmap_cli.topology.topological_map import driven_m
 
 _VERDICTS: Mapping[Verdict, str] = {
     "good": "nothing was found that speaks against the map",
@@ -97,7 +98,7 @@ def facts_of(ground: Ground, track: Track) -> list[Fact]:
         Fact(f"{len(doors):,}", "", _plural(len(doors), "door") + _driven(driven, len(doors))),
     ]
     if track.known:
-        way = ground.labels.driven_m(ground.starts)
+        way = driven_m(ground.stored.logs, ground.labels)
         found.append(Fact(f"{way:,.0f}", "m", f"driven in {lasting(track.duration_s)}"))
         merged = sum(closure.accepted for closure in closures)
         found.append(Fact(f"{merged:,}", "", _plural(merged, "revisit") + " recognised"))

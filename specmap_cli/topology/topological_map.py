@@ -7,8 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import Closure
+from specmap_cli.core.records import Closure, Labels
+from specmap_cli.core.tracks import path_length
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.topology.borders import Border
 
@@ -216,7 +219,8 @@ class LogInfo:
     """What a map was made of: a recording, or a finished grid, which has no stamps.
 
     `name` is that of the file, without directories, which differ from machine to machine.
-    `keyframes` are the first and the last that it gave, None for a grid.
+    `keyframes` are the first and the last that it gave, None for a grid. `path_m` is how far the
+    robot drove, where the map keeps only some of its keyframes.
     """
 
     name: str
@@ -224,8 +228,21 @@ class LogInfo:
     end_ns: int | None = None
     scans: int = 0
     keyframes: tuple[int, int] | None = None
+    path_m: float | None = None
 
 
 def starts_of(logs: Sequence[LogInfo]) -> tuple[int, ...]:
     """The keyframes with which the recordings after the first one begin."""
     return tuple(log.keyframes[0] for log in logs[1:] if log.keyframes is not None)
+
+
+def driven_m(logs: Sequence[LogInfo], labels: Labels) -> float:
+    """Metres driven from keyframe to keyframe, each recording by itself."""
+    ways = np.split(labels.poses, starts_of(logs))
+    known = [log.path_m for log in logs if log.keyframes is not None]
+    if len(known) != len(ways):
+        return labels.driven_m(starts_of(logs))
+    return sum(
+        path_length(way) if driven is None else driven
+        for way, driven in zip(ways, known, strict=True)
+    )

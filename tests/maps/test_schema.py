@@ -117,7 +117,7 @@ def test_no_key_may_be_missing(stored: Path, record: str) -> None:
     place = document
     for part in record.split("__"):
         place = place[int(part) if part.isdigit() else part]
-    for key in list(place):
+    for key in set(place) - {"path_m"}:  # of logs; maps of schema 2 are older than it
         value = place.pop(key)
         with pytest.raises(ValidationError, match=key):
             schema.TopologyRecord.model_validate(document)

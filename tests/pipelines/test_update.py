@@ -12,6 +12,8 @@ import pytest
 from specmap_cli import build_map, read_map
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import InputError, MapError, NoResultError
+from specmap_cli.core.records import IntArray
+from specmap_cli.core.settings import UpdateConfig
 from specmap_cli.evaluation.trajectories import read_tum, reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.store import StoredMap
@@ -35,6 +37,18 @@ class Kept:
     old: StoredMap
     new: StoredMap
     report: UpdateReport
+
+    @property
+    def first_new(self) -> int:
+        """The first keyframe of the second recording."""
+        assert self.new.logs[1].keyframes is not None
+        return self.new.logs[1].keyframes[0]
+
+    @property
+    def left(self) -> IntArray:
+        """The old keyframes that the update left, by their old numbers."""
+        rows = np.isin(self.old.labels.stamps_ns, self.new.labels.stamps_ns[: self.first_new])
+        return np.flatnonzero(rows)
 
 
 @pytest.fixture(scope="module")
@@ -60,12 +74,54 @@ def kept(
 
 
 def test_old_submaps_keep_ids_names_and_keyframes(kept: Kept) -> None:
-    count = len(kept.old.labels.submaps)
-    assert kept.new.labels.submaps[:count].tolist() == kept.old.labels.submaps.tolist()
+    left = kept.left
+    assert len(left) == kept.first_new
+    assert (kept.new.labels.submaps[: len(left)] == kept.old.labels.submaps[left]).all()
     assert set(kept.old.ids) < set(kept.new.ids)
     submap = kept.new.topology.submaps[1]
     assert (submap.name, dict(submap.properties)) == ("Hallway", {"floor": 2})
     assert kept.new.topology.submaps[0].name == "submap 0"
+
+
+def test_what_the_second_recording_shows_again_is_let_go_and_said(kept: Kept) -> None:
+    told = kept.report.run["updates"][-1]
+    count = len(kept.old.labels.submaps)
+    assert told["keyframes_dropped"] == count - kept.first_new > 0.3 * count
+    assert kept.report.as_dict()["keyframes_dropped"] == told["keyframes_dropped"]
+    assert any("older keyframes dropped" in line for line in kept.report.lines())
+    before, after = kept.old.logs[0], kept.new.logs[0]
+    assert after.path_m == pytest.approx(kept.old.run["counts"]["path_m"], abs=0.1)
+    assert (before.start_ns, before.end_ns, before.scans) == (
+        after.start_ns,
+        after.end_ns,
+        after.scans,
+    )
+
+
+def test_visits_stays_and_closures_of_the_old_recording_are_as_they_were(kept: Kept) -> None:
+    for id_ in kept.old.ids:
+        before, after = (map_.topology.submaps[id_].visits for map_ in (kept.old, kept.new))
+        assert after[: len(before)] == before
+    stays = {stay.number: stay for stay in kept.new.topology.stays}
+    for stay in kept.old.topology.stays:
+        now = stays[stay.number]
+        assert (now.submap, now.start_ns, now.end_ns) == (stay.submap, stay.start_ns, stay.end_ns)
+    count = len(kept.old.topology.closures)
+    assert kept.new.topology.closures[:count] == kept.old.topology.closures
+
+
+def test_with_a_setting_every_keyframe_stays(kept: Kept, tmp_path: Path) -> None:
+    everything = QUICK.model_copy(update={"update": UpdateConfig(keep_all=True)})
+    report = update_map(kept.old, kept.second.log, tmp_path / "all", everything)
+    whole, count = read_map(tmp_path / "all"), len(kept.old.labels.submaps)
+    assert report.as_dict()["keyframes_dropped"] == 0
+    assert not any("dropped" in line for line in report.lines())
+    assert whole.labels.submaps[:count].tolist() == kept.old.labels.submaps.tolist()
+    assert report.run["counts"]["path_m"] == pytest.approx(
+        kept.report.run["counts"]["path_m"], abs=0.1
+    )
+    apart = np.abs(whole.labels.poses[kept.left] - kept.new.labels.poses[: kept.first_new])
+    assert apart.max() < 1e-6  # fewer keyframes, the same layout
 
 
 def test_borders_and_frame_stay(kept: Kept) -> None:
@@ -74,8 +130,8 @@ def test_borders_and_frame_stay(kept: Kept) -> None:
         cells = np.argwhere(owner == id_)
         found = kept.new.regions.owners(grid.centres_of(cells))
         assert (found == id_).mean() > 0.9
-    count = len(kept.old.labels.poses)
-    moved = kept.new.labels.poses[:count, :2] - kept.old.labels.poses[:, :2]
+    left = kept.left
+    moved = kept.new.labels.poses[: len(left), :2] - kept.old.labels.poses[left, :2]
     assert np.hypot(*moved.T).max() < 0.05
 
 
@@ -89,7 +145,7 @@ def test_the_room_that_opened_gets_an_id_that_was_never_given(kept: Kept) -> Non
 
 def test_both_logs_are_in_the_map(kept: Kept) -> None:
     logs = kept.new.record.graph.logs
-    count = len(kept.old.labels.submaps)
+    count = kept.first_new
     assert [log.name for log in logs] == ["first.mcap", "second.mcap"]
     assert logs[0].keyframes == (0, count - 1)
     assert logs[1].keyframes == (count, len(kept.new.labels.submaps) - 1)
@@ -101,8 +157,7 @@ def test_both_logs_are_in_the_map(kept: Kept) -> None:
 
 
 def test_nobody_drove_from_the_end_of_one_log_to_the_start_of_the_next(kept: Kept) -> None:
-    count = len(kept.old.labels.submaps)
-    first_new_ns = int(kept.new.labels.stamps_ns[count])
+    first_new_ns = int(kept.new.labels.stamps_ns[kept.first_new])
     assert all(edge.kind == "traversed" for edge in kept.new.record.edges)
     starts = [visit.start for node in kept.new.record.nodes for visit in node.visits]
     assert sum(abs(start * 1e9 - first_new_ns) < 1e4 for start in starts) >= 1
@@ -126,7 +181,7 @@ def test_the_joint_layout_is_as_good_as_either(kept: Kept, tmp_path: Path) -> No
 
 
 def test_what_was_found_closes_loops_between_the_logs(kept: Kept) -> None:
-    count = len(kept.old.labels.submaps)
+    count = kept.first_new
     stays = {stay.number: stay for stay in kept.new.topology.stays}
     joined = [
         closure

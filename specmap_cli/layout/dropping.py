@@ -1,0 +1,191 @@
+"""A layout without some of its keyframes: what was known of these is said of their neighbours.
+
+The poses of the others stay. Where the path has a gap its motion is the one that was laid out, so
+that what tracking had drifted by meanwhile does not come back. A link that ended in a keyframe that
+is gone ends in the next of its recording along the way, where the layout has it, and is less sure
+by the error of that way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import compress, pairwise
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert
+from specmap_cli.core.records import IntArray
+from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.core.tracks import step_lengths
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.motion_edges import Bridge, motion_links
+from specmap_cli.layout.path_graph import chosen_nodes
+from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.uncertainty import Uncertainty, adjoint, moved_covariance
+
+# What a layout knows of two places that walls tie, seen by several passes: two fifths of a cell of
+# 5 cm, and as much 4 m away.
+_LAID_OUT = Bridge(0.02, 0.005)
+
+
+def gaps_of(poses: FloatArray, thinned: IntArray, config: RelaxationConfig) -> dict[int, Bridge]:
+    """The keyframes that come after gaps, and how well the motion over each gap is known.
+
+    `poses` (n, 3) are those of all keyframes, `thinned` (n,) the recordings that some were taken
+    from, -1 for one that is whole. A step longer than those between nodes is a gap there.
+    """
+    far = step_lengths(poses) > config.node_m
+    after = 1 + np.flatnonzero(far & (thinned[1:] >= 0) & (thinned[1:] == thinned[:-1]))
+    return dict.fromkeys(after.tolist(), _LAID_OUT)
+
+
+def tracked_over_gaps(
+    tracked: FloatArray, placed: FloatArray, numbers: IntArray, gaps: Collection[int]
+) -> FloatArray:
+    """(k, 3) the poses of some keyframes, ascending, as if only these had been tracked.
+
+    `tracked` (n, 3) are the poses of all as registered, `placed` (n, 3) those of the layout: over
+    `gaps`, which are known by the keyframes after them, counted among the k, and where any are left
+    out the motion is that of the layout.
+    """
+    skipped = (1 + np.flatnonzero(np.diff(numbers) != 1)).tolist()
+    starts = sorted({0, *skipped, *gaps})
+    parts = [tracked[numbers[: starts[1] if len(starts) > 1 else None]]]
+    for start, end in pairwise([*starts[1:], len(numbers)]):
+        before, first = numbers[start - 1], numbers[start]
+        gap = compose(invert(placed[before]), placed[first])
+        begun = compose(parts[-1][-1], gap)
+        since = compose(invert(tracked[first]), tracked[numbers[start:end]])
+        parts.append(compose(begun, since))
+    return np.concatenate(parts)
+
+
+def without_keyframes(
+    store: KeyframeStore,
+    layout: Layout,
+    numbers: IntArray,
+    recordings: IntArray,
+    breaks: Mapping[int, Bridge | None],
+    config: RelaxationConfig,
+) -> Layout:
+    """The layout of the keyframes `numbers` (k,) alone, ascending, which get new numbers from 0 on.
+
+    `store` and `breaks`, gaps among them, are those of the new numbers already; `recordings` (n,)
+    are those of all keyframes, of each of which some are left. What was found out about the layout
+    stays as it was said of all of them.
+    """
+    row = {number: k for k, number in enumerate(numbers.tolist())}
+    carried = _carried(layout, numbers, recordings)
+    kept = tuple(replace(one, source=row[one.source], target=row[one.target]) for one in carried)
+    ends = {end for link in kept for end in (link.source, link.target)}
+    old = {row[node] for node in layout.nodes.tolist() if node in row}
+    nodes = chosen_nodes(store.poses, {*old, *ends, *breaks}, config)
+    return replace(
+        layout,
+        poses=layout.poses[numbers],
+        nodes=nodes,
+        odometry=_motions(store, nodes, layout.odometry, row, breaks, config),
+        kept=kept,
+        dropped=(),
+        loose=tuple(row[start] for start in layout.loose),
+    )
+
+
+def _motions(
+    store: KeyframeStore,
+    nodes: IntArray,
+    known: Sequence[Link],
+    row: Mapping[int, int],
+    breaks: Mapping[int, Bridge | None],
+    config: RelaxationConfig,
+) -> tuple[Link, ...]:
+    """The motions between the nodes, those that are known by their old numbers as they are."""
+    same = {
+        (row[one.source], row[one.target]): one
+        for one in known
+        if one.source in row and one.target in row
+    }
+    motions: list[Link] = []
+    for source, target in zip(nodes[:-1].tolist(), nodes[1:].tolist(), strict=True):
+        one = same.get((source, target))
+        if one is None:
+            motions += motion_links(store, np.array([source, target]), breaks, config)
+        else:
+            motions.append(replace(one, source=source, target=target))
+    return tuple(motions)
+
+
+def _carried(layout: Layout, numbers: IntArray, recordings: IntArray) -> list[Link]:
+    """The links with ends that are kept, by their old numbers; of those carried one a pair."""
+    heir = _heirs(numbers, recordings)
+    whole = [
+        heir[one.source] == one.source and heir[one.target] == one.target for one in layout.kept
+    ]
+    links = list(compress(layout.kept, whole))
+    pairs = {frozenset((one.source, one.target)) for one in links}
+    carry = _Carrier.of(layout)
+    for one in layout.kept:
+        source, target = int(heir[one.source]), int(heir[one.target])
+        pair = frozenset((source, target))
+        if len(pair) == 2 and pair not in pairs:
+            pairs.add(pair)
+            links.append(carry.between(source, target, one))
+    return links
+
+
+def _heirs(numbers: IntArray, recordings: IntArray) -> IntArray:
+    """(n,) for each keyframe the kept one next to it along the way, of the same recording."""
+    heirs = np.arange(len(recordings))
+    kept = np.isin(heirs, numbers)
+    for recording in np.unique(recordings[~kept]).tolist():
+        own = recordings == recording
+        left, gone = np.flatnonzero(own & kept), np.flatnonzero(own & ~kept)
+        after = np.clip(np.searchsorted(left, gone), 1, max(1, len(left) - 1))
+        before, after = left[after - 1], left[np.minimum(after, len(left) - 1)]
+        heirs[gone] = np.where(gone - before <= after - gone, before, after)
+    return heirs
+
+
+@dataclass(frozen=True, slots=True)
+class _Carrier:
+    """Says of other keyframes what links say, with the errors of the way from these to those."""
+
+    poses: FloatArray
+    nodes: IntArray
+    along: Uncertainty
+
+    @classmethod
+    def of(cls, layout: Layout) -> _Carrier:
+        at_nodes = layout.poses[layout.nodes]
+        return cls(layout.poses, layout.nodes, Uncertainty.along(at_nodes, layout.odometry, 0.0))
+
+    def between(self, source: int, target: int, link: Link) -> Link:
+        """A link between two others, which lie as in the layout."""
+        ends = self.poses[[source, link.source, link.target, target]]
+        motion = compose(invert(ends[0]), ends[3])
+        spread = (
+            moved_covariance(
+                adjoint(self._seen(ends[1:2], ends[3:])), self._way(source, link.source)
+            )
+            + moved_covariance(
+                adjoint(self._seen(ends[2:3], ends[3:])), inverse3(link.information[None])
+            )
+            + self._way(link.target, target)
+        )
+        return replace(
+            link,
+            source=source,
+            target=target,
+            source_from_target=Pose2(*motion.tolist()),
+            information=inverse3(spread)[0],
+        )
+
+    def _seen(self, pose: FloatArray, frame: FloatArray) -> FloatArray:
+        return compose(invert(frame), pose)
+
+    def _way(self, start: int, end: int) -> FloatArray:
+        """(1, 3, 3) the error of the way from one keyframe to another, in the frame of this."""
+        rows = np.searchsorted(self.nodes, [start, end], side="right") - 1
+        return self.along.between(rows[:1], rows[1:])
