@@ -43,11 +43,12 @@ class Tour:
     visits: tuple[Visit, ...]
 
 
-def tour_of(keyframes: Labels, rooms: IntArray) -> Tour:
+def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float | None = None) -> Tour:
     """The tour of one recording's keyframes, of which `rooms` (n,) holds the room of each.
 
     A keyframe in no room has NO_SUBMAP. A visit lasts until the scan with which the next begins, so
-    that no time is lost between two rooms.
+    that no time is lost between two rooms. `driven_m` is known of a recording some of whose
+    keyframes were dropped.
     """
     stamps = keyframes.stamps_ns.tolist()
     spans = runs(rooms)
@@ -56,7 +57,8 @@ def tour_of(keyframes: Labels, rooms: IntArray) -> Tour:
         for start, end in spans
         if rooms[start] != NO_SUBMAP
     )
-    return Tour(stamps[0], stamps[-1], path_length(keyframes.poses), visits)
+    driven_m = path_length(keyframes.poses) if driven_m is None else driven_m
+    return Tour(stamps[0], stamps[-1], driven_m, visits)
 
 
 def zone_of(name: str) -> tzinfo:

@@ -171,7 +171,8 @@ class BuildingSeries:
                 submaps=labels.submaps[own],
             )
             if len(part.stamps_ns):
-                self.tours.append(tour_of(part, settle_labels(rooms[own], part.poses, least_m)))
+                settled = settle_labels(rooms[own], part.poses, least_m)
+                self.tours.append(tour_of(part, settled, log.path_m))
 
 
 def _fits(old: StoredMap, new: StoredMap) -> Comparison | None:

@@ -30,6 +30,7 @@ def test_a_visit_lasts_until_the_next_begins() -> None:
     ]
     assert sum(one.minutes for one in tour.visits) * 60 == pytest.approx(50)
     assert tour.driven_m == 50
+    assert tour_of(labels([0, 50]), np.array([0, 0]), 120.0).driven_m == 120
 
 
 def test_where_no_room_is_known_nothing_is_visited() -> None:
