@@ -16,9 +16,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from specmap_cli.batch import cluster
+from specmap_cli.batch import cluster, crew
 from specmap_cli.batch.batch import sizes_of
-from specmap_cli.batch.cluster import DaskCrew, Place, Terms
+from specmap_cli.batch.cluster import Place
+from specmap_cli.batch.crew import DaskCrew, Terms
 from specmap_cli.batch.dispatch import Finished, Turn, worked_off
 from specmap_cli.batch.ledger import Ledger
 from specmap_cli.batch.outputs import write_summaries
@@ -30,7 +31,7 @@ _STEPS = (Step("build"), Step("report"))
 
 
 def nothing(turn: Turn, terms: Terms, version: str) -> JobResult:
-    """In the place of `cluster.on_worker`: no work at all."""
+    """In the place of `crew.on_worker`: no work at all."""
     return failure(turn.job, "log", f"nothing was done by {version}", limits=terms.limits)
 
 
@@ -45,10 +46,10 @@ def dispatch(count: int) -> tuple[float, Ledger]:
     """Seconds a job between a client, a scheduler and two workers of this machine."""
     jobs = [Job(f"job-{k:06}", (str(SAMPLE_LOG),), _STEPS) for k in range(count)]
     ledger = Ledger(jobs, dict.fromkeys((job.name for job in jobs), 1))
-    cluster.on_worker = nothing
-    with cluster.opened(Place(workers=2)) as client, DaskCrew(client, Terms("")) as crew:
+    crew.on_worker = nothing
+    with cluster.opened(Place(workers=2)) as client, DaskCrew(client, Terms("")) as workers:
         began = time.perf_counter()
-        for happening in worked_off(jobs, crew, 0):
+        for happening in worked_off(jobs, workers, 0):
             if isinstance(happening, Finished):
                 ledger.heard(happening)
         return (time.perf_counter() - began) / count, ledger

@@ -8,14 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 from specmap_cli.batch.cluster import (
-    DaskCrew,
     Place,
-    Terms,
     opened,
     processors,
     require_dask,
     share_of_memory_mb,
 )
+from specmap_cli.batch.crew import DaskCrew, Terms
 from specmap_cli.batch.digest import bytes_of
 from specmap_cli.batch.dispatch import longest_first, worked_off
 from specmap_cli.batch.events import EventRecord

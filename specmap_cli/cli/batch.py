@@ -100,7 +100,8 @@ def batch(
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler do not go together: a scheduler has its own")
     from specmap_cli.batch.batch import run_batch
-    from specmap_cli.batch.cluster import Place, Terms
+    from specmap_cli.batch.cluster import Place
+    from specmap_cli.batch.crew import Terms
     from specmap_cli.batch.jobs import jobs_of
     from specmap_cli.batch.records import Limits
 

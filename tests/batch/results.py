@@ -6,7 +6,7 @@ import os
 import signal
 from typing import Any
 
-from specmap_cli.batch.cluster import Terms
+from specmap_cli.batch.crew import Terms
 from specmap_cli.batch.dispatch import Turn
 from specmap_cli.batch.records import InputRecord, Job, JobResult, LimitsRecord, Step
 

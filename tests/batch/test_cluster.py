@@ -13,9 +13,10 @@ from typing import Any
 import pytest
 
 from specmap_cli import __version__
-from specmap_cli.batch import batch, cluster
+from specmap_cli.batch import batch, cluster, crew
 from specmap_cli.batch.batch import Listener, run_batch
-from specmap_cli.batch.cluster import DaskCrew, Place, Terms
+from specmap_cli.batch.cluster import Place
+from specmap_cli.batch.crew import DaskCrew, Terms
 from specmap_cli.batch.dispatch import Finished, Retried, Turn, worked_off
 from specmap_cli.batch.events import EventRecord
 from specmap_cli.batch.ledger import Ledger
@@ -54,7 +55,7 @@ def here(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         yield client
 
     monkeypatch.setattr(batch, "opened", opened)
-    monkeypatch.setattr(cluster, "on_worker", at_once)
+    monkeypatch.setattr(crew, "on_worker", at_once)
 
 
 def ran(out: Path, *names: str, retries: int = 0) -> tuple[Ledger, list[EventRecord]]:
@@ -132,7 +133,7 @@ def test_no_jobs_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_worker_of_another_version_makes_nothing(tmp_path: Path) -> None:
-    made = cluster.on_worker(Turn(job("a")), Terms(str(tmp_path)), "0.0")
+    made = crew.on_worker(Turn(job("a")), Terms(str(tmp_path)), "0.0")
     assert made.kind == "worker"
     assert made.reason is not None
     assert f"the worker has specmap {__version__}, the client 0.0" in made.reason
@@ -150,9 +151,9 @@ def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch)
 
 def test_a_job_whose_worker_dies_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Real workers, one of which is killed by its job."""
-    monkeypatch.setattr(cluster, "on_worker", at_once)
-    with cluster.opened(Place(workers=2)) as client, DaskCrew(client, Terms("")) as crew:
-        happened = list(worked_off([job("deadly"), job("a"), job("b")], crew, retries=1))
+    monkeypatch.setattr(crew, "on_worker", at_once)
+    with cluster.opened(Place(workers=2)) as client, DaskCrew(client, Terms("")) as workers:
+        happened = list(worked_off([job("deadly"), job("a"), job("b")], workers, retries=1))
     retried = [one.result for one in happened if isinstance(one, Retried)]
     assert [(one.name, one.kind) for one in retried] == [("deadly", "worker")]
     assert retried[0].reason is not None
