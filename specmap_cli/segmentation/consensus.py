@@ -1,46 +1,41 @@
-"""One division from several of the same cells: what most of them agree on.
+"""One division from several of the same cells: the regions that most of them have.
 
 Where the nodes of the visibility graph happen to stand tips what is nearly a tie: a cluster more or
-less. Several divisions whose nodes stand elsewhere tip at other places. Two cells belong together
-when most of the divisions have them in one region; how alike two regions are is the mean of that
-over their cells (Fred and Jain, "Combining Multiple Clusterings Using Evidence Accumulation", IEEE
-Transactions on Pattern Analysis and Machine Intelligence, 2005).
+less. Several divisions whose nodes stand elsewhere tip at other places. A division has a region,
+too, when one of its own covers the same ground by more than half. The regions that most divisions
+have are taken, those that more of them have first, each with the cells that its finds have in
+common. No region is put together from pieces: then a chain of ties would tip it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_array
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
-from specmap_cli.grids.borders import contacts
-from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.segmentation.kmeans import LabelArray
 
-_MAJORITY = 0.5  # share of the divisions, and of two regions that are the same one
+_SAME = 0.5  # intersection over union above which regions are the same: each has one such at most
+_HALF = 0.5  # of the cells of a region: more of them taken by others, and it is not taken itself
 
 
 def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
-    """(h, w) labels 0, 1, ... on which most of some divisions (h, w) agree, -1 where all are -1.
+    """(h, w) labels 0, 1, ... of the regions that most of some divisions (h, w) have.
 
-    Neighbouring cells that most divisions have in one region are in one region. A region stays for
-    itself when at least half of the divisions have it, too; else it joins the neighbour that it is
-    most alike to. Deterministic: of equals the first counts.
+    Labels are -1 where all divisions have none. Cells of no such region go to the one that they are
+    together with most. Deterministic: of equals the first counts.
     """
     if len(divisions) == 1 or all((division < 0).all() for division in divisions):
         return divisions[0]
     atoms, labels = _atoms(divisions)
     area = np.bincount(atoms[atoms >= 0], minlength=len(labels)).astype(np.float64)
-    touching = np.unique(contacts(atoms).labels, axis=0)
-    region = np.arange(len(labels))
-    for members in _groups(labels):
-        pairs = np.searchsorted(members, touching[np.isin(touching, members).all(axis=1)])
-        region[members] = members[_agreed(labels[members], area[members], pairs)]
-    named = np.unique(region, return_inverse=True)[1].astype(np.int32)
+    holds = _regions(labels)
+    owner = _with_leftovers(_elected(holds, area, len(divisions)), holds, area, labels)
+    named = np.unique(owner, return_inverse=True)[1].astype(np.int32)
     return np.where(atoms < 0, np.int32(-1), named[np.maximum(atoms, 0)])
 
 
@@ -68,87 +63,82 @@ def _numbered(codes: IntArray) -> tuple[IntArray, IntArray]:
     return seen[codes], first
 
 
-def _groups(labels: IntArray) -> list[IntArray]:
-    """The atoms that hang together by labels (m, k) that they share, two or more in each group.
+def _regions(labels: IntArray) -> Any:
+    """(r, m) sparse: 1 where a region of any division holds an atom; `labels` (m, k) of each atom.
 
-    Atoms of different groups are together in no division.
+    Regions stand in the order of their divisions.
     """
-    count = len(labels)
-    spans = np.cumsum([0, *(labels.max(axis=0) + 2)])[:-1]
-    names = labels + 1 + spans + count
-    atoms = np.repeat(np.arange(count), labels.shape[1])
-    size = int(names.max(initial=0)) + 1
-    links = coo_array((np.ones(names.size), (atoms, names.ravel())), shape=(size, size))
-    group = connected_components(links, directed=False)[1][:count]
-    order = np.argsort(group, kind="stable")
-    parts = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
-    return [part for part in parts if len(part) > 1]
+    spans = np.cumsum([0, *(labels.max(axis=0) + 1)])
+    atoms, division = np.nonzero(labels >= 0)
+    regions = (labels + spans[:-1])[atoms, division]
+    shape = (int(spans[-1]), len(labels))
+    return csr_array((np.ones(len(atoms)), (regions, atoms)), shape)
 
 
-def _agreed(labels: IntArray, area: FloatArray, pairs: IntArray) -> IntArray:
-    """The atom (m,) that stands for the region of each, of atoms with `labels` (m, k).
+def _elected(holds: Any, area: FloatArray, divisions: int) -> IntArray:
+    """(m,) the number of the elected region that each atom goes to, -1 for none.
 
-    `area` (m,) is that of each, `pairs` (p, 2) are those that touch.
+    An atom goes to the region of whose finds the largest share holds it.
     """
-    regions = _Regions(labels, area, pairs)
-    while (pair := regions.most_alike() or regions.least_known()) is not None:
-        regions.join(*pair)
-    return regions.of
+    owner, most = np.full(len(area), -1), np.zeros(len(area))
+    for number, share in enumerate(_elections(holds, area, divisions)):
+        more = share > most
+        owner[more], most[more] = number, share[more]
+    return owner
 
 
-class _Regions:
-    """Atoms while they are being joined: `of` (m,) is the atom that stands for each."""
+def _elections(holds: Any, area: FloatArray, divisions: int) -> Iterator[FloatArray]:
+    """Of each region that is taken, the share (m,) of its finds that hold each atom."""
+    same = _same_regions(holds, area)
+    size = holds @ area
+    finds, alike = np.diff(same.indptr), same.sum(axis=1)
+    free, gone = np.ones(len(area), dtype=bool), np.zeros(len(size), dtype=bool)
+    for region in np.lexsort((-size, -alike, -finds)).tolist():
+        if 2 * finds[region] <= divisions:
+            return
+        mine = _row(holds, region)
+        if gone[region] or area[mine[free[mine]]].sum() <= _HALF * size[region]:
+            continue
+        found = _row(same, region)
+        votes = np.asarray(holds[found].sum(axis=0))
+        free &= 2 * votes <= len(found)
+        gone[found] = True
+        yield votes / len(found)
 
-    def __init__(self, labels: IntArray, area: FloatArray, pairs: IntArray) -> None:
-        count, divisions = labels.shape
-        self._divisions = int(divisions)
-        self.of = np.arange(count)
-        self._labels, self._cells, self._area = labels, area, area.copy()
-        same = (labels[:, None, :] == labels[None, :, :]).sum(axis=2)
-        self._together = same * area[:, None] * area  # pairs of cells, over all divisions
-        self._touching = np.zeros((count, count), dtype=bool)
-        self._touching[pairs[:, 0], pairs[:, 1]] = self._touching[pairs[:, 1], pairs[:, 0]] = True
 
-    def most_alike(self) -> tuple[int, int] | None:
-        """The neighbours that are together in most divisions, if they are in a majority."""
-        alike = np.where(self._touching, self._alike(), -1.0)
-        one, other = divmod(int(alike.argmax()), len(alike))
-        return (one, other) if alike[one, other] > _MAJORITY else None
+def _same_regions(holds: Any, area: FloatArray) -> Any:
+    """(r, r) sparse: intersection over union of the regions that are the same, each itself, too."""
+    shared = (holds.multiply(area) @ holds.T).tocoo()  # numbers of cells: exact in any order
+    size = holds @ area
+    iou = shared.data / (size[shared.row] + size[shared.col] - shared.data)
+    alike = iou > _SAME
+    places = shared.row[alike], shared.col[alike]
+    same = csr_array((iou[alike], places), shared.shape)
+    same.sort_indices()
+    return same
 
-    def least_known(self) -> tuple[int, int] | None:
-        """The smallest region that too few divisions have, and its neighbour most alike to it."""
-        alike = np.where(self._touching, self._alike(), -1.0)
-        unknown = [
-            region
-            for region in np.unique(self.of).tolist()
-            if self._touching[region].any() and not self._is_known(self.of == region)
-        ]
-        if not unknown:
-            return None
-        one = min(unknown, key=lambda region: (self._area[region], region))
-        return one, int(alike[one].argmax())
 
-    def join(self, one: int, other: int) -> None:
-        """Make the two regions one."""
-        keep, gone = min(one, other), max(one, other)
-        self.of[self.of == gone] = keep
-        self._area[keep] += self._area[gone]
-        self._together[keep] += self._together[gone]
-        self._together[:, keep] += self._together[:, gone]
-        self._touching[keep] |= self._touching[gone]
-        self._touching[:, keep] |= self._touching[:, gone]
-        self._touching[gone] = self._touching[:, gone] = self._touching[keep, keep] = False
+def _row(matrix: Any, number: int) -> IntArray:
+    """The columns of a row of a sparse matrix that are not zero."""
+    return np.asarray(matrix.indices[matrix.indptr[number] : matrix.indptr[number + 1]])
 
-    def _alike(self) -> FloatArray:
-        """(m, m) the mean share of divisions that have a cell of each in one region."""
-        return np.asarray(self._together / (self._divisions * self._area[:, None] * self._area))
 
-    def _is_known(self, inside: BoolArray) -> bool:
-        """Whether half of the divisions have about the region of the atoms `inside` (m,)."""
-        known = 0
-        for column in (self._labels + 1).T:
-            whole = np.bincount(column, weights=self._cells)
-            shared = np.bincount(column[inside], weights=self._cells[inside], minlength=len(whole))
-            either = whole + self._cells[inside].sum() - shared
-            known += bool((shared[1:] > _MAJORITY * either[1:]).any())
-        return 2 * known >= self._divisions
+def _with_leftovers(owner: IntArray, holds: Any, area: FloatArray, labels: IntArray) -> IntArray:
+    """The region (m,) of each atom, when some have no `owner` (m,).
+
+    They go to the owner of most of the regions that hold them, or stay what the first division
+    that has them makes of them.
+    """
+    left, taken = np.flatnonzero(owner < 0), np.flatnonzero(owner >= 0)
+    count = int(owner.max(initial=-1)) + 1
+    owner = owner.copy()
+    first = labels[left, (labels[left] >= 0).argmax(axis=1)]
+    owner[left] = count + first
+    if not count or not len(left):
+        return owner
+    owned = csr_array((area[taken], (taken, owner[taken])), (len(area), count))
+    parts = (holds @ owned).multiply(1.0 / (holds @ area)[:, None]).tocsr()
+    together = (holds.T.tocsr()[left] @ parts).toarray()
+    some = together.any(axis=1)
+    owner[left[some]] = together[some].argmax(axis=1)
+    return owner
