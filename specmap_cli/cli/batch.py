@@ -58,7 +58,8 @@ MemoryLimit = Annotated[
     ),
 ]
 TimeLimit = Annotated[
-    float | None, typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a step.")
+    float | None,
+    typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job."),
 ]
 Retries = Annotated[
     int, typer.Option(min=0, help="How often to try again what a lost worker or disk made fail.")

@@ -71,10 +71,11 @@ def build_map(
         from specmap_cli.pipelines.finished_map import recording
         from specmap_cli.pipelines.run_record import BuildReport, run_record
 
+        logs_read = (recording(log.name, finished.trajectory, len(store)),)
+        overview = finished.overview(logs_read)
         run = run_record(log.given, stream.selection, config, finished)
         tell(finished.quality, progress)
-        given_log = recording(log.name, finished.trajectory, len(store))
-        write_map(partial, finished.result((given_log,), run), store)
+        write_map(partial, finished.result(logs_read, run, overview), store)
     return BuildReport(out=target, run=run, quality=finished.quality)
 
 

@@ -210,7 +210,8 @@ def _made_anew(
         finished = divided_anew(
             store, kept, lambda _: quality_of_stored(stored), config, progress, clock, stored.counts
         )
-        write_map(directory, finished.result(kept.logs, _run(stored, finished)), store)
+        overview = finished.overview(kept.logs)
+        write_map(directory, finished.result(kept.logs, _run(stored, finished), overview), store)
     carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
     return _Edited(finished.topology, finished.unapplied)
 

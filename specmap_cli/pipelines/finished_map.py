@@ -16,7 +16,7 @@ from specmap_cli.core.tracks import path_length
 from specmap_cli.drawing.overview import render_overview
 from specmap_cli.layout.g2o import write_g2o
 from specmap_cli.layout.relaxation import Layout
-from specmap_cli.maps.writing import MapResult
+from specmap_cli.maps.writing import MapResult, PictureArray
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
@@ -58,7 +58,15 @@ class FinishedMap:
         pairs = zip(ways, known, strict=True)
         return sum(way if driven is None else driven for way, driven in pairs)
 
-    def result(self, logs: tuple[LogInfo, ...], run: Mapping[str, Any]) -> MapResult:
+    def overview(self, logs: tuple[LogInfo, ...]) -> PictureArray:
+        """The picture of the map. It takes memory: run.json counts it when it is drawn before."""
+        return render_overview(
+            self.topology, self.regions, self.trajectory, self.labels, logs, self.quality
+        )
+
+    def result(
+        self, logs: tuple[LogInfo, ...], run: Mapping[str, Any], overview: PictureArray
+    ) -> MapResult:
         """What the map directory is written from: the map, its picture, and `run` for run.json."""
         return MapResult(
             topology=self.topology,
@@ -71,9 +79,7 @@ class FinishedMap:
             quality=self.quality,
             pose_graph=write_g2o(self.layout),
             edits=self.edits,
-            overview=render_overview(
-                self.topology, self.regions, self.trajectory, self.labels, logs, self.quality
-            ),
+            overview=overview,
         )
 
 

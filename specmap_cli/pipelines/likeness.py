@@ -70,12 +70,13 @@ def build_like(
         joined = alike(old, surveyed, alignment.old_from_new, config)
         counts = surveyed.tracking.counts
         finished = remade(store, joined, config, progress, clock, counts, surveyed.features)
+        overview = finished.overview(joined.kept.logs)
         run = {
             **run_record(log.given, stream.selection, config, finished),
             "like": stored.path.resolve().name,
         }
         tell(finished.quality, progress)
-        write_map(partial, finished.result(joined.kept.logs, run), store)
+        write_map(partial, finished.result(joined.kept.logs, run, overview), store)
     return BuildReport(out=target, run=run, quality=finished.quality, unapplied=finished.unapplied)
 
 

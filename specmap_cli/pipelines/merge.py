@@ -80,9 +80,10 @@ def merge_maps(
             merging = _merged(ordered, seen, meetings, store, config)
         counts = _counts(ordered)
         finished = remade(store, merging.joined, config, progress, clock, counts)
+        overview = finished.overview(merging.joined.kept.logs)
         run = run_record([stored.path.resolve() for stored in ordered], None, config, finished)
         tell(finished.quality, progress)
-        write_map(partial, finished.result(merging.joined.kept.logs, run), store)
+        write_map(partial, finished.result(merging.joined.kept.logs, run, overview), store)
     names = _names(ordered)
     return MergeReport(
         out=target,

@@ -128,12 +128,13 @@ def update_map(
         stream = SweepStream(log, config.log)
         updated = _updated(stored, stream, store, config, progress, allow_apart=allow_apart)
         finished, fewer = updated.finished, updated.fewer
+        overview = finished.overview(fewer.kept.logs)
         run = {
             **run_record(log.given, stream.selection, config, finished),
             "updates": [*_earlier(stored), _told(stored.path, updated)],
         }
         tell(finished.quality, progress)
-        write_map(partial, finished.result(fewer.kept.logs, run), store)
+        write_map(partial, finished.result(fewer.kept.logs, run, overview), store)
     before, visits = np.split(finished.labels.submaps, [fewer.old])
     known = set(before.tolist())
     return UpdateReport(

@@ -136,7 +136,7 @@ def test_a_map_can_be_laid_out_again_from_its_directory_alone(
     """Keyframes, stays, closures and breaks say all that the layout was made of."""
     finished = flat_map.finished
     log = recording("flat.mcap", finished.trajectory, len(flat_map.store))
-    write_map(tmp_path, finished.result((log,), {}), flat_map.store)
+    write_map(tmp_path, finished.result((log,), {}, finished.overview((log,))), flat_map.store)
     stored, config = read_map(tmp_path), Config().relaxation
     topology = stored.topology
     assert any(closure.merged for closure in topology.closures)
