@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from importlib import resources
-from pathlib import Path
+from typing import Any
 
 import cv2
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from benchmarks.paper.blocks import Block, Picture, Table
 from benchmarks.paper.cases import LACKING, Cases
 from benchmarks.paper.charts import drawn
 from benchmarks.paper.parts import Part
-from specmap_cli import __version__
 from specmap_cli.report.colours import tones
+from specmap_cli.report.pouring import page_parts, poured
 
-_TEMPLATES = Path(__file__).parent / "templates"
+_PACKAGE = "benchmarks.paper"
 _FIGURES = set("0123456789+−–.,")
 
 
@@ -33,21 +31,21 @@ class Done:
 
 def render(parts: Sequence[Done], cases: Cases, command: str) -> str:
     """The text of the page."""
-    styles = resources.files("specmap_cli.report") / "styles"
-    sheets = styles / "page.css", styles / "parts.css", _TEMPLATES / "paper.css"
-    return (
-        _environment()
-        .get_template("page.html")
-        .render(
-            parts=parts,
-            missing=cases.missing,
-            recordings=[case.name for case in cases.found],
-            command=command,
-            tones=tones(()),
-            style="\n".join(sheet.read_text(encoding="utf-8") for sheet in sheets),
-            version=__version__,
-        )
-    )
+    context = {
+        "parts": parts,
+        "missing": cases.missing,
+        "recordings": [case.name for case in cases.found],
+        "command": command,
+        "tones": tones(()),
+        **page_parts(_PACKAGE, (), ("page.css", "parts.css", "paper.css")),
+    }
+    filters: dict[str, Callable[..., Any]] = {
+        "image": image,
+        "numeric": numeric,
+        "drawn": drawn,
+        "lacking": lacking,
+    }
+    return poured(_PACKAGE, "paper.html", context, filters)
 
 
 def image(picture: Picture) -> str:
@@ -65,17 +63,3 @@ def numeric(table: Table, column: int) -> bool:
     """Whether a column holds figures: it is set to the right."""
     cells = [row.cells[column] for row in table.rows if column < len(row.cells)]
     return all(not cell or cell[0] in _FIGURES for cell in cells) and column > 0
-
-
-def _environment() -> Environment:
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(
-        {"image": image, "numeric": numeric, "drawn": drawn, "lacking": lacking}
-    )
-    return environment

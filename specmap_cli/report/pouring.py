@@ -20,7 +20,7 @@ def poured(
     package: str,
     template: str,
     context: Mapping[str, Any],
-    filters: Mapping[str, Callable[..., str]],
+    filters: Mapping[str, Callable[..., Any]],
 ) -> str:
     """The text of a page; whatever it shows is escaped.
 
