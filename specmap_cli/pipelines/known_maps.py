@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+
 from specmap_cli.core.settings import Config
 from specmap_cli.maps.filenames import CLASSIFIERS
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.closure.known_map import KnownMap
@@ -13,6 +16,21 @@ from specmap_cli.recognition.closure.known_map import KnownMap
 def align_maps(old: StoredMap, new: StoredMap, config: Config) -> Alignment:
     """Where a stored map lies in another one. Raises MapError for a damaged map."""
     return align(known_map(old), known_map(new), config)
+
+
+@dataclass(frozen=True, slots=True)
+class PairOfMaps:
+    """Two map directories, and the settings to align them with; it can be handed to a worker."""
+
+    old: Path
+    new: Path
+    config: Config
+
+
+def align_pair(pair: PairOfMaps) -> Alignment:
+    """The same of two directories. Raises MapError for a damaged map."""
+    old, new = (read_map(path, pair.config.limits) for path in (pair.old, pair.new))
+    return align_maps(old, new, pair.config)
 
 
 def known_map(stored: StoredMap) -> KnownMap:

@@ -7,7 +7,7 @@ map on; what meets none of them stays apart. Maps are taken in the order of thei
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -32,6 +32,7 @@ from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
 from specmap_cli.pipelines.edited import drawn
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, seen_of_stored
+from specmap_cli.pipelines.known_maps import PairOfMaps, align_pair
 from specmap_cli.pipelines.learning import whole_grid
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
@@ -45,6 +46,8 @@ from specmap_cli.topology.borders import fences_of
 from specmap_cli.topology.regions import divide
 
 Meetings = Mapping[tuple[int, int], Alignment]  # of maps i < j: where j lies in i
+# What a function says of each of many things, in their order.
+Spread = Callable[[Callable[[PairOfMaps], Alignment], Sequence[PairOfMaps]], Iterable[Alignment]]
 
 
 def merge_maps(
@@ -54,11 +57,13 @@ def merge_maps(
     *,
     overwrite: bool = False,
     progress: Progress | None = None,
+    spread: Spread | None = None,
 ) -> MergeReport:
     """Make one map of several, in any order, and write it to the directory `out`.
 
     The frame and the ids are those of the map with the earliest recording. Without `config` the
-    settings are that map's. Raises UsageError for fewer than two maps, InputError where two hold
+    settings are that map's. `spread` aligns many pairs of maps at once, elsewhere, with the same
+    result. Raises UsageError for fewer than two maps, InputError where two hold
     the same recording, MapError as `read_map` does.
     """
     target, progress = path_of(out, "out"), progress or Silent()
@@ -74,7 +79,7 @@ def merge_maps(
         _refuse_twice(ordered)
         progress.start("aligning", None)
         with clock.stage("alignment"):
-            meetings = _meetings(seen, config)
+            meetings = _meetings(ordered, seen, config, spread)
         progress.start("layout", None)
         with clock.stage("layout"):
             merging = _merged(ordered, seen, meetings, store, config)
@@ -141,13 +146,20 @@ def _counts(maps: Sequence[StoredMap]) -> dict[str, int]:
     return dict(totals)
 
 
-def _meetings(seen: Sequence[Seen], config: Config) -> Meetings:
-    """The pairs of maps that are aligned."""
-    found = {
-        (i, j): align(seen[i].known, seen[j].known, config)
-        for i, j in combinations(range(len(seen)), 2)
+def _meetings(
+    maps: Sequence[StoredMap], seen: Sequence[Seen], config: Config, spread: Spread | None
+) -> Meetings:
+    """The pairs of maps that are aligned: here, or wherever `spread` has it done."""
+    pairs = list(combinations(range(len(maps)), 2))
+    found: Iterable[Alignment]
+    if spread is None:
+        found = (align(seen[i].known, seen[j].known, config) for i, j in pairs)
+    else:
+        paths = [stored.path.resolve() for stored in maps]
+        found = spread(align_pair, [PairOfMaps(paths[i], paths[j], config) for i, j in pairs])
+    return {
+        pair: each for pair, each in zip(pairs, found, strict=True) if each.old_from_new is not None
     }
-    return {pair: each for pair, each in found.items() if each.old_from_new is not None}
 
 
 def _parts(count: int, meetings: Meetings) -> list[set[int]]:

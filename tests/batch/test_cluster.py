@@ -14,6 +14,7 @@ import pytest
 
 from specmap_cli import __version__
 from specmap_cli.batch import batch, cluster, crew
+from specmap_cli.batch import spread as spreading
 from specmap_cli.batch.batch import Listener, run_batch
 from specmap_cli.batch.cluster import Place
 from specmap_cli.batch.crew import DaskCrew, Terms
@@ -21,7 +22,8 @@ from specmap_cli.batch.dispatch import Finished, Retried, Turn, worked_off
 from specmap_cli.batch.events import EventRecord
 from specmap_cli.batch.ledger import Ledger
 from specmap_cli.batch.records import Limits
-from specmap_cli.core.errors import UsageError
+from specmap_cli.batch.spread import spread
+from specmap_cli.core.errors import MapError, UsageError
 from tests.batch.results import at_once, job
 
 distributed = pytest.importorskip("distributed")
@@ -55,6 +57,7 @@ def here(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         yield client
 
     monkeypatch.setattr(batch, "opened", opened)
+    monkeypatch.setattr(spreading, "opened", opened)
     monkeypatch.setattr(crew, "on_worker", at_once)
 
 
@@ -202,3 +205,16 @@ def test_a_scheduler_in_another_process(scheduler: str, tmp_path: Path) -> None:
         assert record["reason"] == f"/logs/{name}.mcap: no such file or directory"
         assert ledger.results[name].kind == "log"
         assert record["limits"]["memory_mb"] > 0  # the worker's share
+
+
+def _tripled(number: int) -> int:
+    if number < 0:
+        raise MapError(f"{number}: not a map")
+    return 3 * number
+
+
+@pytest.mark.usefixtures("here")
+def test_a_function_of_many_things_is_spread_over_the_workers() -> None:
+    assert spread(Place(), _tripled, [1, 2, 3]) == [3, 6, 9]
+    with pytest.raises(MapError, match="-1: not a map"):
+        spread(Place(), _tripled, [1, -1])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import pickle
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,10 +17,12 @@ from specmap_cli.core.errors import InputError, NoResultError, UsageError
 from specmap_cli.evaluation.trajectories import read_tum, reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.pipelines.known_maps import PairOfMaps
 from specmap_cli.pipelines.likeness import build_like
 from specmap_cli.pipelines.merge import merge_maps
 from specmap_cli.pipelines.merge_report import MergeReport
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
+from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.simulation.simulator import SimulationOptions
 
 QUICK = load_config(
@@ -126,6 +129,24 @@ def test_names_and_ids_can_be_followed(parts: Parts, both: MergeReport) -> None:
 
 def test_the_order_does_not_matter(parts: Parts, both: MergeReport, tmp_path: Path) -> None:
     again = merge_maps([parts.first_closed, parts.third_closed], tmp_path / "map", QUICK)
+    assert again.ids == both.ids
+    for file in ("topology.json", "labels.csv", "trajectory.tum", "classifiers.json", "map.png"):
+        assert (again.out / file).read_bytes() == (both.out / file).read_bytes()
+
+
+def test_pairs_may_be_aligned_elsewhere_with_the_same_result(
+    parts: Parts, both: MergeReport, tmp_path: Path
+) -> None:
+    def elsewhere(
+        align: Callable[[PairOfMaps], Alignment], pairs: Sequence[PairOfMaps]
+    ) -> Iterable[Alignment]:
+        """As on a worker: all that goes there and comes back is pickled."""
+        sent_align, sent_pairs = pickle.loads(pickle.dumps((align, pairs)))
+        assert len(sent_pairs) == 1
+        return [pickle.loads(pickle.dumps(sent_align(pair))) for pair in sent_pairs]
+
+    maps = [parts.first_closed, parts.third_closed]
+    again = merge_maps(maps, tmp_path / "map", QUICK, spread=elsewhere)
     assert again.ids == both.ids
     for file in ("topology.json", "labels.csv", "trajectory.tum", "classifiers.json", "map.png"):
         assert (again.out / file).read_bytes() == (both.out / file).read_bytes()
