@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 
+from benchmarks.closure_truth import true_poses
 from benchmarks.online import Tour, score
 from benchmarks.paper import pictures
 from benchmarks.paper.blocks import Block, Chart, Gallery, Picture, Row, Series, Table, figure
 from benchmarks.paper.cases import FREIBURG, Case
 from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Built, Workshop
-from benchmarks.recognition import true_poses
 from specmap_cli.drawing.split_tests import draw_test
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter
 from specmap_cli.segmentation.splitting import SplitTest

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.closure_truth import true_poses
 from benchmarks.paper import pictures
 from benchmarks.paper.blocks import Block, Gallery, Picture, Row, Table, figure
 from benchmarks.paper.cases import Case
 from benchmarks.paper.samples import Samples, fitted, of_keyframes, scored, the_papers
 from benchmarks.paper.workshop import OURS, PRESETS, WORDS, Built, Workshop
-from benchmarks.recognition import true_poses
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
 from specmap_cli.core.labels import neighbours
 from specmap_cli.core.records import NO_SUBMAP, IntArray

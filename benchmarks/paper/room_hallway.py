@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.closure_truth import true_poses
 from benchmarks.paper import pictures
 from benchmarks.paper.blocks import Block, Gallery, Picture, Row, Table, Words, figure
 from benchmarks.paper.cases import FREIBURG, STATA, Case, Drawing
 from benchmarks.paper.workshop import OURS, Built, Workshop
-from benchmarks.recognition import tour_of, true_poses
+from benchmarks.recognition import tour_of
 from specmap_cli.core.records import IntArray
 from specmap_cli.evaluation.semantic import (
     HALLWAY,

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 
+from benchmarks.closure_truth import STEADY, judged, true_poses
 from benchmarks.paper import pictures
 from benchmarks.paper.blocks import Block, Gallery, Picture, Row, Table
 from benchmarks.paper.cases import Case
 from benchmarks.paper.workshop import OURS, PRESETS, WORDS, Built, Workshop
-from benchmarks.recognition import judged, true_poses
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.pipelines.exploration import online_labels
 
@@ -69,9 +69,10 @@ def _links(labels: IntArray) -> set[tuple[int, int]]:
 
 def _row(case: Case, preset: str, built: Built) -> Row:
     poses = true_poses(case.truth, built.store, of_laser=case.drawing is None)
-    found = judged(built.explored, built.store, poses)
+    found = judged(built.explored, built.store, poses, STEADY if case.drawing is None else 0)
     labels: Labels = built.finished.labels
-    error = "–" if not found.constraints else f"{found.error_cm:.1f} cm, {found.error_deg:.2f}°"
+    metres, degrees = found.median
+    error = "–" if not len(found.errors) else f"{100.0 * metres:.1f} cm, {degrees:.2f}°"
     return Row(
         (
             case.name,
@@ -79,7 +80,7 @@ def _row(case: Case, preset: str, built: Built) -> Row:
             str(found.regions),
             f"{found.merges}, {found.right}",
             f"{found.found} of {found.revisits}",
-            f"{found.constraints}, {found.wrong}",
+            f"{len(found.errors)}, {found.wrong}",
             error,
             str(len(built.finished.topology.submaps)),
             str(len(_links(labels.submaps))),

@@ -26,7 +26,7 @@ from specmap_cli.layout.wall_matching import nearby_link
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 
 _NEWER_NODES = 3  # as PLACE_NODES, for the newer pass: its own drift must not blur it
-_METRES_A_RADIAN = 0.7  # of distance that are as bad as a turn, for the overlap of two scans
+METRES_A_RADIAN = 0.7  # of distance that are as bad as a turn, for the overlap of two scans
 _NODES_A_LINK = 150  # a solution of more nodes costs more, and waits for more links
 _NEWS = 1 / 3  # share of the least search by which a link must miss the draft to be news to it
 _LEAST_SHARE = 1e-6  # of drift: keeps a path that does not drift from dividing by zero
@@ -168,7 +168,7 @@ def candidates(
     distance = np.sqrt((away**2).sum(axis=1))
     old = np.flatnonzero(distance < config.loop_radius_m)
     turn = np.abs(wrap_angles(poses[old, 2] - poses[node, 2]))
-    rank = distance[old] + _METRES_A_RADIAN * turn
+    rank = distance[old] + METRES_A_RADIAN * turn
     chosen: list[int] = []
     for k in old[np.argsort(rank, kind="stable")].tolist():
         if all(abs(path[k] - path[c]) > config.loop_radius_m for c in chosen):

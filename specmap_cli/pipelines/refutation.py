@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.core.records import Closure
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.closure_matching import place_around, sharpened
+from specmap_cli.layout.nearby_passes import METRES_A_RADIAN
 from specmap_cli.layout.relaxation import Constraint, Layout
 from specmap_cli.pipelines.exploration import Regions, in_own_frame
 
@@ -31,7 +33,12 @@ def constraints_of(
     information = np.diag(1.0 / sigma**2)
     return {
         (closure.old, closure.new): _constraint(
-            regions[closure.old], regions[closure.new], closure.old_from_new, store, information
+            regions[closure.old],
+            regions[closure.new],
+            closure.old_from_new,
+            store,
+            information,
+            config,
         )
         for closure in closures
         if closure.merged and closure.old_from_new is not None
@@ -60,17 +67,24 @@ def _constraint(
     old_from_new: Pose2,
     store: KeyframeStore,
     information: FloatArray,
+    config: RelaxationConfig,
 ) -> Constraint:
-    """The keyframes of two regions that are nearest to each other under a transform."""
+    """The keyframes of two regions that saw most alike, tied by the walls around them.
+
+    Under the transform they are the nearest to each other, turned as little as may be.
+    """
     old_track = in_own_frame(store, old)
     new_track = compose(np.array(old_from_new), in_own_frame(store, new))
-    gaps = old_track[:, None, :2] - new_track[None, :, :2]
-    i, j = np.unravel_index(int((gaps**2).sum(axis=2).argmin()), gaps.shape[:2])
-    relative = compose(invert(old_track[i]), new_track[j])
+    gaps = old_track[:, None] - new_track[None]
+    apart = np.hypot(gaps[..., 0], gaps[..., 1])
+    apart += METRES_A_RADIAN * np.abs(wrap_angles(gaps[..., 2]))
+    i, j = (int(k) for k in np.unravel_index(int(apart.argmin()), apart.shape))
+    guess = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
+    places = place_around(store, old, i, config), place_around(store, new, j, config)
     return Constraint(
-        source=old[int(i)],
-        target=new[int(j)],
-        source_from_target=Pose2(*relative.tolist()),
+        source=old[i],
+        target=new[j],
+        source_from_target=sharpened(*places, guess, config),
         information=information,
     )
 

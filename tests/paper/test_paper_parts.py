@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.closure_truth import judged, true_poses
 from benchmarks.paper import (
     cost,
     figure2,
@@ -26,7 +27,6 @@ from benchmarks.paper.blocks import Block, Chart, Gallery, Table, Words
 from benchmarks.paper.cases import FREIBURG, LACKING, STATA, Cases, Drawing, cases, tour
 from benchmarks.paper.samples import Samples, fitted, samples_of, scored, the_papers
 from benchmarks.paper.workshop import OURS, PAPER, Workshop
-from benchmarks.recognition import judged, true_poses
 from specmap_cli.evaluation.protocols import HoldOut
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.simulation.room_truth import RoomTruth
