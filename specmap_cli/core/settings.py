@@ -344,7 +344,7 @@ class RecognitionConfig(_Section):
         0.1, ge=0, description="metres per metre driven that a closure may mend"
     )
     twin_margin_m: float = Field(
-        1.5, ge=0, description="and metres besides; a match that mends more is of twin rooms"
+        0.5, ge=0, description="and metres besides; a match that mends more is of twin rooms"
     )
 
 

@@ -55,7 +55,8 @@ class Exploration:
         self.segmenter = OnlineSegmenter(config.segmentation, config.grid, store, observer)
         self.recogniser = SubmapRecogniser(config, store, clock)
         self.regions: dict[int, list[int]] = {}
-        self.closures: list[Closure] = []
+        self._closures: dict[tuple[int, int], Closure] = {}
+        self._grown = set[int]()
         self.breaks: dict[int, Bridge | None] = {}
         self._way_m = array("d", [0.0])  # driven up to each keyframe
 
@@ -86,12 +87,23 @@ class Exploration:
         for region in left:
             if region.continues is not None:
                 self.regions[region.continues].extend(region.keyframes)
+                self._grown.add(region.continues)
                 continue
             self.regions[region.number] = list(region.keyframes)
-            self._accept(self.recogniser.consider(region, self._travelled_before(region)))
+            travelled_m = self._travelled_before(region.number)
+            self._accept(self.recogniser.consider(region.number, region.keyframes, travelled_m))
 
     def recognise_leftovers(self) -> None:
-        """Look for duplicates among the submaps until no more are found."""
+        """Look for duplicates among the submaps until no more are found.
+
+        Regions that the robot came straight back to have grown since they were compared.
+        """
+        grown, self._grown = sorted(self._grown), set()
+        for number in grown:
+            travelled_m = self._travelled_before(number)
+            self.recogniser.grow(number, self.regions[number], travelled_m)
+        for number in grown:
+            self._accept(self.recogniser.again(number))
         merging = True
         while merging:
             found = self.recogniser.leftovers(self._neighbours())
@@ -103,28 +115,33 @@ class Exploration:
         return Explored(
             trajectory=trajectory,
             regions={number: tuple(keyframes) for number, keyframes in self.regions.items()},
-            closures=tuple(self.closures),
+            closures=tuple(self._closures.values()),
             breaks=dict(self.breaks),
             features=self.recogniser.features,
         )
 
     def _accept(self, closures: Iterable[Closure]) -> None:
-        """Remember what was considered; what was recognised becomes one submap."""
+        """Remember what was considered; what was recognised becomes one submap.
+
+        Of two regions what was found last is told.
+        """
         for closure in closures:
-            self.closures.append(closure)
+            pair = min(closure.old, closure.new), max(closure.old, closure.new)
+            self._closures.pop(pair, None)
+            self._closures[pair] = closure
             if closure.merged:
                 self.recogniser.closer.merge(closure.old, closure.new)
 
-    def _travelled_before(self, region: Region) -> float:
+    def _travelled_before(self, region: int) -> float:
         """Metres driven before a region; infinite once tracking has been lost."""
-        first = region.keyframes[0]
+        first = self.regions[region][0]
         if self.breaks and first >= min(self.breaks):
             return math.inf
         return self._way_m[first]
 
     def _neighbours(self) -> Neighbours:
         """Which submaps the robot drove between."""
-        labels = online_labels(self.regions, self.closures, len(self.store)).tolist()
+        labels = online_labels(self.regions, self._closures.values(), len(self.store)).tolist()
         return neighbours(labels, pairwise(labels))
 
 
@@ -136,29 +153,39 @@ class SubmapRecogniser:
         self.features = KeyframeFeatures(store, config.recognition.feature_set)
         self.closer = LoopCloser(config.recognition, np.random.default_rng(config.seed))
 
-    def consider(self, region: Region, travelled_m: float) -> list[Closure]:
+    def consider(self, number: int, keyframes: Sequence[int], travelled_m: float) -> list[Closure]:
         """Use the learned classifiers to determine if a new submap is an existing one."""
         with self.clock.stage("recognition"):
-            return self.closer.consider(self._view(region, travelled_m))
+            return self.closer.consider(self._view(number, keyframes, travelled_m))
+
+    def grow(self, number: int, keyframes: Sequence[int], travelled_m: float) -> None:
+        """A region has more keyframes than when it was considered."""
+        with self.clock.stage("recognition"):
+            self.closer.grow(self._view(number, keyframes, travelled_m))
+
+    def again(self, number: int) -> list[Closure]:
+        """A region that has grown compared once more."""
+        with self.clock.stage("recognition"):
+            return self.closer.consider_again(number)
 
     def leftovers(self, adjacency: Neighbours) -> list[Closure]:
         """Pairs of submaps that are duplicates by the topology."""
         with self.clock.stage("recognition"):
             return self.closer.consider_leftovers(adjacency)
 
-    def _view(self, region: Region, travelled_m: float) -> Stay:
+    def _view(self, number: int, region: Sequence[int], travelled_m: float) -> Stay:
         """What recognition sees of a region: features, grid and track in the region's own frame."""
-        keyframes = np.array(region.keyframes)
-        track = in_own_frame(self.store, region.keyframes)
+        keyframes = np.array(region)
+        track = in_own_frame(self.store, region)
         with self.clock.stage("grids"):
-            grid = integrate_keyframes(self.store, region.keyframes, track, self.config.grid)
+            grid = integrate_keyframes(self.store, region, track, self.config.grid)
         seen = evenly(keyframes, self.config.recognition.samples_per_submap)
         return Stay(
-            number=region.number,
+            number=number,
             features=self.features.of(seen.tolist()),
             packed=PackedGrid.of(grid.snapshot()),
             track=track,
-            map_from_stay=self.store.pose(region.keyframes[0]),
+            map_from_stay=self.store.pose(region[0]),
             travelled_m=travelled_m,
         )
 

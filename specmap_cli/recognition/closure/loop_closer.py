@@ -19,12 +19,20 @@ from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
+from specmap_cli.recognition.closure.picking import likely_duplicates, merit, with_one_merge
 from specmap_cli.recognition.closure.prepared import PreparedGrids, cropped
 from specmap_cli.recognition.closure.stay import Stay
-from specmap_cli.recognition.closure.verdict import NO_WALLS, Verdict, verdict
+from specmap_cli.recognition.closure.verdict import (
+    NO_WALLS,
+    Verdict,
+    expected_overlap,
+    mended_m,
+    verdict,
+)
 from specmap_cli.recognition.closure.verification import Check, verify
 
 _PREPARED = 8  # grids prepared for matching at a time: each takes megabytes
+_NEAR_M = 2.0  # of tracks that may be of one place: a merge's reach, and what tracking is off
 _NO_CLAIMS = Claims.alike(0.0, 0)
 
 
@@ -51,7 +59,7 @@ class LoopCloser:
         advice until `merge` is called.
         """
         features = evenly(new.features, self.config.samples_per_submap).astype(np.float32)
-        new = replace(new, features=features, packed=PackedGrid.of(cropped(new.grid)))
+        new = replace(new, features=features, packed=_packed(new))
         claims = self._ranker.claims(features)
         self._remember_claims(new.number, claims)
         self._ranker.remember(new.number, features)
@@ -80,6 +88,29 @@ class LoopCloser:
             del self._claims[other][gone]
         self._remember_claims(kept, {i: c for i, c in gone_s.items() if i != kept})
         self._forget({stay.number for stay in stays} - {stays[k].number for k in most})
+
+    def grow(self, stay: Stay) -> None:
+        """A stay went on after it was considered: from now on it is this one, whole."""
+        stays = self._submaps[self._submap_of[stay.number]]
+        grown = replace(stay, packed=_packed(stay))
+        stays[:] = [grown if other.number == stay.number else other for other in stays]
+        self._grids.forget(stay.number)
+        self._forget({stay.number})
+
+    def consider_again(self, number: int) -> list[Closure]:
+        """A grown stay compared with the submaps that it may have come back to; at most a merge."""
+        own = self._submap_of[number]
+        stay = next((s for s in self._submaps[own] if s.number == number), None)
+        if stay is None or not self.config.verify:
+            return []
+        expected = [place for place in self._expected(stay) if place[0] != own]
+        found = [
+            self._best_match(stay, old, self._best_claims(old, own), [k])
+            for old, k in expected[: self.config.candidates]
+        ]
+        merges = [closure for closure in found if closure is not None and closure.merged]
+        told = with_one_merge(merges, lambda c: self._moved_m(c, stay), self.config.min_lead)
+        return [closure for closure in told if closure.merged]
 
     def consider_leftovers(self, adjacency: Mapping[int, Collection[int]]) -> list[Closure]:
         """Pairs of submaps that may be duplicates by the topology, verified; at most one merge.
@@ -121,7 +152,7 @@ class LoopCloser:
 
     def _leftover_pairs(self, adjacency: Mapping[int, Collection[int]]) -> list[tuple[int, int]]:
         """Pairs that may be duplicates, for each submap the best ranked of those near it."""
-        pairs = _likely_duplicates(sorted(self._submaps), adjacency)
+        pairs = likely_duplicates(sorted(self._submaps), adjacency)
         pairs.sort(key=lambda pair: -self._best_claims(*pair).rank)
         taken: Counter[int] = Counter()
         chosen = []
@@ -160,8 +191,26 @@ class LoopCloser:
             closure = self._best_match(new, old, claims[old], most_claimed)
             if closure is not None:
                 closures.append(closure)
-        closures = _with_one_merge(closures)
+        for old, k in self._expected(new)[: self.config.candidates]:
+            closure = self._best_match(new, old, claims[old], [k])
+            if closure is not None:
+                closures.append(closure)
+        closures = with_one_merge(closures, lambda c: self._moved_m(c, new), self.config.min_lead)
         return sorted(closures, key=lambda c: (not c.merged, not c.verified, -c.xi, c.old))
+
+    def _expected(self, new: Stay) -> list[tuple[int, int]]:
+        """The submaps, and which stay of each, that tracking says the robot has come back to.
+
+        What was seen the other way round looks like another place, but is where it was.
+        """
+        found = [
+            (share, old, k)
+            for old, stays in self._submaps.items()
+            for k, stay in enumerate(stays)
+            if (share := expected_overlap(stay, new, _NEAR_M)) > 0.0
+        ]
+        found.sort(key=lambda one: -one[0])
+        return [(old, k) for _, old, k in found]
 
     def _best_match(
         self, new: Stay, old: int, claims: Claims, order: Collection[int]
@@ -173,15 +222,26 @@ class LoopCloser:
         best: Closure | None = None
         for k in list(order)[: self.config.members]:
             stay = self._submaps[old][k]
-            if (stay.number, new.number) in self._compared:
+            pair = min(stay.number, new.number), max(stay.number, new.number)
+            if pair in self._compared:
                 continue
-            self._compared.add((stay.number, new.number))
+            self._compared.add(pair)
             closure = self._matched(stay, new, claims)
-            if best is None or _merit(closure) > _merit(best):
+            if best is None or merit(closure) > merit(best):
                 best = closure
             if closure.merged:
                 break
         return best
+
+    def _moved_m(self, closure: Closure, new: Stay) -> float:
+        """How far a match moves a new stay from where tracking put it."""
+        assert closure.old_from_new is not None
+        return mended_m(self._stay(closure.old), new, closure.old_from_new)
+
+    def _stay(self, number: int) -> Stay:
+        """One stay of those that are kept, by its number."""
+        stays = self._submaps[self._submap_of[number]]
+        return next(stay for stay in stays if stay.number == number)
 
     def _matched(self, old: Stay, new: Stay, claims: Claims) -> Closure:
         """What the grids of two stays say."""
@@ -191,6 +251,11 @@ class LoopCloser:
         check = verify(grids[0], grids[1], self.config)
         found = verdict(old, new, check, self.config)
         return _closure(new.number, old.number, claims, check, found)
+
+
+def _packed(stay: Stay) -> PackedGrid:
+    """The grid of a stay without what it did not see."""
+    return PackedGrid.of(cropped(stay.grid))
 
 
 def _closure(new: int, old: int, claims: Claims, check: Check | None, found: Verdict) -> Closure:
@@ -212,36 +277,3 @@ def _largest(stays: Sequence[Stay], most: int) -> list[int]:
     """Numbers, ascending, of the `most` stays that saw the largest area; the older of equals."""
     by_area = sorted(range(len(stays)), key=lambda k: -stays[k].area_m2)  # sorted keeps their order
     return sorted(by_area[:most])
-
-
-def _with_one_merge(closures: list[Closure]) -> list[Closure]:
-    """The closures with the best of the merges alone left as one."""
-    merges = [c for c in closures if c.merged]
-    if not merges:
-        return closures
-    best = max(merges, key=lambda c: (c.score, -c.old))
-    return [
-        replace(c, merged=False, reason="another submap fits better")
-        if c.merged and c is not best
-        else c
-        for c in closures
-    ]
-
-
-def _likely_duplicates(
-    ids: list[int], adjacency: Mapping[int, Collection[int]]
-) -> list[tuple[int, int]]:
-    """Pairs (smaller, larger) of submaps one or two edges apart."""
-    pairs: list[tuple[int, int]] = []
-    left = set(ids)
-    for start in ids:
-        near = set(adjacency.get(start, ()))
-        near |= {n for neighbour in near for n in adjacency.get(neighbour, ())}
-        pairs.extend((start, other) for other in sorted(near & left) if other > start)
-    return pairs
-
-
-def _merit(closure: Closure) -> tuple[bool, bool, float]:
-    """What makes one match with a submap better than another; no match at all is the worst."""
-    score = -math.inf if math.isnan(closure.score) else closure.score
-    return closure.merged, closure.verified, score

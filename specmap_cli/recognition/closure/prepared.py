@@ -127,6 +127,10 @@ class PreparedGrids:
         self._grids.move_to_end(number)
         return self._grids[number]
 
+    def forget(self, number: int) -> None:
+        """The grid of this number is another one now."""
+        self._grids.pop(number, None)
+
 
 def wall_direction(grid: GridMap) -> float:
     """The direction of the walls, modulo a right angle, in [0, pi / 2) rad.

@@ -41,11 +41,29 @@ def verdict(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig
     return Verdict(True, True, "the grids match and the tracks overlap")
 
 
+def expected_overlap(old: Stay, new: Stay, reach_m: float) -> float:
+    """The smaller share of either track that passes near the other one as both were tracked.
+
+    0 where that says nothing: poses are not known, or tracking was lost between them.
+    """
+    if old.map_from_stay is None or new.map_from_stay is None:
+        return 0.0
+    if not math.isfinite(new.travelled_m - old.travelled_m):
+        return 0.0
+    expected = old.map_from_stay.inverse() @ new.map_from_stay
+    return tracks_overlap(old.track, new.track, expected, reach_m)
+
+
+def mended_m(old: Stay, new: Stay, old_from_new: Pose2) -> float:
+    """How far tracking was off where the new stay begins if a match is right; 0 if unknown."""
+    if old.map_from_stay is None or new.map_from_stay is None:
+        return 0.0
+    expected = old.map_from_stay.inverse() @ new.map_from_stay
+    return math.hypot(expected.x - old_from_new.x, expected.y - old_from_new.y)
+
+
 def _plausible(old: Stay, new: Stay, old_from_new: Pose2, config: RecognitionConfig) -> bool:
     """Whether registration can have drifted as far as a merge would say it has."""
-    if old.map_from_stay is None or new.map_from_stay is None:
-        return True
-    expected = old.map_from_stay.inverse() @ new.map_from_stay
-    shift = math.hypot(expected.x - old_from_new.x, expected.y - old_from_new.y)
     path = abs(new.travelled_m - old.travelled_m)
-    return not shift > config.twin_margin_m + config.max_drift * path  # true of a path of NaN, too
+    most_m = config.twin_margin_m + config.max_drift * path
+    return not mended_m(old, new, old_from_new) > most_m  # true of a path of NaN, too

@@ -86,6 +86,36 @@ def test_a_room_found_again_merges_whatever_the_drift_on_a_long_way(twins: Any) 
     assert closure.merged
 
 
+@pytest.mark.parametrize("seed", [2, 3, 4, 5])
+def test_of_twin_rooms_that_both_match_the_one_that_tracking_expects_is_taken(
+    twins: Any, seed: int
+) -> None:
+    loop = closer()
+    for number in (0, 1):  # advice is not followed: the twins stay two
+        loop.consider(twins.visit(number, number, seed=number, travelled_m=400.0 * number))
+    considered = loop.consider(twins.visit(2, 1, seed=seed, travelled_m=800.0))
+    assert [(c.old, c.new) for c in considered if c.merged] == [(1, 2)]
+    assert "another submap fits better" in {c.reason for c in considered}
+
+
+@pytest.mark.parametrize(("travelled_m", "merged"), [(0.0, True), (None, False), (math.inf, False)])
+def test_a_place_that_looks_new_is_compared_with_what_was_where_it_is(
+    building: Any, monkeypatch: pytest.MonkeyPatch, travelled_m: float | None, merged: bool
+) -> None:
+    """Seen the other way round it ranks last, but tracking knows; once it was lost, it does not."""
+
+    def misled(ranker: ClaimRanker, features: Any) -> dict[int, Claims]:
+        return {i: Claims.alike(float(i), 1) for i in ranker._submaps} if len(features) else {}
+
+    monkeypatch.setattr(ClaimRanker, "claims", misled)
+    loop = closer(RecognitionConfig(candidates=1))
+    for number, room in enumerate([0, 1, 2]):
+        loop.consider(building.visit(number, room, seed=number, travelled_m=travelled_m))
+    considered = loop.consider(building.visit(3, 0, seed=3, travelled_m=travelled_m))
+    assert [c.old for c in considered if c.merged] == ([0] if merged else [])
+    assert [c.old for c in considered] == ([0, 2] if merged else [2])
+
+
 def test_a_submap_without_a_wall_is_considered_and_refused_once(building: Any) -> None:
     loop = closer()
     loop.consider(building.visit(0, 0))
@@ -109,6 +139,32 @@ def test_leftover_duplicates_are_found_through_the_topology(building: Any) -> No
     assert [(c.old, c.new) for c in found if c.merged] == [(0, 3)]
     loop.merge(0, 3)
     assert not any(c.merged for c in loop.consider_leftovers({0: [1], 1: [0], 2: []}))
+
+
+def test_a_stay_that_went_on_is_compared_whole(building: Any) -> None:
+    """Of what the robot drove at first nothing was near the older stay; what followed was."""
+    loop = closer()
+    for number, room in enumerate([0, 1, 2]):
+        loop.consider(building.visit(number, room, seed=number, travelled_m=0.0))
+    whole = building.visit(3, 0, seed=3, travelled_m=0.0)
+    elsewhere = whole.track + (30.0, 0.0, 0.0)
+    assert not any(c.merged for c in loop.consider(replace(whole, track=elsewhere)))
+    assert loop.consider_again(3) == []
+    loop.grow(whole)
+    (found,) = loop.consider_again(3)
+    assert (found.old, found.new, found.merged) == (0, 3, True)
+    loop.merge(0, 3)
+    assert loop.consider_again(3) == [], "it is not compared with its own submap"
+
+
+def test_a_stay_that_was_forgotten_does_not_grow(building: Any) -> None:
+    loop = closer(RecognitionConfig(closure_rounds=5, stays_kept=1))
+    for number in (0, 1):
+        loop.consider(building.visit(number, 0, seed=number, travelled_m=0.0))
+    loop.merge(0, 1)
+    gone = next(n for n in (0, 1) if all(s.number != n for s in loop._submaps[0]))
+    loop.grow(building.visit(gone, 0, seed=gone, travelled_m=0.0))
+    assert loop.consider_again(gone) == []
 
 
 def test_merging_may_name_any_visit(building: Any) -> None:

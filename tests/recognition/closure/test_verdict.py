@@ -75,11 +75,12 @@ TWIN = "ambiguous: looks the same but is too far away, a twin"
 @pytest.mark.parametrize(
     ("apart_m", "driven_m", "reason"),
     [
-        (1.4, 0.0, "the grids match and the tracks overlap"),
-        (1.6, 0.0, TWIN),
-        (1.6, 2.0, "the grids match and the tracks overlap"),
-        (9.0, 60.0, TWIN),
-        (9.0, 80.0, "the grids match and the tracks overlap"),
+        (0.4, 0.0, "the grids match and the tracks overlap"),
+        (0.6, 0.0, TWIN),
+        (0.6, 2.0, "the grids match and the tracks overlap"),
+        (2.5, 15.0, TWIN),  # the office next door
+        (9.0, 80.0, TWIN),
+        (9.0, 90.0, "the grids match and the tracks overlap"),
         (9.0, math.inf, "the grids match and the tracks overlap"),
     ],
 )

@@ -1,0 +1,55 @@
+"""Regions that the robot came straight back to, and what is told of a pair compared twice."""
+
+from __future__ import annotations
+
+from unittest.mock import Mock, call
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.config import load_config
+from specmap_cli.core.records import Closure, IntArray, Trajectory
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.pipelines.exploration import Exploration
+from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.segmentation.online import Region
+
+
+def closure(old: int, new: int, *, merged: bool) -> Closure:
+    return Closure(
+        new=new,
+        old=old,
+        xi=0.5,
+        claims_new_by_old=1.0,
+        claims_old_by_new=0.5,
+        verified=merged,
+        merged=merged,
+        score=0.9,
+        reason="",
+        old_from_new=None,
+    )
+
+
+def stamps() -> IntArray:
+    return np.zeros(0, dtype=np.int64)
+
+
+def test_a_region_that_grew_is_compared_again_whole_and_the_last_word_counts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Exploration, "_neighbours", Mock(return_value={}))
+    with KeyframeStore() as store:
+        exploration = Exploration(load_config(), store, Stopwatch(), None)
+        exploration._way_m.extend([0.0, 1.0, 2.0, 3.0])
+        recogniser = exploration.recogniser = Mock(features=None)
+        recogniser.consider.side_effect = [[], [closure(0, 1, merged=False)]]
+        recogniser.again.return_value = [closure(1, 0, merged=True)]
+        recogniser.leftovers.return_value = []
+        exploration.recognise([Region(0, (0, 1), None), Region(1, (2,), None), Region(2, (3,), 1)])
+        exploration.recognise_leftovers()
+        assert recogniser.grow.mock_calls == [call(1, [2, 3], 1.0)]
+        assert recogniser.again.mock_calls == [call(1)]
+        explored = exploration.explored(Trajectory(stamps(), np.zeros((0, 3))))
+        assert explored.closures == (closure(1, 0, merged=True),)
+        assert explored.regions == {0: (0, 1), 1: (2, 3)}
+        recogniser.closer.merge.assert_called_once_with(1, 0)
