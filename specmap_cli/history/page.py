@@ -88,7 +88,7 @@ def _section(building: BuildingRecord, stored: StoredMap, folder: Path) -> dict[
         "plan": _plan(building, stored),
         "unplanned": [room for room in building.rooms if room.map != building.maps[0].number],
         "changes": [(change.day, words_of(change, names)) for change in building.changes],
-        "links": {each.number: _link(Path(each.map), folder) for each in building.maps},
+        "links": {each.number: _link(Path(each.map).resolve(), folder) for each in building.maps},
     }
 
 
@@ -127,11 +127,12 @@ def _shade(minutes: float, longest: float) -> int:
 def _link(map_: Path, folder: Path) -> Mapping[str, str | None]:
     """Where a map lies from the page, and its report where a batch made one."""
     report = map_.parent / "report.html"
+    of_a_job = map_.name == "map" and (map_.parent / "job.json").exists() and report.exists()
     return {
         "map": _relative(map_, folder),
-        "report": _relative(report, folder) if report.exists() else None,
+        "report": _relative(report, folder) if of_a_job else None,
     }
 
 
 def _relative(path: Path, folder: Path) -> str:
-    return quote(os.path.relpath(path.resolve(), folder.resolve()))
+    return quote(os.path.relpath(path, folder.resolve()))

@@ -107,24 +107,32 @@ def write_history(
 
     Raises UsageError for an output in the way.
     """
-    plans = [read_map(path, limits) for path in report.plans]
-    with OutputDirectory(path_of(out, "out"), overwrite, progress, HISTORY) as partial:
+    plans, target = [read_map(path, limits) for path in report.plans], path_of(out, "out")
+    with OutputDirectory(target, overwrite, progress, HISTORY) as partial:
         (partial / HISTORY).write_text(to_json(report.as_dict()), encoding="utf-8")
         for name, table in TABLES.items():
             (partial / name).write_text(table(report.record), encoding="utf-8")
-        page = render_history(report.record, plans, partial.parent)
+        page = render_history(report.record, plans, target)
         (partial / PAGE).write_text(page, encoding="utf-8")
 
 
 def _found(paths: Sequence[Path | str]) -> Iterator[Path]:
-    """Map directories: those named, and all that lie in other directories."""
+    """Map directories: those named, and all that lie in other directories.
+
+    Hidden ones are left out: maps are written there, or were when their run was killed.
+    """
     for given in paths:
         path = path_of(given, "maps")
-        inside = sorted(path.rglob(filenames.TOPOLOGY)) if path.is_dir() else []
+        found = sorted(path.rglob(filenames.TOPOLOGY)) if path.is_dir() else []
+        inside = [file.parent for file in found if not _is_hidden(file.relative_to(path))]
         if (path / filenames.TOPOLOGY).exists() or not inside:
             yield path
         else:
-            yield from (file.parent for file in inside)
+            yield from inside
+
+
+def _is_hidden(path: Path) -> bool:
+    return any(part.startswith(".") for part in path.parts)
 
 
 def _dated(

@@ -194,6 +194,29 @@ def test_the_page_shows_rooms_days_and_changes(report: HistoryReport, tmp_path: 
     assert "<script" not in page
 
 
+def test_the_page_links_to_the_maps_and_to_reports_of_a_batch(week: Path, tmp_path: Path) -> None:
+    job = tmp_path / "maps" / "monday"
+    shutil.copytree(week / "monday", job / "map")
+    shutil.copytree(week / "wednesday", tmp_path / "maps" / "wednesday")
+    for folder in (job, tmp_path / "maps"):
+        (folder / "report.html").write_text("<p>", encoding="utf-8")
+    (job / "job.json").write_text("{}", encoding="utf-8")
+    write_history(history_of([tmp_path / "maps"]), tmp_path / "out")
+    page = (tmp_path / "out" / "history.html").read_text(encoding="utf-8")
+    links = re.findall(r'<a href="([^"#]+)"', page)
+    assert [(tmp_path / "out" / link).resolve() for link in links] == [
+        job / "report.html",
+        tmp_path / "maps" / "wednesday",
+    ]
+
+
+def test_what_is_being_written_is_no_map_yet(week: Path, tmp_path: Path) -> None:
+    shutil.copytree(week / "monday", tmp_path / "monday")
+    shutil.copytree(week / "monday", tmp_path / ".tuesday.partial-0123abcd" / "map")
+    (building,) = history_of([tmp_path]).record.buildings
+    assert [one.map for one in building.maps] == [str(tmp_path / "monday")]
+
+
 def test_a_hostile_name_is_no_markup(week: Path, tmp_path: Path) -> None:
     name = "\"'><script>alert(1)</script>"
     shutil.copytree(week / "monday", tmp_path / "map")
