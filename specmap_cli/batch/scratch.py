@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shutil
@@ -15,6 +16,7 @@ from specmap_cli.core.locks import lock
 from specmap_cli.core.shortage import reason
 
 _NAME = "specmap-job-"
+_TRIES = 5  # to have a directory that nobody sweeps away
 _OURS = re.compile(_NAME + "[0-9a-f]{8}")
 
 
@@ -43,19 +45,20 @@ def scratch_directory(root: str | None) -> Iterator[Path]:
 def _locked(parent: Path) -> tuple[Path, int]:
     """A new directory and the descriptor that holds its lock.
 
-    Between the two, another run may have taken the directory for one that nobody has.
+    Between the two, another run may have taken the directory for one that nobody has: it holds the
+    lock until the directory is gone. Where no lock can be had at all, nobody sweeps either.
     """
-    while True:
+    for left in reversed(range(_TRIES)):
         directory = parent / f"{_NAME}{os.urandom(4).hex()}"
-        directory.mkdir()
-        try:
+        directory.mkdir(mode=0o700)
+        with suppress(FileNotFoundError):
             descriptor = os.open(directory, os.O_RDONLY)
-        except FileNotFoundError:
-            continue
-        lock(descriptor)
-        if os.path.lexists(directory):  # who sweeps holds the lock until it is gone
-            return directory, descriptor
-        os.close(descriptor)
+            if (lock(descriptor) or not left) and os.path.lexists(directory):
+                return directory, descriptor
+            os.close(descriptor)
+        with suppress(OSError):
+            directory.rmdir()
+    raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN), str(parent))
 
 
 def _sweep(parent: Path) -> None:
