@@ -10,6 +10,10 @@ from specmap_cli.core.errors import UsageError
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
 _LONGEST = 80
+# Files that a batch writes beside the folders of its jobs.
+BESIDE_JOBS = frozenset(
+    {"index.html", "events.jsonl", "junit.xml", "summary.csv", "summary.md", "summary.parquet"}
+)
 _TAG = 8  # hexadecimal digits
 
 
@@ -17,7 +21,7 @@ class Names:
     """The names that are taken. Upper and lower case count as the same, as on some systems."""
 
     def __init__(self) -> None:
-        self._taken: set[str] = set()
+        self._taken: set[str] = set(BESIDE_JOBS)
 
     def of_person(self, name: object, where: str) -> str:
         """A name that a person chose. Raises UsageError when it is unsafe or taken."""
@@ -27,7 +31,8 @@ class Names:
                 "underscores, a letter or digit first: it names a folder"
             )
         if name.lower() in self._taken:
-            raise UsageError(f"{where}name: {name} is another job's, too: choose another")
+            whose = "a file of the batch's" if name.lower() in BESIDE_JOBS else "another job's"
+            raise UsageError(f"{where}name: {name} is {whose}, too: choose another")
         self._taken.add(name.lower())
         return name
 

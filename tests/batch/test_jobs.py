@@ -12,7 +12,9 @@ import pytest
 import typer
 
 from specmap_cli.batch.jobs import jobs_of
+from specmap_cli.batch.naming import BESIDE_JOBS
 from specmap_cli.batch.options import OF_THE_BATCH, OPTIONS
+from specmap_cli.batch.outputs import INDEX, JOURNAL, SUMMARIES
 from specmap_cli.batch.records import COMMANDS, Job, Plan, Step
 from specmap_cli.batch.steps import SUFFIXES, arguments_of
 from specmap_cli.cli.app import app
@@ -67,6 +69,16 @@ def test_a_directory_gives_every_recording_below_it_once(lay: Lay) -> None:
 def test_a_damaged_beginning_does_not_hide_a_recording(lay: Lay) -> None:
     where = lay(empty__mcap="", rubbish__bag="rubbish", some__log="some text")
     assert names(jobs_of([str(where)])) == ["empty", "rubbish"]
+
+
+def test_no_folder_of_a_job_stands_where_the_batch_writes(lay: Lay) -> None:
+    beside = {INDEX, JOURNAL, *SUMMARIES}
+    assert beside == BESIDE_JOBS
+    where = lay(*(f"{name}.mcap" for name in beside))
+    assert beside.isdisjoint(names(jobs_of([str(where)])))
+    lay(jobs__toml='[[job]]\nname = "Index.html"\nlogs = ["index.html.mcap"]')
+    with pytest.raises(UsageError, match="a file of the batch's, too: choose another"):
+        jobs_of([str(where / "jobs.toml")])
 
 
 def test_a_pattern_gives_what_matches(lay: Lay) -> None:
