@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from specmap_cli.batch.cluster import (
@@ -20,6 +21,7 @@ from specmap_cli.batch.dispatch import longest_first, worked_off
 from specmap_cli.batch.events import EventRecord
 from specmap_cli.batch.ledger import Ledger
 from specmap_cli.batch.outputs import Journal, taken, write_summaries
+from specmap_cli.batch.places import absolute
 from specmap_cli.batch.records import Job
 from specmap_cli.core.errors import UsageError
 
@@ -50,14 +52,11 @@ def run_batch(
     if not jobs:
         raise UsageError("no logs: name a recording, a directory, a pattern or a file of jobs")
     require_dask()
-    terms = _with_memory(terms, place)
+    terms = _with_memory(replace(terms, output=absolute(terms.output)), place)
     sizes = sizes_of(jobs)
     ledger = Ledger(jobs, sizes)
     with taken(terms.output) as journal:
-        try:
-            _work(longest_first(jobs, sizes), ledger, terms, place, retries, listener, journal)
-        finally:
-            write_summaries(terms.output, ledger)
+        _work(longest_first(jobs, sizes), ledger, terms, place, retries, listener, journal)
     return ledger
 
 
@@ -76,7 +75,7 @@ def _work(
     listener: Listener,
     journal: Journal,
 ) -> None:
-    """Do the jobs, told of as they go."""
+    """Do the jobs, told of as they go; summed up however it ends, once there are workers."""
 
     def note(event: EventRecord) -> None:
         journal.write(event)
@@ -84,7 +83,11 @@ def _work(
 
     note(ledger.began())
     written = time.monotonic()
-    with opened(place) as client, DaskCrew(client, terms) as crew:
+    with (
+        opened(place) as client,
+        _summed_up(terms.output, ledger),
+        DaskCrew(client, terms) as crew,
+    ):
         for happening in worked_off(jobs, crew, retries):
             if event := ledger.heard(happening):
                 note(event)
@@ -93,6 +96,15 @@ def _work(
                 write_summaries(terms.output, ledger)
                 written = time.monotonic()
     note(ledger.ended())
+
+
+@contextmanager
+def _summed_up(output: str, ledger: Ledger) -> Iterator[None]:
+    """The summaries are written when the block ends."""
+    try:
+        yield
+    finally:
+        write_summaries(output, ledger)
 
 
 def _with_memory(terms: Terms, place: Place) -> Terms:

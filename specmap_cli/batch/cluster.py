@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from specmap_cli import __version__
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import PACKAGE, UsageError
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -76,7 +76,7 @@ def require_dask() -> None:
     try:
         import_module("distributed")
     except ImportError as error:
-        raise UsageError(f"`specmap batch` needs Dask ({error}): {EXTRA}") from None
+        raise UsageError(f"workers need Dask ({error}): {EXTRA}", code=PACKAGE) from None
 
 
 @contextmanager

@@ -73,7 +73,6 @@ class _Here:
     """A folder on this machine: a hidden sibling is renamed when it is complete."""
 
     def __init__(self, output: Path, name: str) -> None:
-        self._output = output
         self._path = output / name
 
     def stored(self) -> JobRecord | None:

@@ -29,6 +29,12 @@ def path_at(place: str) -> Path | None:
     return None if _SCHEME.match(place) else Path(place)
 
 
+def absolute(place: str) -> str:
+    """The same place for a worker in another directory: an absolute path, or a URL as it is."""
+    path = path_at(place)
+    return place if path is None else str(path.absolute())
+
+
 def store_at(url: str) -> tuple[Any, str]:
     """The file system of a URL and the path in it. Raises UsageError for one that is not known."""
     try:

@@ -111,6 +111,37 @@ class TestBatch:
             run_batch(jobs, Terms(str(tmp_path)), listener=Listener(show=interrupt))
         assert "2 of 4 jobs done, 2 waiting" in (tmp_path / "summary.md").read_text()
 
+    def test_a_batch_without_workers_leaves_the_summaries_of_the_one_before(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        ran(tmp_path, "a", "b")
+        before = (tmp_path / "summary.csv").read_bytes()
+
+        @contextmanager
+        def nobody(_place: Place) -> Iterator[Any]:
+            raise UsageError("no worker has come")
+            yield
+
+        monkeypatch.setattr(batch, "opened", nobody)
+        with pytest.raises(UsageError, match="no worker"):
+            ran(tmp_path, "a", "b")
+        assert (tmp_path / "summary.csv").read_bytes() == before
+
+    def test_workers_are_told_an_output_that_is_the_same_in_any_directory(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        outputs = []
+
+        class Told(DaskCrew):
+            def __init__(self, client: Any, terms: Terms) -> None:
+                outputs.append(terms.output)
+                super().__init__(client, terms)
+
+        monkeypatch.setattr(batch, "DaskCrew", Told)
+        monkeypatch.chdir(tmp_path)
+        ran(Path("maps"), "a")
+        assert outputs == [str(tmp_path / "maps")]
+
     def test_two_batches_do_not_share_a_directory(self, tmp_path: Path) -> None:
         def again(_: EventRecord) -> None:
             with pytest.raises(UsageError, match="another batch is writing there"):
