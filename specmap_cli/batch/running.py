@@ -68,17 +68,20 @@ def run_job(
 
     With `redo` it is made again all the same. `output` is a directory or a URL of fsspec, `scratch`
     a directory for temporary files (None: that of the system), `attempt` is 1 the first time. What
-    a job may meet is no exception but a result with the state `failed`; only where the output
-    itself cannot be used, its record is in no file. Raises GivenUpError when the job is not
-    `wanted` any more; nothing of it is left then.
+    a job may meet is no exception but a result with the state `failed`. Its record is in no file
+    where the output cannot be used, and where the inputs cannot be read and an earlier result is
+    complete: that one stays. Raises GivenUpError when the job is not `wanted` any more; nothing of
+    it is left then.
     """
     this = _Attempt(job, limits, attempt, datetime.now(UTC).isoformat(), time.monotonic())
     try:
         folder = folder_at(output, job.name)
         known = _known(job)
-        stored = None if redo else folder.stored()
-        if stored is not None and stands(stored, known.digest, limits, attempt):
+        stored = folder.stored()
+        if stored is not None and not redo and stands(stored, known.digest, limits, attempt):
             return JobResult(**stored.model_dump(), resumed=True)
+        if stored is not None and stored.state == "done" and known.refused is not None:
+            return _result(this, known, known.refused)
         return _made(this, known, folder, scratch, wanted)
     except (SpecmapError, OSError) as error:
         return _result(this, _Known(), _refusal(error))

@@ -254,6 +254,20 @@ def test_a_missing_log_fails_the_job_alone(tmp_path: Path) -> None:
     assert not run_job(job, str(tmp_path / "out")).resumed
 
 
+def test_a_log_that_is_out_of_reach_does_not_cost_its_map(run: Run, tmp_path: Path) -> None:
+    """As on a worker that lacks the shared folder."""
+    run()
+    before = files(tmp_path / "out" / "monday")
+    (tmp_path / "monday.mcap").rename(tmp_path / "away")
+    job = Job("monday", (str(tmp_path / "monday.mcap"),), ALL)
+    for redo in (False, True):
+        result = run_job(job, str(tmp_path / "out"), redo=redo)
+        assert (result.state, result.kind) == ("failed", "log")
+        assert files(tmp_path / "out" / "monday") == before
+    (tmp_path / "away").rename(tmp_path / "monday.mcap")
+    assert run().resumed
+
+
 def test_what_somebody_else_keeps_there_is_not_touched(run: Run, tmp_path: Path) -> None:
     mine = tmp_path / "out" / "monday" / "thesis.txt"
     mine.parent.mkdir(parents=True)
