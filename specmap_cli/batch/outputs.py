@@ -107,13 +107,17 @@ class _Gathered:
 
 @contextmanager
 def _in_store(output: str) -> Iterator[Journal]:
-    """A journal that goes to a store at the end, after the lines that are there."""
-    journal = _Gathered()
+    """A journal that goes to a store at the end, after the lines that are there.
+
+    It is written once before: whether the store lets us write is told before any job is done.
+    """
+    journal, (system, root) = _Gathered(), store_at(output)
+    place = f"{root}/{JOURNAL}"
+    with reaching(output):
+        before = system.cat_file(place) if system.exists(place) else b""
+        system.pipe_file(place, before)
     try:
         yield journal
     finally:
-        system, root = store_at(output)
-        place = f"{root}/{JOURNAL}"
         with reaching(output):
-            before = system.cat_file(place) if system.exists(place) else b""
             system.pipe_file(place, before + "".join(journal.lines).encode())

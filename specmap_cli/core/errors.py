@@ -56,7 +56,7 @@ CODES: Mapping[str, tuple[int, str]] = {
 _ADVICE = re.compile(
     r"(?:: |; )(?=(?:"
     r"append|bring|build|check|choose|copy|end|expected|free|give|if|"
-    r"install|keep|leave|look|lower|make|mend|move|name|pip|put|raise|"
+    r"install|keep|leave|look|lower|make|mend|move|name(?! is\b|:)|pip|put|raise|"
     r"remove|rename|run|save|say|scale|see|set|take|turn|unpack|use|write"
     r")\b)"
 )
@@ -138,6 +138,8 @@ def hint_of(message: str) -> str | None:
 
     >>> hint_of("a.png: cannot be written: No space left on device; free some space")
     'free some space'
+    >>> hint_of("jobs.toml: job 1: name is 5: expected letters")
+    'expected letters'
     >>> hint_of("none.mcap: no such file or directory")
     """
     found = _ADVICE.search(message)

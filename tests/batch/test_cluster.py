@@ -21,6 +21,7 @@ from specmap_cli.batch.crew import DaskCrew, Terms
 from specmap_cli.batch.dispatch import Finished, Retried, Turn, worked_off
 from specmap_cli.batch.events import EventRecord
 from specmap_cli.batch.ledger import Ledger
+from specmap_cli.batch.places import PlaceError
 from specmap_cli.batch.records import Limits
 from specmap_cli.batch.spread import spread
 from specmap_cli.core.errors import MapError, UsageError
@@ -159,6 +160,20 @@ class TestBatch:
         assert found == {*SUMMARIES, "events.jsonl"}
         events = store.cat_file("/fleet/maps/events.jsonl").decode().splitlines()
         assert [json.loads(line)["event"] for line in events].count("ended") == 2
+
+    def test_a_store_that_cannot_be_written_is_told_of_before_any_job(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        fsspec = pytest.importorskip("fsspec")
+
+        def refuse(*_: object) -> None:
+            raise PermissionError("access denied")
+
+        monkeypatch.setattr(fsspec.filesystem("memory"), "pipe_file", refuse)
+        told: list[EventRecord] = []
+        with pytest.raises(PlaceError, match=r"memory://closed: .*access denied"):
+            run_batch([job("a")], Terms("memory://closed"), listener=Listener(told.append))
+        assert told == []
 
 
 def test_no_jobs_are_refused(tmp_path: Path) -> None:
