@@ -83,6 +83,8 @@ def _in_store(url: str) -> Iterator[Source]:
             raise LogError(f"{url}: no such file or directory") from None
         for path in sorted(found):
             name = path.removeprefix(root).lstrip("/") or path.rsplit("/", 1)[-1]
+            if ".." in name.split("/") or "\0" in name:  # a store allows what no directory does
+                raise LogError(f"{url}: {name!r:.60}: a name that leads out of the log: rename it")
             size = found[path].get("size")
             identity = _tag(system, path, found[path])
             yield Source(system.unstrip_protocol(path), name, size, f"{size} {identity}")

@@ -22,7 +22,7 @@ from specmap_cli.batch.jobs import jobs_of
 from specmap_cli.batch.places import PlaceError, path_at, reaching, store_at
 from specmap_cli.batch.records import Job, Limits, Step
 from specmap_cli.batch.running import may_retry, run_job
-from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.errors import LogError, MapError, UsageError
 from tests.batch import fake_specmap
 
 fsspec = pytest.importorskip("fsspec")
@@ -103,6 +103,20 @@ def test_a_recording_of_several_files_is_fetched_whole(store: Any, tmp_path: Pat
     assert (log, Path(place).name) == (job.logs[0], "bag")
     texts = {path.name: path.read_text() for path in Path(place).iterdir()}
     assert texts == {name: name for name in ("metadata.yaml", "bag_0.db3", "bag_1.db3")}
+
+
+@pytest.mark.parametrize("name", ["bag/../../../../escaped.db3", ".."])
+def test_a_name_in_a_store_does_not_lead_out_of_the_scratch(
+    name: str, store: Any, tmp_path: Path
+) -> None:
+    put(store, "logs/bag/metadata.yaml")
+    put(store, f"logs/{name}")
+    place = tmp_path / "a" / "b" / "c"
+    place.mkdir(parents=True)
+    log = "memory://bucket/logs" if name == ".." else "memory://bucket/logs/bag"
+    with pytest.raises(LogError, match="a name that leads out of the log: rename it"):
+        fetched([log], place)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 def test_logs_that_do_not_fit_into_the_scratch_are_refused(
