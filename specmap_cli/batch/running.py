@@ -30,6 +30,7 @@ from specmap_cli.batch.records import (
 from specmap_cli.batch.scratch import scratch_directory
 from specmap_cli.batch.work import Work, work_on
 from specmap_cli.core.errors import LogError, SpecmapError
+from specmap_cli.core.legible import legible
 
 __all__ = ["failure", "may_retry", "run_job"]
 
@@ -137,7 +138,7 @@ def _result(this: _Attempt, known: _Known, work: Work, directory: Path | None = 
         version=__version__,
         state="done" if work.kind is None else "failed",
         kind=work.kind,
-        reason=work.reason,
+        reason=None if work.reason is None else legible(" ".join(work.reason.split())),
         attempts=this.number,
         limits=LimitsRecord(memory_mb=this.limits.memory_mb, time_s=this.limits.time_s),
         started_utc=this.started_utc,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -223,7 +224,7 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         while process.poll() is None and not (said.exists() and said.stat().st_size):
-            pass
+            time.sleep(0.05)
         yield json.loads(said.read_text(encoding="utf-8"))["address"]
     finally:
         process.kill()

@@ -268,6 +268,14 @@ def test_a_log_that_is_out_of_reach_does_not_cost_its_map(run: Run, tmp_path: Pa
     assert run().resumed
 
 
+def test_a_reason_is_one_line_of_text_whatever_a_log_is_called(tmp_path: Path) -> None:
+    log = str(tmp_path / "gone\n\udcff\x1b.mcap")
+    result = run_job(Job("gone", (log,), ALL), str(tmp_path / "out"))
+    assert result.reason == f"{tmp_path}/gone \\udcff\\x1b.mcap: no such file or directory"
+    lost = failure(Job("gone", (log,), ALL), "worker", "first\nsecond\udcff")
+    assert lost.reason == "first second\\udcff"
+
+
 def test_what_somebody_else_keeps_there_is_not_touched(run: Run, tmp_path: Path) -> None:
     mine = tmp_path / "out" / "monday" / "thesis.txt"
     mine.parent.mkdir(parents=True)
