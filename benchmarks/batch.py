@@ -14,73 +14,28 @@ where two processors are free.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import hashlib
 import json
-import os
 import random
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 
+from benchmarks.batch_crew import WORKERS, Crew, bucket, fetched
 from benchmarks.batch_logs import make_logs
 
-WORKERS = 2
 MEMORY_MB = 420  # what the short logs need, and not what the hungry ones need, even twice
 MOST_SHARE = 0.6  # of one worker's wall time
 STEPS = ("--step", "build", "--step", "report")
 _PROGRAM = (sys.executable, "-m", "specmap_cli", "batch")
 _NOT_OF_THE_RESULT = {"run.json"}  # times and memory of a map
-
-
-class Crew:
-    """A scheduler and workers in processes of their own, started again when they are killed."""
-
-    def __init__(self, folder: Path) -> None:
-        self.port = _free_port()
-        self.address = f"tcp://127.0.0.1:{self.port}"
-        self._folder = folder
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
-
-    def keep(self) -> None:
-        """Start whoever is not there."""
-        for name in ("scheduler", *(f"worker-{k}" for k in range(WORKERS))):
-            process = self._processes.get(name)
-            if process is None or process.poll() is not None:
-                self._processes[name] = self._started(name)
-
-    def kill(self, kind: str, chance: random.Random) -> bool:
-        """Kill one of them with all that it started."""
-        names = sorted(name for name in self._processes if name.startswith(kind))
-        _kill_tree(self._processes[chance.choice(names)].pid)
-        return True
-
-    def close(self) -> None:
-        """Kill them all."""
-        for process in self._processes.values():
-            _kill_tree(process.pid)
-            process.wait()
-
-    def _started(self, name: str) -> subprocess.Popen[bytes]:
-        if name == "scheduler":
-            command = ["dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port)]
-        else:
-            command = ["dask_worker", self.address, "--nthreads", "1", "--death-timeout", "20"]
-            command += ["--local-directory", str(self._folder)]
-        return subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.{command[0]}", *command[1:], "--no-dashboard"],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
 
 
 def batch(logs: list[Path] | Path, out: str | Path, *options: str) -> subprocess.Popen[bytes]:
@@ -165,42 +120,6 @@ def twice(out: Path) -> list[str]:
     return sorted(name for name, times in done.items() if times > 1)
 
 
-@contextlib.contextmanager
-def bucket() -> Iterator[str]:
-    """The URL of a bucket on a server of moto; the environment leads fsspec there."""
-    port = _free_port()
-    server = subprocess.Popen(
-        [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    os.environ.update(
-        AWS_ENDPOINT_URL=f"http://127.0.0.1:{port}",
-        AWS_ACCESS_KEY_ID="testing",
-        AWS_SECRET_ACCESS_KEY="testing",
-        AWS_DEFAULT_REGION="us-east-1",
-    )
-    try:
-        import fsspec
-
-        _wait_for(port)
-        fsspec.filesystem("s3").mkdir("fleet")
-        yield "s3://fleet/maps"
-    finally:
-        server.kill()
-        server.wait()
-
-
-def fetched(url: str, folder: Path) -> Path:
-    """The results in a bucket, copied to a directory."""
-    import fsspec
-
-    store = fsspec.filesystem("s3")
-    store.invalidate_cache()
-    store.get(url, str(folder), recursive=True)
-    return folder
-
-
 def _killed(
     victim: str, process: subprocess.Popen[bytes], crew: Crew | None, chance: random.Random
 ) -> bool:
@@ -218,35 +137,12 @@ def _killed(
     return True
 
 
-def _kill_tree(pid: int) -> None:
-    with contextlib.suppress(psutil.Error):
-        parent = psutil.Process(pid)
-        for process in [parent, *parent.children(recursive=True)]:
-            with contextlib.suppress(psutil.Error):
-                process.kill()
-
-
 def _hash(folder: Path) -> str:
     found = hashlib.sha256()
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path.name not in _NOT_OF_THE_RESULT:
             found.update(f"{path.relative_to(folder)}\n".encode() + path.read_bytes())
     return found.hexdigest()
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def _wait_for(port: int) -> None:
-    until = time.monotonic() + 60.0
-    while time.monotonic() < until:
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
-            return
-        time.sleep(0.2)
-    raise SystemExit("moto's server does not answer")
 
 
 def _said(process: subprocess.Popen[bytes]) -> str:
