@@ -41,7 +41,8 @@ def as_markdown(rows: Sequence[Row]) -> bytes:
     """A page for a person: totals, what failed and why, what is doubtful, what took longest."""
     failed = [row for row in rows if row["state"] == "failed"]
     doubtful = [row for row in rows if row["verdict"] in ("doubtful", "poor")]
-    slowest = sorted(rows, key=lambda row: -float(row["wall_s"] or 0.0))[:5]
+    worked = [row for row in rows if row["wall_s"] is not None]
+    slowest = sorted(worked, key=lambda row: -float(row["wall_s"] or 0.0))[:5]
     lines = [
         f"### {headline(rows)}",
         "",

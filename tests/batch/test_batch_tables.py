@@ -63,6 +63,7 @@ def test_markdown_names_what_failed_and_what_is_doubtful(rows: list[Row]) -> Non
     assert "- 910 scans over 46 m in 54 s of work\n- maps: 1 good, 1 poor\n" in text
     assert '| b | log | no scans \\| in "b"\\\\x1b, \\<none\\> | 1 |' in text
     assert "| c | poor | 0.64 |  |" in text
+    assert "\n| d |" not in text, "a job that waits took no time"
 
 
 def test_markdown_of_many_failures_is_short() -> None:
