@@ -22,7 +22,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise UsageError(f"{path}: cannot read the configuration: {reason}", code=SETTING) from None
+        raise UsageError(f"{path}: cannot be read: {reason}", code=SETTING) from None
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{path}: not valid TOML: {error}", code=SETTING) from None
 

@@ -182,7 +182,7 @@ def test_a_wrong_setting_is_not_blamed_on_the_file(tmp_path: Path, run: Run) -> 
 def test_a_missing_file_of_settings(tmp_path: Path, run: Run) -> None:
     said = run("config", "--config", tmp_path / "none.toml")
     assert said.code == 2
-    assert "none.toml: cannot read the configuration: No such file" in said.error
+    assert "none.toml: cannot be read: No such file" in said.error
 
 
 def test_settings_over_file_over_preset_over_default(tmp_path: Path, run: Run) -> None:

@@ -104,7 +104,7 @@ def test_a_file_that_cannot_be_read_is_one_line(tmp_path: Path, content: bytes |
     path = tmp_path / "specmap.toml"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(UsageError, match=r"specmap\.toml: cannot read the configuration"):
+    with pytest.raises(UsageError, match=r"specmap\.toml: cannot be read"):
         load_config(path)
 
 
