@@ -122,6 +122,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         context = getattr(error, "ctx", None)
         command = context.command_path if context is not None else "specmap"
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
+        message = message.replace(": Value error, ", ": ", 1)  # pydantic's word, not ours
         raise UsageError(f"{message}; see `{command} --help`") from None
     except SystemExit as leaving:
         if isinstance(leaving.__context__, BrokenPipeError):  # `specmap --help | head`

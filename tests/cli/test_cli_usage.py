@@ -111,6 +111,10 @@ def test_shell_completion(shell: str) -> None:
         (["localize", "x.mcap"], "Missing option '--map' / '-m'; see `specmap localize --help`"),
         (["build", "x.mcap", "--frob"], "No such option: --frob; see `specmap build --help`"),
         (["build", "x.mcap", "--seed", "x"], "Invalid value for '--seed'"),
+        (
+            ["batch", "x", "-o", "y", "--step", "chek"],
+            "Invalid value for '--step': 'chek' is not one",
+        ),
         (["info", "x.mcap", "--quite"], "No such option: --quite"),
         (["config", "--preset", "papre"], "unknown preset 'papre': choose from default, paper"),
     ],
