@@ -44,6 +44,12 @@ def _memory(record: JobRecord) -> Value:
     return None if record.memory_mb is None else round(record.memory_mb, 1)
 
 
+def _warnings(record: JobRecord) -> Value:
+    """What the steps warned of, each once."""
+    said = dict.fromkeys(each for step in record.steps for each in step.warnings)
+    return "; ".join(said) or None
+
+
 COLUMNS = (
     Column("name", "text", "of the job and of its folder", lambda one: one.name),
     Column("state", "text", "done, failed, or waiting", lambda one: one.state),
@@ -59,6 +65,7 @@ COLUMNS = (
     Column("wall_s", "real", "seconds that the job took", lambda one: round(one.wall_s, 2)),
     Column("memory_mb", "real", "most megabytes that a step held", _memory),
     Column("attempts", "whole", "how many times it was tried", lambda one: one.attempts),
+    Column("warnings", "text", "what its steps warned of", _warnings),
     Column("digest", "text", "SHA-256 of all that decides the result", lambda one: one.digest),
 )
 WAITING = "waiting"

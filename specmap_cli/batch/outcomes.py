@@ -33,6 +33,7 @@ _BY_CODE: Mapping[int, Kind] = {
 _BY_WORD: Mapping[str, Kind] = {MEMORY: "memory", MACHINE: "place"}
 _NO_PLACE = tuple(os.strerror(one) for one in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS))
 _MOST_CHARACTERS = 1000  # of a reason
+_MOST_WARNINGS = 20  # of a step; log.txt has them all
 
 
 def may_retry(result: JobRecord, attempts: int = MOST_ATTEMPTS) -> bool:
@@ -79,6 +80,7 @@ def judged(
         cpu_s=ended.cpu_s,
         memory_mb=ended.memory_mb,
         reason=reason,
+        warnings=_warnings(told),
     )
     return outcome, None if reason is None else _kind(ended, told, reason)
 
@@ -126,6 +128,13 @@ def _broken(step: Step, told: Mapping[str, Any]) -> str:
     quality = told.get("quality")
     verdict = quality.get("verdict") if isinstance(quality, dict) else "doubtful or poor"
     return f"{step.command}: the map is {verdict}"
+
+
+def _warnings(told: Mapping[str, Any]) -> tuple[str, ...]:
+    """What the step warned of, as it printed it."""
+    said = told.get("warnings")
+    texts = [each for each in said if isinstance(each, str)] if isinstance(said, list) else []
+    return tuple(legible(each)[:_MOST_CHARACTERS] for each in texts[:_MOST_WARNINGS])
 
 
 def _signal(number: int) -> str:

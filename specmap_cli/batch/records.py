@@ -94,6 +94,9 @@ class StepOutcome(_Record):
     cpu_s: float = Field(description="seconds of processor time that it used")
     memory_mb: float | None = Field(description="most megabytes it was seen to hold")
     reason: str | None = Field(description="why it failed, in a line; null where it did not")
+    warnings: tuple[str, ...] = Field(
+        default=(), description="what it warned of, such as parts of a log that are lost"
+    )
 
 
 class InputRecord(_Record):

@@ -49,6 +49,7 @@ def as_markdown(rows: Sequence[Row]) -> bytes:
         *_totals(rows),
         *_section("Failed", failed, ("name", "kind", "reason", "attempts")),
         *_section("Doubtful or poor", doubtful, ("name", "verdict", "lost_share", "submaps")),
+        *_section("Warnings", [row for row in rows if row["warnings"]], ("name", "warnings")),
         *_section("Slowest", slowest, ("name", "wall_s", "scans", "scans_per_s", "memory_mb")),
     ]
     return "\n".join([*lines, ""]).encode("utf-8", "backslashreplace")

@@ -141,10 +141,15 @@ class _Bench:
 
 def _with_logs_named(outcome: StepOutcome, places: Mapping[str, str]) -> StepOutcome:
     """The same with logs called as the user calls them, not by where they were fetched to."""
-    reason = outcome.reason
-    for log, path in places.items():
-        reason = None if reason is None else reason.replace(path, log)
-    return outcome.model_copy(update={"reason": reason})
+
+    def named(text: str) -> str:
+        for log, path in places.items():
+            text = text.replace(path, log)
+        return text
+
+    reason = None if outcome.reason is None else named(outcome.reason)
+    warnings = tuple(named(each) for each in outcome.warnings)
+    return outcome.model_copy(update={"reason": reason, "warnings": warnings})
 
 
 def _environment(temporary: Path) -> dict[str, str]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from specmap_cli.batch.crew import Terms
 from specmap_cli.batch.dispatch import Turn
-from specmap_cli.batch.records import InputRecord, Job, JobResult, LimitsRecord, Step
+from specmap_cli.batch.records import InputRecord, Job, JobResult, LimitsRecord, Step, StepOutcome
 
 FIGURES: dict[str, float | str | None] = {
     "verdict": "good",
@@ -53,6 +53,23 @@ def result(name: str, **changes: Any) -> JobResult:
             **changes,
         }
     )
+
+
+def warned(name: str, *warnings: str) -> JobResult:
+    """A job that went well, whose steps build and report both warned of something."""
+    steps = [
+        StepOutcome(
+            command=command,
+            exit_code=0,
+            wall_s=1.0,
+            cpu_s=1.0,
+            memory_mb=100.0,
+            reason=None,
+            warnings=warnings,
+        )
+        for command in ("build", "report")
+    ]
+    return result(name, steps=tuple(steps))
 
 
 def failed(name: str, kind: str = "log", reason: str = "holds no scans", **more: Any) -> JobResult:

@@ -10,7 +10,7 @@ import pytest
 from specmap_cli.batch.columns import row_of
 from specmap_cli.batch.index import as_html
 from specmap_cli.batch.records import JobResult
-from tests.batch.results import failed, result
+from tests.batch.results import failed, result, warned
 from tests.report.browser import Browser, installed
 
 
@@ -44,6 +44,11 @@ def test_names_and_reasons_are_text() -> None:
     text = page(result("50% #1?"), failed("b", reason="<script>alert(1)</script>"))
     assert "<script>alert" not in text
     assert "50%25%20%231%3F/report.html" in Links(text).found
+
+
+def test_a_warning_stands_under_the_result() -> None:
+    assert '<p class="reason">cut &lt;off&gt;; late</p>' in page(warned("a", "cut <off>", "late"))
+    assert 'class="reason"' not in page(result("a"))
 
 
 def test_it_needs_no_other_file_and_runs_no_other_script() -> None:

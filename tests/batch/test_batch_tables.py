@@ -15,7 +15,7 @@ from specmap_cli.batch.columns import COLUMNS, Row, row_of
 from specmap_cli.batch.dispatch import Finished, Retried, Started, Turn
 from specmap_cli.batch.ledger import Ledger
 from specmap_cli.batch.tables import as_csv, as_junit, as_markdown, as_parquet, headline
-from tests.batch.results import failed, job, result
+from tests.batch.results import failed, job, result, warned
 
 
 @pytest.fixture
@@ -45,6 +45,7 @@ def test_csv_says_what_is_known(rows: list[Row]) -> None:
         "wall_s": "18.0",
         "memory_mb": "300.5",
         "attempts": "1",
+        "warnings": "",
         "digest": "",
     }
 
@@ -71,6 +72,11 @@ def test_markdown_of_many_failures_is_short() -> None:
     text = as_markdown(many).decode()
     assert "... and 80 more: see summary.csv" in text
     assert text.count("holds no scans") == 20
+
+
+def test_markdown_tells_of_warnings_once_though_every_step_warned() -> None:
+    text = as_markdown([row_of("a", warned("a", "cut | off")), row_of("b", result("b"))]).decode()
+    assert "#### Warnings\n\n| name | warnings |\n|---|---|\n| a | cut \\| off |\n" in text
 
 
 def test_junit_is_a_test_a_job(rows: list[Row]) -> None:

@@ -364,6 +364,18 @@ def test_a_real_log_becomes_a_map_with_figures(tour: Path, tmp_path: Path) -> No
     assert os.listdir(tmp_path / "scratch") == []
 
 
+def test_a_log_without_its_end_is_warned_of_in_job_json(tour: Path, tmp_path: Path) -> None:
+    log = tmp_path / "short.mcap"
+    log.write_bytes(tour.read_bytes()[:-40])
+    (job,) = jobs_of([str(log)], Plan(("build",), {"build": {"set": list(QUICK[1::2])}}))
+    result = run_job(job, str(tmp_path / "out"))
+    assert result.state == "done", result.reason
+    (build,) = result.steps
+    assert any(f"{log}: cut off" in each for each in build.warnings), build.warnings
+    stored = json.loads((tmp_path / "out" / "short" / "job.json").read_text())
+    assert stored["steps"][0]["warnings"] == list(build.warnings)
+
+
 def test_a_real_log_that_is_cut_off_says_so(tour: Path, tmp_path: Path) -> None:
     log = tmp_path / "cut.mcap"
     log.write_bytes(tour.read_bytes()[:100])
