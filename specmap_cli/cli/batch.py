@@ -159,9 +159,11 @@ def _lines(out: str, ledger: Ledger) -> list[str]:
     from specmap_cli.batch.tables import headline, kinds_of
 
     rows = ledger.rows()
+    resumed = sum(result.resumed for result in ledger.results.values())
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in kinds_of(rows))
     return [
         f"{out}: {headline(rows)}",
+        *([f"{out}: {resumed:,} of the results were there already"] if resumed else []),
         *([f"{out}: failures: {kinds}; reasons are in summary.md"] if kinds else []),
         f"look at {out}/{INDEX}",
     ]

@@ -53,6 +53,7 @@ def test_a_batch_and_the_same_again(logs: Path, tmp_path: Path, run: Run) -> Non
     again = run(*command)
     assert again.code == 5
     assert f"{out}: 1 of 3 jobs done, 2 failed" in again.out
+    assert f"{out}: 3 of the results were there already" in again.out
     assert "empty: log: " in again.err
     assert (out / "good" / "job.json").stat().st_mtime_ns == before
 
