@@ -27,6 +27,7 @@ from specmap_cli.recognition.closure.verdict import (
     Verdict,
     expected_overlap,
     mended_m,
+    plausible,
     verdict,
 )
 from specmap_cli.recognition.closure.verification import Check, verify
@@ -248,7 +249,9 @@ class LoopCloser:
         grids = [self._grids.of(stay.number, stay.grid) for stay in (old, new)]
         if grids[0] is None or grids[1] is None:
             return _closure(new.number, old.number, claims, None, NO_WALLS)
-        check = verify(grids[0], grids[1], self.config)
+        check = verify(
+            grids[0], grids[1], self.config, lambda pose: plausible(old, new, pose, self.config)
+        )
         found = verdict(old, new, check, self.config)
         return _closure(new.number, old.number, claims, check, found)
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import Pose2, wrap_angle
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.closure.stay import Stay
 from specmap_cli.recognition.closure.verification import Check, tracks_overlap
+
+# Rooms have right angles: a wrong match is turned by a quarter or by half. Tracking is not, unless
+# it turned a little with every metre of a long way.
+_MOST_TURN_RAD, _TURN_RAD_PER_M = math.pi / 4, 0.001
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +37,7 @@ def verdict(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig
         return Verdict(False, False, "the grids overlap too little")
     if check.lead < config.min_lead:
         return Verdict(False, False, "ambiguous: the grids match in more than one way")
-    if not _plausible(old, new, check.old_from_new, config):
+    if not plausible(old, new, check.old_from_new, config):
         return Verdict(False, False, "ambiguous: looks the same but is too far away, a twin")
     shared = tracks_overlap(old.track, new.track, check.old_from_new, config.merge_reach_m)
     if shared < config.merge_overlap:
@@ -62,8 +66,20 @@ def mended_m(old: Stay, new: Stay, old_from_new: Pose2) -> float:
     return math.hypot(expected.x - old_from_new.x, expected.y - old_from_new.y)
 
 
-def _plausible(old: Stay, new: Stay, old_from_new: Pose2, config: RecognitionConfig) -> bool:
+def plausible(old: Stay, new: Stay, old_from_new: Pose2, config: RecognitionConfig) -> bool:
     """Whether registration can have drifted as far as a merge would say it has."""
     path = abs(new.travelled_m - old.travelled_m)
     most_m = config.twin_margin_m + config.max_drift * path
-    return not mended_m(old, new, old_from_new) > most_m  # true of a path of NaN, too
+    # not to be turned round: a path of NaN says nothing
+    return not (
+        mended_m(old, new, old_from_new) > most_m
+        or _mended_rad(old, new, old_from_new) > _MOST_TURN_RAD + _TURN_RAD_PER_M * path
+    )
+
+
+def _mended_rad(old: Stay, new: Stay, old_from_new: Pose2) -> float:
+    """The same of the heading."""
+    if old.map_from_stay is None or new.map_from_stay is None:
+        return 0.0
+    expected = old.map_from_stay.inverse() @ new.map_from_stay
+    return abs(wrap_angle(expected.theta - old_from_new.theta))

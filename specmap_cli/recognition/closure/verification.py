@@ -7,7 +7,7 @@ stand where the other saw free space: a right transform contradicts nothing.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,14 +52,21 @@ class Check:
     lead: float = 0.0
 
 
-def verify(old: PreparedGrid, new: PreparedGrid, config: RecognitionConfig) -> Check | None:
+def verify(
+    old: PreparedGrid,
+    new: PreparedGrid,
+    config: RecognitionConfig,
+    plausible: Callable[[Pose2], bool] | None = None,
+) -> Check | None:
     """The best transform between two grids and its judgement; None when nothing overlaps.
+
+    Of transforms that fit alike only those are rivals that are `plausible`, if that is known.
 
     Directions of walls are taken as they are first; when that looks promising but is neither right
     nor clear, they are tried a few degrees off as well.
     """
     search = TransformSearch(old, new)
-    trials = _Trials(old, new, config)
+    trials = _Trials(old, new, config, plausible)
     best = _best(trials, search.best(search.few), search.centre)
     promising = best is not None and config.hopeless_score <= best.score < config.sure_score
     if best is not None and promising and not _clear(best, config):
@@ -114,8 +121,14 @@ def tracks_overlap(
 class _Trials:
     """Transforms between two grids that were refined and judged, each once."""
 
-    def __init__(self, old: PreparedGrid, new: PreparedGrid, config: RecognitionConfig) -> None:
-        self.old, self.new, self.config = old, new, config
+    def __init__(
+        self,
+        old: PreparedGrid,
+        new: PreparedGrid,
+        config: RecognitionConfig,
+        plausible: Callable[[Pose2], bool] | None,
+    ) -> None:
+        self.old, self.new, self.config, self.plausible = old, new, config, plausible
         self.rough = evenly(new.walls, _ROUGH_POINTS)
         self._checks: dict[tuple[Pose2, bool], Check] = {}
 
@@ -147,11 +160,25 @@ def _best(trials: _Trials, guesses: Sequence[Pose2], centre: FloatArray) -> Chec
     checks = sorted(map(trials.roughly, likely[:_REFINED]), key=_rank, reverse=True)
     if not checks:
         return None
+    checks = _possible(checks, trials)
     best = checks[0]
     if best.score < trials.config.hopeless_score:
         return best
     final = trials.finely(best.old_from_new)
     return replace(final if final.score >= best.score else best, lead=_lead(checks, centre))
+
+
+def _possible(checks: list[Check], trials: _Trials) -> list[Check]:
+    """The checks that are to be weighed, best first: without those that tracking rules out.
+
+    Where the best is ruled out itself and leads, all of them: it is to be told.
+    """
+    if trials.plausible is None:
+        return checks
+    possible = [check for check in checks if trials.plausible(check.old_from_new)]
+    if not possible or _rank(checks[0]) - _rank(possible[0]) >= trials.config.min_lead:
+        return checks
+    return possible
 
 
 def _clear(check: Check, config: RecognitionConfig) -> bool:

@@ -236,9 +236,10 @@ class Oracle:
         assert isinstance(grid, GridMap)
         return number
 
-    def verify(self, old: Any, new: Any, config: RecognitionConfig) -> Check:
+    def verify(self, old: Any, new: Any, config: RecognitionConfig, plausible: Any) -> Check:
         """A match of the given score, nearly on top of each other."""
         assert config.verify
+        assert plausible(Pose2(0.0, 0.0, 0.0))
         self.asked.append((old, new))
         score = self.scores.get((old, new), 0.1)
         return Check(

@@ -94,6 +94,19 @@ def test_twins_are_told_by_the_drift_that_one_place_would_need(
     assert verdict(new, old, SURE, CONFIG).reason == reason
 
 
+@pytest.mark.parametrize(
+    ("turned_deg", "driven_m", "merged"),
+    [(30.0, 5.0, True), (90.0, 5.0, False), (-177.0, 350.0, False), (90.0, 1000.0, True)],
+)
+def test_tracking_turns_a_little_on_a_long_way_and_never_by_a_quarter(
+    turned_deg: float, driven_m: float, merged: bool
+) -> None:
+    old = stay(0, map_from_stay=IDENTITY)
+    frame = Pose2(0.0, 0.0, math.radians(turned_deg))
+    new = stay(1, map_from_stay=frame, travelled_m=driven_m)
+    assert verdict(old, new, SURE, CONFIG).merged is merged
+
+
 def test_two_stays_after_a_loss_of_tracking_may_be_any_way_apart() -> None:
     known = {"travelled_m": math.inf}
     old = stay(0, map_from_stay=IDENTITY, **known)

@@ -252,3 +252,31 @@ def test_overlap_by_a_loop_and_the_same_both_ways(
     found = tracks_overlap(old, new, old_from_new, reach)
     assert found == pytest.approx(min(of_old, of_new))
     assert tracks_overlap(new, old, old_from_new.inverse(), reach) == pytest.approx(found)
+
+
+HALL = [
+    (-4.0, -2.0, 4.0, -2.0),
+    (4.0, -2.0, 4.0, 2.0),
+    (4.0, 2.0, -4.0, 2.0),
+    (-4.0, 2.0, -4.0, -2.0),
+]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_of_two_ways_that_a_hall_fits_the_plausible_one_is_sure(turned: bool) -> None:
+    """A rectangle fits as well when it is turned by half; tracking knows which way it stands."""
+    hall = ready(walls_at(HALL))
+    blind = verify(hall, hall, CONFIG)
+    known = verify(hall, hall, CONFIG, lambda pose: (math.cos(pose.theta) < 0.0) is turned)
+    assert blind is not None
+    assert known is not None
+    assert blind.lead < CONFIG.min_lead < known.lead
+    assert (math.cos(known.old_from_new.theta) < 0.0) is turned
+
+
+def test_what_leads_though_it_is_not_plausible_is_told() -> None:
+    """So that the reason can be said: a twin."""
+    room = ready(walls_at(ROOM))
+    told = verify(room, room, CONFIG, lambda pose: math.hypot(pose.x, pose.y) > 1.0)
+    assert told is not None
+    assert told == verify(room, room, CONFIG)
