@@ -11,7 +11,7 @@ from specmap_cli.cli.options import Common, Overwrite, Settings, output
 from specmap_cli.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from specmap_cli.pipelines.merge import Spread
+    from specmap_cli.pipelines.meetings import Spread
 
 Maps = Annotated[
     list[Path], typer.Argument(metavar="MAP", help="Map directories.", show_default=False)

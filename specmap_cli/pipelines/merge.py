@@ -7,12 +7,11 @@ map on; what meets none of them stays apart. Maps are taken in the order of thei
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
-import networkx as nx
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
@@ -32,22 +31,17 @@ from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
 from specmap_cli.pipelines.edited import drawn
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, seen_of_stored
-from specmap_cli.pipelines.known_maps import PairOfMaps, align_pair
 from specmap_cli.pipelines.learning import whole_grid
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
+from specmap_cli.pipelines.meetings import Meetings, Spread, meetings_of, parts_of, steps_of
 from specmap_cli.pipelines.merge_report import MergeReport
 from specmap_cli.pipelines.remaking import remade
 from specmap_cli.pipelines.run_record import OF_THE_MAP, run_record
 from specmap_cli.pipelines.stopwatch import Stopwatch
-from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.topology.borders import fences_of
 from specmap_cli.topology.regions import divide
-
-Meetings = Mapping[tuple[int, int], Alignment]  # of maps i < j: where j lies in i
-# What a function says of each of many things, in their order.
-Spread = Callable[[Callable[[PairOfMaps], Alignment], Sequence[PairOfMaps]], Iterable[Alignment]]
 
 
 def merge_maps(
@@ -79,7 +73,7 @@ def merge_maps(
         _refuse_twice(ordered)
         progress.start("aligning", None)
         with clock.stage("alignment"):
-            meetings = _meetings(ordered, seen, config, spread)
+            meetings = meetings_of(ordered, seen, config, spread)
         progress.start("layout", None)
         with clock.stage("layout"):
             merging = _merged(ordered, seen, meetings, store, config)
@@ -94,7 +88,9 @@ def merge_maps(
         out=target,
         run=run,
         quality=finished.quality,
-        parts=tuple(tuple(names[k] for k in sorted(part)) for part in _parts(len(seen), meetings)),
+        parts=tuple(
+            tuple(names[k] for k in sorted(part)) for part in parts_of(len(seen), meetings)
+        ),
         ids={
             names[k]: merging.ids_of(k, seen[k].kept, finished.labels.submaps)
             for k in range(len(seen))
@@ -146,48 +142,6 @@ def _counts(maps: Sequence[StoredMap]) -> dict[str, int]:
     return dict(totals)
 
 
-def _meetings(
-    maps: Sequence[StoredMap], seen: Sequence[Seen], config: Config, spread: Spread | None
-) -> Meetings:
-    """The pairs of maps that are aligned: here, or wherever `spread` has it done."""
-    pairs = list(combinations(range(len(maps)), 2))
-    found: Iterable[Alignment]
-    if spread is None:
-        found = (align(seen[i].known, seen[j].known, config) for i, j in pairs)
-    else:
-        paths = [stored.path.resolve() for stored in maps]
-        found = spread(align_pair, [PairOfMaps(paths[i], paths[j], config) for i, j in pairs])
-    return {
-        pair: each for pair, each in zip(pairs, found, strict=True) if each.old_from_new is not None
-    }
-
-
-def _parts(count: int, meetings: Meetings) -> list[set[int]]:
-    """The maps that hang together, the part of the first map first."""
-    graph = nx.Graph()
-    graph.add_nodes_from(range(count))
-    graph.add_edges_from(meetings)
-    return sorted(nx.connected_components(graph), key=min)
-
-
-def _steps(count: int, meetings: Meetings) -> list[tuple[int | None, int]]:
-    """The maps in the order of joining, each with the one that it is laid into; None: beside all.
-
-    Along the alignments that most wall speaks for (a maximum spanning tree).
-    """
-    graph = nx.Graph()
-    graph.add_nodes_from(range(count))
-    for (i, j), alignment in meetings.items():
-        walls_m = 0.0 if alignment.ground is None else alignment.ground.confirmed_m
-        graph.add_edge(i, j, weight=walls_m)
-    tree = nx.maximum_spanning_tree(graph)
-    steps: list[tuple[int | None, int]] = []
-    for part in _parts(count, meetings):
-        first = min(part)
-        steps += [(None, first), *nx.bfs_edges(tree, first, sort_neighbors=sorted)]
-    return steps
-
-
 @dataclass(frozen=True, slots=True)
 class _Merging:
     """Maps joined so far; `firsts` are the first keyframe and the first stay of each, by number."""
@@ -223,7 +177,7 @@ def _merged(
     config: Config,
 ) -> _Merging:
     """All maps in one, their keyframes in `store` in the order of joining."""
-    (_, first), *steps = _steps(len(seen), meetings)
+    (_, first), *steps = steps_of(len(seen), meetings)
     _copy(maps[first], store)
     whole = seen[first].known.whole
     kept = _edited(seen[first].kept, whole)
