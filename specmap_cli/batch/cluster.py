@@ -16,12 +16,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from specmap_cli import __version__
-from specmap_cli.core.errors import PACKAGE, UsageError
+from specmap_cli.core.errors import PACKAGE, NoResultError, UsageError
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 EXTRA = "pip install 'specmap-cli[batch]'"
+_STARTS = 2  # how often workers are started before it is given up
 _ANSWER_S = 10.0  # a scheduler that does not answer within this time is not there
 _MB = 1_000_000
 _SHARE = 0.9  # of the machine's memory: the rest is for the system and the client
@@ -82,22 +83,34 @@ def require_dask() -> None:
 @contextmanager
 def _local(place: Place) -> Iterator[Client]:
     import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client
+
+    with dask.config.set(_DASK), _started(place) as cluster, Client(cluster) as client:
+        yield client
+
+
+def _started(place: Place) -> LocalCluster:
+    """The workers of this machine. A worker may die while it starts: then all start once more."""
+    from distributed import LocalCluster
 
     cluster_of_dask: Any = LocalCluster
-    with (
-        dask.config.set(_DASK),
-        cluster_of_dask(
-            n_workers=place.workers or processors(),
-            threads_per_worker=1,
-            processes=True,
-            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-            memory_limit=0,  # the steps of jobs have limits of their own
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        yield client
+    for _ in range(_STARTS):
+        try:
+            started: LocalCluster = cluster_of_dask(
+                n_workers=place.workers or processors(),
+                threads_per_worker=1,
+                processes=True,
+                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+                memory_limit=0,  # the steps of jobs have limits of their own
+                silence_logs=logging.CRITICAL,
+            )
+            return started
+        except (RuntimeError, OSError) as error:
+            why = str(error.__cause__ or error)
+    raise NoResultError(
+        f"the workers of this machine could not be started ({why}): run the same command again, "
+        "which goes on where this one stopped"
+    )
 
 
 @contextmanager

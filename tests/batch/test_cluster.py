@@ -25,7 +25,7 @@ from specmap_cli.batch.ledger import Ledger
 from specmap_cli.batch.places import PlaceError
 from specmap_cli.batch.records import Limits
 from specmap_cli.batch.spread import spread
-from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.errors import MapError, NoResultError, UsageError
 from tests.batch.results import at_once, job
 
 distributed = pytest.importorskip("distributed")
@@ -265,3 +265,26 @@ def test_a_function_of_many_things_is_spread_over_the_workers() -> None:
     assert spread(Place(), _tripled, [1, 2, 3]) == [3, 6, 9]
     with pytest.raises(MapError, match="-1: not a map"):
         spread(Place(), _tripled, [1, -1])
+
+
+class _Failing:
+    """A cluster of Dask whose workers die while they start, the first `times` of them."""
+
+    def __init__(self, times: int) -> None:
+        self.left = times
+
+    def __call__(self, **_: Any) -> str:
+        self.left -= 1
+        if self.left >= 0:
+            raise RuntimeError("Nanny failed to start.") from RuntimeError("no worker process")
+        return "started"
+
+
+def test_a_worker_that_dies_while_it_starts_is_started_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(distributed, "LocalCluster", _Failing(1))
+    assert cluster._started(Place(1)) == "started"
+    monkeypatch.setattr(distributed, "LocalCluster", _Failing(9))
+    with pytest.raises(NoResultError, match=r"could not be started \(no worker process\): run "):
+        cluster._started(Place(1))
