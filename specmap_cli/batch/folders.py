@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,12 +12,14 @@ from pydantic import ValidationError
 
 from specmap_cli.batch.places import path_at, reaching, store_at
 from specmap_cli.batch.records import JobRecord
-from specmap_cli.batch.steps import JOB
+from specmap_cli.batch.steps import JOB, MAP
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.text import to_json
+from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
 
+EDITS = f"{MAP}/{filenames.EDITS}"
 _MOST_MB = 16.0  # of a job.json: some hundred thousand files
 _FLAT = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "memory"}  # without directories
 _BEGUN = "job.begun"  # lies in a folder of a store while it is written
@@ -27,6 +30,9 @@ class Folder(Protocol):
 
     def stored(self) -> JobRecord | None:
         """The record of a complete result, None when there is none."""
+
+    def edited(self) -> str | None:
+        """Where a person's decisions about the map lie that are not of the job; None for none."""
 
     def fresh(self, scratch: Path) -> AbstractContextManager[Path]:
         """A directory to write a new result into; it takes its place when the block ends well.
@@ -59,14 +65,34 @@ def files_in(directory: Path) -> dict[str, int]:
     return found
 
 
-def _record_of(data: bytes, sizes: Mapping[str, int]) -> JobRecord | None:
-    """The record, if it is one and all its files are there as it says."""
-    try:
-        record = JobRecord.model_validate_json(data)
-    except ValidationError:
-        return None
-    whole = all(sizes.get(name) == size for name, size in record.files.items())
-    return record if whole else None
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A `job.json` and the bytes of the files beside it."""
+
+    record: JobRecord
+    sizes: Mapping[str, int]
+
+    @classmethod
+    def of(cls, data: bytes, sizes: Mapping[str, int]) -> _Found | None:
+        """None for what is no record."""
+        try:
+            return cls(JobRecord.model_validate_json(data), sizes)
+        except ValidationError:
+            return None
+
+    @property
+    def edited(self) -> bool:
+        """Whether a person decided about the map since the job made it: `specmap edit`."""
+        return EDITS in self.sizes and self.sizes[EDITS] != self.record.files.get(EDITS)
+
+    @property
+    def complete(self) -> bool:
+        """Whether all files are there as the record says; those of an edited map may differ."""
+        return all(
+            self.sizes.get(name) == size
+            or (self.edited and name in self.sizes and name.startswith(f"{MAP}/"))
+            for name, size in self.record.files.items()
+        )
 
 
 class _Here:
@@ -77,9 +103,17 @@ class _Here:
 
     def stored(self) -> JobRecord | None:
         """The record of a complete result."""
+        found = self._found()
+        return found.record if found is not None and found.complete else None
+
+    def edited(self) -> str | None:
+        """The path of edits.toml."""
+        found = self._found()
+        return str(self._path / EDITS) if found is not None and found.edited else None
+
+    def _found(self) -> _Found | None:
         try:
-            data = read_bytes(self._path / JOB, _MOST_MB)
-            return _record_of(data, files_in(self._path))
+            return _Found.of(read_bytes(self._path / JOB, _MOST_MB), files_in(self._path))
         except OSError:
             return None
 
@@ -100,11 +134,20 @@ class _InStore:
 
     def stored(self) -> JobRecord | None:
         """The record of a complete result."""
+        found = self._found()
+        return found.record if found is not None and found.complete else None
+
+    def edited(self) -> str | None:
+        """The URL of edits.toml."""
+        found = self._found()
+        return f"{self._url}/{EDITS}" if found is not None and found.edited else None
+
+    def _found(self) -> _Found | None:
         sizes = self._sizes()
         if JOB not in sizes or sizes[JOB] > _MOST_MB * 1e6:
             return None
         with reaching(self._url):
-            return _record_of(self._system.cat_file(self._at(JOB)), sizes)
+            return _Found.of(self._system.cat_file(self._at(JOB)), sizes)
 
     @contextmanager
     def fresh(self, scratch: Path) -> Iterator[Path]:

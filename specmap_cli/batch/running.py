@@ -29,7 +29,7 @@ from specmap_cli.batch.records import (
 )
 from specmap_cli.batch.scratch import scratch_directory
 from specmap_cli.batch.work import Work, work_on
-from specmap_cli.core.errors import LogError, SpecmapError
+from specmap_cli.core.errors import LogError, SpecmapError, UsageError
 from specmap_cli.core.legible import legible
 
 __all__ = ["failure", "may_retry", "run_job"]
@@ -83,6 +83,7 @@ def run_job(
             return JobResult(**stored.model_dump(), resumed=True)
         if stored is not None and stored.state == "done" and known.refused is not None:
             return _result(this, known, known.refused)
+        _refuse_edited(folder)
         return _made(this, known, folder, scratch, wanted)
     except (SpecmapError, OSError) as error:
         return _result(this, _Known(), _refusal(error))
@@ -109,6 +110,16 @@ def _made(
         result = _result(this, known, work, directory)
         write_record(directory, result.record)
     return result
+
+
+def _refuse_edited(folder: Folder) -> None:
+    """Refuse to replace a map by one that knows nothing of what a person decided about it."""
+    edits = folder.edited()
+    if edits is not None:
+        raise UsageError(
+            f"{edits}: holds a person's decisions, which a new map would lose: move the map away, "
+            "and name it as `like` of build to keep them"
+        )
 
 
 def _known(job: Job) -> _Known:

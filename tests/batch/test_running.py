@@ -276,6 +276,26 @@ def test_a_reason_is_one_line_of_text_whatever_a_log_is_called(tmp_path: Path) -
     assert lost.reason == "first second\\udcff"
 
 
+def test_what_a_person_decided_about_a_map_is_never_lost(
+    fake: Path, run: Run, tmp_path: Path
+) -> None:
+    run()
+    folder = tmp_path / "out" / "monday"
+    (folder / "map" / "edits.toml").write_text("[names]\n", encoding="utf-8")
+    for name in (folder / "map").iterdir():  # an edit writes the map anew
+        name.write_bytes(name.read_bytes() + b" ")
+    built = fake.read_text()
+    assert run().resumed
+    for refused in (run("other words"), run("other words", redo=True)):
+        assert (refused.state, refused.kind) == ("failed", "settings")
+        assert refused.reason is not None
+        assert "edits.toml: holds a person's decisions" in refused.reason
+    assert fake.read_text() == built
+    assert (folder / "map" / "edits.toml").read_text() == "[names]\n "
+    (folder / "map" / "edits.toml").unlink()
+    assert run("other words").state == "done"
+
+
 def test_what_somebody_else_keeps_there_is_not_touched(run: Run, tmp_path: Path) -> None:
     mine = tmp_path / "out" / "monday" / "thesis.txt"
     mine.parent.mkdir(parents=True)
