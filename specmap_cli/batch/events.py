@@ -26,8 +26,9 @@ SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
 #   retried  an attempt failed; the job will be tried again
 #   done     a job has a result
 #   failed   a job has none, and will not be tried again
+#   stranded no worker is left of a scheduler; the batch waits until one comes
 #   ended    the batch: every job is done or failed
-Event = Literal["began", "started", "resumed", "retried", "done", "failed", "ended"]
+Event = Literal["began", "started", "resumed", "retried", "done", "failed", "stranded", "ended"]
 
 
 class EventRecord(BaseModel):
@@ -44,7 +45,7 @@ class EventRecord(BaseModel):
         default=None, description="how the attempt ended; null where it did not"
     )
     kind: Kind | None = Field(default=None, description="what kind of failure")
-    reason: str | None = Field(default=None, description="why it failed, in a line")
+    reason: str | None = Field(default=None, description="why it failed or waits, in a line")
     verdict: str | None = Field(default=None, description="on the map: good, doubtful or poor")
     scans: int | None = Field(default=None, description="scans that were read")
     wall_s: float | None = Field(default=None, description="seconds that the attempt took")

@@ -25,6 +25,7 @@ class Ledger:
         self._began = time.monotonic()
         self._bytes, self._scans = 0, 0
         self._states: Counter[str] = Counter()
+        self._stranded = False
 
     @property
     def done(self) -> int:
@@ -52,13 +53,21 @@ class Ledger:
     def heard(self, happening: Happening) -> EventRecord | None:
         """Take down what happened; returns the event that it makes, if it makes one."""
         if isinstance(happening, Quiet):
-            return None
+            return self._still(happening)
+        self._stranded = False
         if isinstance(happening, Started):
             turn = happening.turn
             return self._event("started", turn.job.name, attempt=turn.attempt)
         if isinstance(happening, Retried):
             return self._told("retried", happening.result)
         return self._finished(happening)
+
+    def _still(self, quiet: Quiet) -> EventRecord | None:
+        """Nothing happened: an event when that is for want of workers, one for each time."""
+        before, self._stranded = self._stranded, quiet.slots == 0
+        if before or not self._stranded:
+            return None
+        return self._event("stranded", reason="no worker is left: the batch waits for one")
 
     def headline(self) -> str:
         """How far it is, for a person: jobs, failures, scans in a second, time left."""

@@ -146,6 +146,8 @@ def _listener(common: Common, progress: ConsoleProgress) -> Listener:
         if event.event in ("failed", "retried") or event.state == "failed":
             again = "; it is tried again" if event.event == "retried" else ""
             progress.warn(f"{event.job}: {event.kind}: {event.reason}{again}")
+        if event.event == "stranded":
+            progress.warn(f"{event.reason}")
 
     def show(ledger: Ledger) -> None:
         progress.reach(len(ledger.results), ledger.headline())

@@ -12,7 +12,7 @@ import pytest
 
 from specmap_cli.batch import events
 from specmap_cli.batch.columns import COLUMNS, Row, row_of
-from specmap_cli.batch.dispatch import Finished, Retried, Started, Turn
+from specmap_cli.batch.dispatch import Finished, Quiet, Retried, Started, Turn
 from specmap_cli.batch.ledger import Ledger
 from specmap_cli.batch.tables import as_csv, as_junit, as_markdown, as_parquet, headline
 from tests.batch.results import failed, job, result, warned
@@ -108,6 +108,7 @@ class TestEvents:
             ledger.heard(Retried(Turn(job("b")), lost)),
             ledger.heard(Finished(result("a"))),
             ledger.heard(Finished(result("c", resumed=True))),
+            *(ledger.heard(Quiet(slots)) for slots in (2, 0, 0, 1, 0)),
             ledger.heard(Finished(failed("b", attempts=2))),
             ledger.ended(),
         ]
@@ -127,6 +128,7 @@ class TestEvents:
             ("retried", "b", 1, 0, 0),
             ("done", "a", 1, 1, 0),
             ("resumed", "c", 1, 2, 0),
+            *[("stranded", None, None, 2, 0)] * 2,
             ("failed", "b", 2, 2, 1),
             ("ended", None, None, 2, 1),
         ]
