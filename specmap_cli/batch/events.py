@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from specmap_cli.batch.records import Kind
+from specmap_cli.core.schemas import ModelSchema
+from specmap_cli.maps.schema_values import Record
 
 SCHEMA_VERSION = 1
-SCHEMA_ID = f"urn:specmap:batch:{SCHEMA_VERSION}"
-SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
 
 # What happens:
 #   began    the batch, with so many jobs
@@ -31,10 +30,8 @@ SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
 Event = Literal["began", "started", "resumed", "retried", "done", "failed", "stranded", "ended"]
 
 
-class EventRecord(BaseModel):
+class EventRecord(Record):
     """One line."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     schema_version: Literal[1] = Field(default=1, description="the version of this format")
     event: Event = Field(description="what happened")
@@ -58,20 +55,7 @@ class EventRecord(BaseModel):
         return json.dumps(self.model_dump(), sort_keys=True, ensure_ascii=True) + "\n"
 
 
-def json_schema() -> dict[str, Any]:
-    """The models as JSON Schema (draft 2020-12)."""
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": SCHEMA_ID,
-        **EventRecord.model_json_schema(),
-        "title": "specmap batch --json: one line",
-    }
-
-
-def schema_text() -> str:
-    """The text of `batch.schema.json`."""
-    return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
-
+SCHEMA = ModelSchema(EventRecord, "batch", SCHEMA_VERSION, "specmap batch --json: one line")
 
 if __name__ == "__main__":
-    sys.stdout.write(schema_text())
+    sys.stdout.write(SCHEMA.text())

@@ -64,6 +64,6 @@ def reaching(url: str) -> Iterator[None]:
         yield
     except (FileNotFoundError, SpecmapError):
         raise
-    except Exception as error:
+    except Exception as error:  # any of any store's library: they have no class in common
         said = " ".join(str(error).split()) or type(error).__name__
         raise PlaceError(f"{url}: cannot be reached or used: {said:.300}") from error

@@ -8,18 +8,16 @@ the models, `python -m specmap_cli.batch.records` prints the new one.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from specmap_cli.core.schemas import ModelSchema
+
 SCHEMA_VERSION = 1
-SCHEMA_ID = f"urn:specmap:job:{SCHEMA_VERSION}"
-SCHEMA_FILE = Path(__file__).with_name("job.schema.json")
 
 Command = Literal["build", "localize", "evaluate", "export", "report", "check"]
 COMMANDS: tuple[Command, ...] = get_args(Command)
@@ -151,21 +149,7 @@ class JobResult(JobRecord):
         return JobRecord.model_validate(self.model_dump(exclude={"resumed"}))
 
 
-def json_schema() -> dict[str, Any]:
-    """The models as JSON Schema (draft 2020-12)."""
-    schema = JobRecord.model_json_schema()
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": SCHEMA_ID,
-        **schema,
-        "title": "specmap batch: job.json",
-    }
-
-
-def schema_text() -> str:
-    """The text of `job.schema.json`."""
-    return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
-
+SCHEMA = ModelSchema(JobRecord, "job", SCHEMA_VERSION, "specmap batch: job.json")
 
 if __name__ == "__main__":
-    sys.stdout.write(schema_text())
+    sys.stdout.write(SCHEMA.text())

@@ -7,25 +7,20 @@ one.
 
 from __future__ import annotations
 
-import json
 import sys
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from specmap_cli.core.schemas import ModelSchema
+from specmap_cli.maps.schema_values import Record
 
 SCHEMA_VERSION = 1
-SCHEMA_ID = f"urn:specmap:check:{SCHEMA_VERSION}"
-SCHEMA_FILE = Path(__file__).with_name("check.schema.json")
 
 RuleName = str
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class OutcomeRecord(_Record):
+class OutcomeRecord(Record):
     """One rule, and whether the map keeps it."""
 
     rule: RuleName = Field(description="name of the figure that has a bound")
@@ -36,7 +31,7 @@ class OutcomeRecord(_Record):
     detail: str = Field(description="which findings or submaps break it; empty where none does")
 
 
-class CheckRecord(_Record):
+class CheckRecord(Record):
     """The whole object."""
 
     schema_version: Literal[1] = Field(description="the version of this format")
@@ -49,21 +44,7 @@ class CheckRecord(_Record):
     )
 
 
-def json_schema() -> dict[str, Any]:
-    """The models as JSON Schema (draft 2020-12)."""
-    schema = CheckRecord.model_json_schema()
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": SCHEMA_ID,
-        **schema,
-        "title": "specmap check --json",
-    }
-
-
-def schema_text() -> str:
-    """The text of `check.schema.json`."""
-    return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
-
+SCHEMA = ModelSchema(CheckRecord, "check", SCHEMA_VERSION, "specmap check --json")
 
 if __name__ == "__main__":
-    sys.stdout.write(schema_text())
+    sys.stdout.write(SCHEMA.text())

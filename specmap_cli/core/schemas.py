@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from pydantic import BaseModel
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.settings import Config
@@ -33,6 +36,29 @@ FILES: Mapping[str, str] = {
 _PRINTED: Mapping[str, str] = {"compare": FILES["compare.json"]}
 
 
+@dataclass(frozen=True, slots=True)
+class ModelSchema:
+    """The JSON Schema that a model makes, for other tools: a file of the package holds the same.
+
+    `version` is the `schema_version` of what it describes.
+    """
+
+    model: type[BaseModel]
+    name: str
+    version: int
+    title: str
+
+    def document(self) -> dict[str, Any]:
+        """The schema (draft 2020-12)."""
+        made = self.model.model_json_schema()
+        head = {"$schema": DRAFT, "$id": f"urn:specmap:{self.name}:{self.version}"}
+        return {**head, **made, "title": self.title}
+
+    def text(self) -> str:
+        """The text of `NAME.schema.json`."""
+        return json.dumps(self.document(), indent=2, sort_keys=True) + "\n"
+
+
 def name_of_command(command: str) -> str:
     """The schema of what a command prints with `--json`: its own name, but for `compare`."""
     return _PRINTED.get(command, command)
@@ -51,14 +77,9 @@ def schema_files() -> dict[str, Path]:
 def read_schema(name: str) -> dict[str, Any]:
     """A schema (draft 2020-12). Raises UsageError for a name that there is none of."""
     if name == SETTINGS:
-        return _of_settings()
+        return ModelSchema(Config, SETTINGS, 1, "specmap config").document()
     files = schema_files()
     if name not in files:
         raise UsageError(f"no schema {name!r}: choose from {', '.join(schema_names())}")
     found: dict[str, Any] = json.loads(files[name].read_text(encoding="utf-8"))
     return found
-
-
-def _of_settings() -> dict[str, Any]:
-    made = Config.model_json_schema()
-    return {"$schema": DRAFT, "$id": f"urn:specmap:{SETTINGS}:1", **made, "title": "specmap config"}

@@ -7,18 +7,15 @@ one. Lengths are metres; places are in the frame of a building, that of its firs
 
 from __future__ import annotations
 
-import json
 import sys
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from specmap_cli.maps.schema_values import Amount, Count, Number, Stamp
+from specmap_cli.core.schemas import ModelSchema
+from specmap_cli.maps.schema_values import Amount, Count, Number, Record, Stamp
 
 SCHEMA_VERSION = 1
-SCHEMA_ID = f"urn:specmap:history:{SCHEMA_VERSION}"
-SCHEMA_FILE = Path(__file__).with_name("history.schema.json")
 
 ChangeKind = Literal[
     "door-closed", "door-opened", "appeared", "vanished", "room-gone", "room-added"
@@ -30,11 +27,7 @@ def room_name(number: int) -> str:
     return f"room {number}"
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class RoomRecord(_Record):
+class RoomRecord(Record):
     """A room of a building: a submap of the map that showed it first."""
 
     number: Count = Field(description="what visits and changes call it by")
@@ -47,7 +40,7 @@ class RoomRecord(_Record):
     days: Count = Field(description="on how many days it was visited")
 
 
-class MapRecord(_Record):
+class MapRecord(Record):
     """One of the maps, by time."""
 
     number: Count = Field(description="what rooms and changes call it by")
@@ -63,7 +56,7 @@ class MapRecord(_Record):
     residual_m: Amount | None = Field(description="how far its submaps lie off those of that map")
 
 
-class StayRecord(_Record):
+class StayRecord(Record):
     """A room on one day."""
 
     room: Count
@@ -71,7 +64,7 @@ class StayRecord(_Record):
     minutes: Amount = Field(description="between the scans of these visits")
 
 
-class DayRecord(_Record):
+class DayRecord(Record):
     """A building on one day."""
 
     day: str = Field(description="YYYY-MM-DD in the time zone of the record")
@@ -81,7 +74,7 @@ class DayRecord(_Record):
     rooms: list[StayRecord] = Field(description="those that were visited, by number")
 
 
-class ChangeRecord(_Record):
+class ChangeRecord(Record):
     """Something that is otherwise in a map than in the map that it was compared with."""
 
     kind: ChangeKind
@@ -95,7 +88,7 @@ class ChangeRecord(_Record):
     size: Amount | None = Field(description="width of a door, m; area of a thing or room, m2")
 
 
-class BuildingRecord(_Record):
+class BuildingRecord(Record):
     """Maps that fit to one another, directly or through others."""
 
     number: Count
@@ -106,14 +99,14 @@ class BuildingRecord(_Record):
     changes: list[ChangeRecord] = Field(description="in the order of the maps that show them")
 
 
-class LeftOutRecord(_Record):
+class LeftOutRecord(Record):
     """A map that could not be read."""
 
     map: str
     reason: str
 
 
-class HistoryRecord(_Record):
+class HistoryRecord(Record):
     """The whole file."""
 
     schema_version: Literal[1] = Field(description="the version of this format")
@@ -122,21 +115,7 @@ class HistoryRecord(_Record):
     left_out: list[LeftOutRecord] = Field(description="what was named and is not in it")
 
 
-def json_schema() -> dict[str, Any]:
-    """The models as JSON Schema (draft 2020-12)."""
-    schema = HistoryRecord.model_json_schema()
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": SCHEMA_ID,
-        **schema,
-        "title": "specmap history.json",
-    }
-
-
-def schema_text() -> str:
-    """The text of `history.schema.json`."""
-    return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
-
+SCHEMA = ModelSchema(HistoryRecord, "history", SCHEMA_VERSION, "specmap history.json")
 
 if __name__ == "__main__":
-    sys.stdout.write(schema_text())
+    sys.stdout.write(SCHEMA.text())

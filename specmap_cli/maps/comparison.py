@@ -7,27 +7,20 @@ new one. Lengths are metres, angles radians; places are in the frame of the old 
 
 from __future__ import annotations
 
-import json
 import sys
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from specmap_cli.maps.schema_values import Amount, Count, Number, Point, Transform
+from specmap_cli.core.schemas import ModelSchema
+from specmap_cli.maps.schema_values import Amount, Count, Number, Point, Record, Transform
 
 SCHEMA_VERSION = 1
-SCHEMA_ID = f"urn:specmap:comparison:{SCHEMA_VERSION}"
-SCHEMA_FILE = Path(__file__).with_name("comparison.schema.json")
 
 Pair = tuple[Count, Count]
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class MapFigures(_Record):
+class MapFigures(Record):
     """One of the two maps: what it is made of, and how large it is."""
 
     map: str = Field(description="as it was named on the command line")
@@ -41,7 +34,7 @@ class MapFigures(_Record):
     verdict: str | None = Field(description="what the map thinks of itself")
 
 
-class AlignmentRecord(_Record):
+class AlignmentRecord(Record):
     """Where the new map lies in the old one, and what that stands on.
 
     `submaps` of either map found it by themselves. They did so in `votes` pairs: a submap may match
@@ -58,7 +51,7 @@ class AlignmentRecord(_Record):
     rival: float
 
 
-class SameRecord(_Record):
+class SameRecord(Record):
     """A submap of either map that are one, and intersection over union of what both maps saw."""
 
     old: Count
@@ -66,21 +59,21 @@ class SameRecord(_Record):
     iou: float
 
 
-class SplitRecord(_Record):
+class SplitRecord(Record):
     """An old submap that is several new ones."""
 
     old: Count
     new: list[Count]
 
 
-class MergeRecord(_Record):
+class MergeRecord(Record):
     """Several old submaps that are one new one."""
 
     old: list[Count]
     new: Count
 
 
-class SubmapsRecord(_Record):
+class SubmapsRecord(Record):
     """What became of the submaps.
 
     `new`: space that the old map did not see; `unseen`: submaps that the new map did not see;
@@ -98,7 +91,7 @@ class SubmapsRecord(_Record):
     redrawn_new: list[Count]
 
 
-class DoorRecord(_Record):
+class DoorRecord(Record):
     """A way between two submaps of the map in which it is open."""
 
     between: Pair
@@ -107,7 +100,7 @@ class DoorRecord(_Record):
     width_m: Amount
 
 
-class DoorsRecord(_Record):
+class DoorsRecord(Record):
     """Ways that were open and are blocked (`closed`), and the other way round (`opened`).
 
     A closed way is between submaps of the old map, an opened one between submaps of the new map.
@@ -117,7 +110,7 @@ class DoorsRecord(_Record):
     opened: list[DoorRecord]
 
 
-class ThingRecord(_Record):
+class ThingRecord(Record):
     """Something that stands in one map where the other saw free space, in the smallest box.
 
     The submaps are those that it stands in by the old map and by the new one.
@@ -133,14 +126,14 @@ class ThingRecord(_Record):
     new_submap: Count | None
 
 
-class ThingsRecord(_Record):
+class ThingsRecord(Record):
     """Walls and furniture that appeared, and that vanished."""
 
     appeared: list[ThingRecord]
     vanished: list[ThingRecord]
 
 
-class ComparisonRecord(_Record):
+class ComparisonRecord(Record):
     """The whole file; `identical`: the maps hold the same submaps and the same grid."""
 
     schema_version: Literal[1]
@@ -153,21 +146,7 @@ class ComparisonRecord(_Record):
     things: ThingsRecord
 
 
-def json_schema() -> dict[str, Any]:
-    """The models as JSON Schema (draft 2020-12)."""
-    schema = ComparisonRecord.model_json_schema()
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": SCHEMA_ID,
-        **schema,
-        "title": "specmap compare.json",
-    }
-
-
-def schema_text() -> str:
-    """The text of `comparison.schema.json`."""
-    return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
-
+SCHEMA = ModelSchema(ComparisonRecord, "comparison", SCHEMA_VERSION, "specmap compare.json")
 
 if __name__ == "__main__":
-    sys.stdout.write(schema_text())
+    sys.stdout.write(SCHEMA.text())

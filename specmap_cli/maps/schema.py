@@ -8,13 +8,12 @@ Lengths are metres, angles radians, stamps seconds; everything is in the frame n
 
 from __future__ import annotations
 
-import json
 import sys
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
+from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.maps.schema_graph import SCHEMA_VERSION, GraphRecord, TraversalRecord
 from specmap_cli.maps.schema_values import (
     Amount,
@@ -28,9 +27,6 @@ from specmap_cli.maps.schema_values import (
     Transform,
 )
 from specmap_cli.topology.topological_map import EdgeKind, SubmapKind
-
-SCHEMA_FILE = Path(__file__).with_name("topology.schema.json")
-SCHEMA_ID = f"urn:specmap:topology:{SCHEMA_VERSION}"
 
 
 class VisitRecord(Record):
@@ -115,21 +111,7 @@ class TopologyRecord(Record):
     edges: list[EdgeRecord] = Field(description="the links, by source and target")
 
 
-def json_schema() -> dict[str, Any]:
-    """The models as JSON Schema (draft 2020-12)."""
-    schema = TopologyRecord.model_json_schema(by_alias=True)
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": SCHEMA_ID,
-        "title": "specmap topology.json",
-        **{key: value for key, value in schema.items() if key != "title"},
-    }
-
-
-def schema_text() -> str:
-    """The text of `topology.schema.json`."""
-    return json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
-
+SCHEMA = ModelSchema(TopologyRecord, "topology", SCHEMA_VERSION, "specmap topology.json")
 
 if __name__ == "__main__":
-    sys.stdout.write(schema_text())
+    sys.stdout.write(SCHEMA.text())

@@ -1,4 +1,4 @@
-"""What the records of topology.json are made of: bounded numbers, places, paths that stay inside.
+"""What the records of JSON files are made of: bounded numbers, places, paths that stay inside.
 
 Values are checked here, where they enter, so that sums and products of them cannot overflow later.
 They are written with at most six decimals.
@@ -16,7 +16,7 @@ from specmap_cli.core.text import rounded
 
 
 class Record(BaseModel):
-    """A part of topology.json: no key may be missing or unknown."""
+    """A part of a JSON file: no key may be missing or unknown."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 

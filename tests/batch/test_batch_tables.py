@@ -15,6 +15,7 @@ from specmap_cli.batch.columns import COLUMNS, Row, row_of
 from specmap_cli.batch.dispatch import Finished, Quiet, Retried, Started, Turn
 from specmap_cli.batch.ledger import Ledger
 from specmap_cli.batch.tables import as_csv, as_junit, as_markdown, as_parquet, headline
+from specmap_cli.core.schemas import read_schema
 from tests.batch.results import failed, job, result, warned
 
 
@@ -115,7 +116,7 @@ class TestEvents:
         return [one for one in heard if one is not None]
 
     def test_every_line_fits_the_schema(self) -> None:
-        schema = json.loads(events.SCHEMA_FILE.read_text(encoding="utf-8"))
+        schema = read_schema("batch")
         for event in self.told():
             jsonschema.validate(json.loads(event.line()), schema)
             assert event.line().count("\n") == 1
@@ -132,6 +133,3 @@ class TestEvents:
             ("failed", "b", 2, 2, 1),
             ("ended", None, None, 2, 1),
         ]
-
-    def test_the_schema_in_the_package_is_that_of_the_models(self) -> None:
-        assert events.SCHEMA_FILE.read_text(encoding="utf-8") == events.schema_text()

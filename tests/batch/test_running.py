@@ -21,15 +21,14 @@ from specmap_cli.batch.digest import digest_of
 from specmap_cli.batch.folders import folder_at
 from specmap_cli.batch.jobs import jobs_of
 from specmap_cli.batch.records import (
-    SCHEMA_FILE,
     Job,
     JobResult,
     Limits,
     Plan,
     Step,
-    schema_text,
 )
 from specmap_cli.batch.running import failure, may_retry, run_job
+from specmap_cli.core.schemas import read_schema
 from specmap_cli.core.text import to_json
 from specmap_cli.grids.gridmap import GridMap
 from tests.batch import fake_specmap
@@ -107,8 +106,7 @@ def test_a_finished_job_leaves_all_that_it_made_and_nothing_else(run: Run, tmp_p
 def test_what_job_json_says_is_as_its_schema_says(run: Run, tmp_path: Path) -> None:
     result = run("damaged")
     written = json.loads((tmp_path / "out" / "monday" / "job.json").read_text())
-    jsonschema.validate(written, json.loads(SCHEMA_FILE.read_text()))
-    assert schema_text() == SCHEMA_FILE.read_text()
+    jsonschema.validate(written, read_schema("job"))
     assert to_json(result.record.model_dump()) == to_json(written)
     stored = folder_at(str(tmp_path / "out"), "monday").stored()
     assert stored is not None

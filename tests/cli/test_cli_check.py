@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 
 import jsonschema
 
-from specmap_cli.checking.record import json_schema
 from specmap_cli.core.memory import peak_memory_mb
+from specmap_cli.core.schemas import read_schema
 from tests.cli.conftest import Run
 
 
@@ -17,7 +17,7 @@ def test_a_good_map_keeps_the_rules(tiny_map: Path, run: Run) -> None:
     said = run("check", tiny_map, "--json")
     assert said.code == 0
     told = json.loads(said.out)
-    jsonschema.validate(told, json_schema())
+    jsonschema.validate(told, read_schema("check"))
     assert told["passed"]
     assert told["figures"]["scans"] == 61
     assert told["figures"]["memory_mb"] > 10

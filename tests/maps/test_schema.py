@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import ntpath
 import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +15,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
+from specmap_cli.core.schemas import read_schema
 from specmap_cli.maps import schema, schema_values
 
 
 def test_topology_follows_its_schema(stored: Path) -> None:
     document = json.loads((stored / "topology.json").read_text())
-    jsonschema.Draft202012Validator.check_schema(schema.json_schema())
-    jsonschema.validate(document, schema.json_schema())
+    jsonschema.Draft202012Validator.check_schema(read_schema("topology"))
+    jsonschema.validate(document, read_schema("topology"))
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate({**document, "nodes": [{"id": 0}]}, schema.json_schema())
-
-
-def test_the_shipped_schema_is_that_of_the_models() -> None:
-    shipped = json.loads(schema.SCHEMA_FILE.read_text())
-    assert shipped == schema.json_schema()
+        jsonschema.validate({**document, "nodes": [{"id": 0}]}, read_schema("topology"))
 
 
 def test_networkx_reads_topology_as_it_is(stored: Path) -> None:
@@ -41,16 +35,6 @@ def test_networkx_reads_topology_as_it_is(stored: Path) -> None:
     assert graph.edges[0, 1]["kind"] == "traversed"
     assert graph.graph["logs"][0]["scans"] == 30
     assert nx.is_connected(graph)
-
-
-def test_the_module_prints_the_file_to_ship() -> None:
-    command = [sys.executable, "-m", "specmap_cli.maps.schema"]
-    printed = subprocess.run(command, capture_output=True, check=True)
-    shipped = schema.SCHEMA_FILE.read_bytes()
-    assert json.loads(printed.stdout) == json.loads(shipped), (
-        "run `python -m specmap_cli.maps.schema > specmap_cli/maps/topology.schema.json`"
-    )
-    assert printed.stderr == b""
 
 
 @pytest.mark.parametrize(
@@ -97,7 +81,7 @@ def test_models_and_json_schema_refuse_the_same_documents(
     with pytest.raises(ValidationError):
         schema.TopologyRecord.model_validate(document)
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(document, schema.json_schema())
+        jsonschema.validate(document, read_schema("topology"))
 
 
 @pytest.mark.parametrize(
@@ -125,7 +109,7 @@ def test_no_key_may_be_missing(stored: Path, record: str) -> None:
 
 
 def test_every_field_is_described_and_the_schema_has_a_name() -> None:
-    document = schema.json_schema()
+    document = read_schema("topology")
     assert document["$id"] == "urn:specmap:topology:2"
     for name, record in [("topology", document), *document["$defs"].items()]:
         assert record["description"], name

@@ -12,8 +12,8 @@ import pytest
 
 from specmap_cli.cli import main
 from specmap_cli.core.errors import NoResultError, UsageError
+from specmap_cli.core.schemas import read_schema
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.maps import comparison as schema
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.compare import (
@@ -130,7 +130,7 @@ def test_the_command_writes_all_of_it(
     out = tmp_path / "changes"
     assert main(["compare", str(before), str(changed), "-o", str(out), "--json", "-q"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    jsonschema.validate(printed, json.loads(schema.SCHEMA_FILE.read_text(encoding="utf-8")))
+    jsonschema.validate(printed, read_schema("comparison"))
     assert json.loads((out / COMPARISON).read_text(encoding="utf-8")) == printed
     assert "way closed: " in (out / SUMMARY).read_text(encoding="utf-8")
     assert (out / PICTURE).read_bytes().startswith(b"\x89PNG")
