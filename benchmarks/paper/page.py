@@ -32,6 +32,7 @@ class Done:
 def render(parts: Sequence[Done], cases: Cases, command: str) -> str:
     """The text of the page."""
     context = {
+        "title": "The paper by one command",
         "parts": parts,
         "missing": cases.missing,
         "recordings": [case.name for case in cases.found],

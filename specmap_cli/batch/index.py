@@ -63,6 +63,7 @@ def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
         "kinds": kinds_of(rows),
         "facts": _facts(rows),
         "tones": tones([]),
+        "data": {},
         **page_parts(_PACKAGE, _SCRIPTS, _STYLES),
     }
     filters = {name: getattr(words, name) for name in _FILTERS}

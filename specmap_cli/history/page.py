@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from specmap_cli.core.text import counted
 from specmap_cli.history.record import BuildingRecord, HistoryRecord, RoomRecord, room_name
 from specmap_cli.history.tables import names_of, words_of
 from specmap_cli.maps.store import StoredMap
@@ -62,6 +63,7 @@ def render_history(record: HistoryRecord, plans: Sequence[StoredMap], folder: Pa
         for building, stored in zip(record.buildings, plans, strict=True)
     ]
     context = {
+        "title": counted(len(sections), "building"),
         "record": record,
         "sections": sections,
         "tones": tones(()),
