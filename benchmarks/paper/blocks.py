@@ -1,4 +1,4 @@
-"""What a part of the page is made of: words, tables, pictures, charts."""
+"""What a part of the page is made of: words, findings, tables, pictures, charts."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import ClassVar
 
 from specmap_cli.drawing.canvas import Image
 
+_WIDE = 2.0  # times as wide as high: a picture that needs the whole page
+
 
 @dataclass(frozen=True, slots=True)
 class Words:
@@ -16,6 +18,15 @@ class Words:
     kind: ClassVar[str] = "words"
     text: str
     warning: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What comes out here, to stand beside what the paper says, and why it differs."""
+
+    kind: ClassVar[str] = "found"
+    text: str
+    why: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +64,12 @@ class Gallery:
     across: int = 2
 
 
+def gallery(pictures: Sequence[Picture]) -> Gallery:
+    """Pictures in pairs; wide ones below each other."""
+    wide = any(each.image.shape[1] > _WIDE * each.image.shape[0] for each in pictures)
+    return Gallery(pictures, across=1 if wide else 2)
+
+
 @dataclass(frozen=True, slots=True)
 class Series:
     """Points (x, y) of a chart, joined by a line; `marked` are the numbers of those that stand out.
@@ -79,7 +96,7 @@ class Chart:
     diagonal: bool = False
 
 
-Block = Words | Table | Gallery | Chart
+Block = Words | Found | Table | Gallery | Chart
 
 
 def figure(value: float, places: int = 3) -> str:

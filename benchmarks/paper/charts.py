@@ -7,8 +7,8 @@ from math import floor, log10
 
 from benchmarks.paper.blocks import Chart
 
-WIDTH, HEIGHT = 860, 300
-_LEFT, _RIGHT, _TOP, _BOTTOM = 56, 16, 12, 44
+WIDTH, HEIGHT = 860, 310
+_LEFT, _RIGHT, _TOP, _BOTTOM = 56, 16, 26, 44
 _TICKS = 5
 
 

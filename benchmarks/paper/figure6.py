@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.closure_truth import true_poses
 from benchmarks.paper import pictures
-from benchmarks.paper.blocks import Block, Gallery, Picture, Row, Table, figure
+from benchmarks.paper.blocks import Block, Found, Picture, Row, Table, figure, gallery
 from benchmarks.paper.cases import Case
 from benchmarks.paper.samples import Samples, fitted, of_keyframes, scored, the_papers
 from benchmarks.paper.workshop import OURS, PRESETS, WORDS, Built, Workshop
@@ -25,6 +25,13 @@ from specmap_cli.recognition.localization.localizer import Label, Localizer
 _HEAD = ("tour", "choices", "labels", "submaps", "recall", "precision", "right")
 
 
+_WHY = (
+    "On another way the laser sees the rooms from elsewhere. specmap also learns from views of "
+    "the full circle, cast from everywhere in its grids, and a hidden Markov model over the "
+    "topology, which the paper names as future work, takes care that labels do not jump."
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Asked:
     """The labels of another way, and their scores; `places` (n, 2) are true ones in the map."""
@@ -36,7 +43,7 @@ class Asked:
 
 def make(workshop: Workshop) -> list[Block]:
     """Every building with a second way through it, with both presets."""
-    rows, galleries = [], []
+    rows, galleries, told = [], [], []
     for case in workshop.cases.found:
         if case.again is None:
             continue
@@ -49,15 +56,24 @@ def make(workshop: Workshop) -> list[Block]:
         rows.append(
             _row(case, OURS, words, _classifiers_alone(case, case.again, asked[OURS], workshop))
         )
+        told.append(_told(case, rows[-5], rows[-1], rows[-2]))
         shown = [_picture(case, preset, built[preset], asked[preset]) for preset in PRESETS]
-        galleries.append(Gallery(shown))
+        galleries.append(gallery(shown))
     caption = (
         "The robot drives through the building again, another way. The truth of a scan is the "
         "submap of the map's keyframe nearest to where it was taken, by true poses. The paper "
         "shows its Figure 6 without figures. Few submaps are easily told apart: look at their "
         "number; the last row of each tour asks the paper's classifiers for specmap's submaps."
     )
-    return [*galleries, Table(_HEAD, rows, caption)]
+    return [Found(" ".join(told), _WHY), *galleries, Table(_HEAD, rows, caption)]
+
+
+def _told(case: Case, papers: Row, classifiers: Row, filtered: Row) -> str:
+    return (
+        f"{case.name}: right are {papers.cells[6]} of the scans with the paper's choices "
+        f"({papers.cells[3]} submaps), {classifiers.cells[6]} with its classifiers on specmap's "
+        f"submaps ({classifiers.cells[3]}), {filtered.cells[6]} with specmap's filter."
+    )
 
 
 def ask(built: Built, case: Case, again: Case, workshop: Workshop) -> Asked:

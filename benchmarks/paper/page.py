@@ -9,7 +9,7 @@ from typing import Any
 
 import cv2
 
-from benchmarks.paper.blocks import Block, Picture, Table
+from benchmarks.paper.blocks import Block, Found, Picture, Table
 from benchmarks.paper.cases import LACKING, Cases
 from benchmarks.paper.charts import drawn
 from benchmarks.paper.parts import Part
@@ -27,6 +27,11 @@ class Done:
     part: Part
     blocks: Sequence[Block]
     seconds: float
+
+    @property
+    def found(self) -> Found | None:
+        """What comes out, in words."""
+        return next((block for block in self.blocks if isinstance(block, Found)), None)
 
 
 def render(parts: Sequence[Done], cases: Cases, command: str) -> str:

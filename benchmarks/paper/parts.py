@@ -6,7 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from benchmarks.paper import cost, figure2, figure3, figure6, room_hallway, table1, table2, topology
+from benchmarks.paper import (
+    cost,
+    figure1,
+    figure2,
+    figure3,
+    figure6,
+    room_hallway,
+    table1,
+    table2,
+    topology,
+)
 from benchmarks.paper.blocks import Block
 from benchmarks.paper.cases import FREIBURG, STATA
 from benchmarks.paper.workshop import Workshop
@@ -28,6 +38,16 @@ class Part:
 
 
 PARTS = (
+    Part(
+        name="figure1",
+        title="Figure 1: the steps of spectral clustering",
+        said=(
+            "On a map of a few rooms: nodes sampled in the free space, the graph of those that "
+            "see each other, and every cell with the label of its nearest node."
+        ),
+        make=figure1.make,
+        commands=("specmap segment MAP.yaml -o DIR --explain PICTURE.png",),
+    ),
     Part(
         name="figure2",
         data=("mit_csail", "plans"),

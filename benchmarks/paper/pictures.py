@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -63,6 +64,12 @@ def topology(
     symbols.start(sheet.canvas, first)
     symbols.end(sheet.canvas, last)
     return _cut(sheet)
+
+
+def links(submaps: IntArray) -> list[Pair]:
+    """Which submaps the robot drove between, by those of its keyframes (n,)."""
+    driven = pairwise(submaps[submaps != NO_SUBMAP].tolist())
+    return sorted({(min(pair), max(pair)) for pair in driven if pair[0] != pair[1]})
 
 
 def kinds(whole: GridMap, labels: Labels) -> Image:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.paper.cases import Case, Cases
+from benchmarks.paper.cases import Case, Cases, Drawing
 from specmap_cli.core.config import load_config
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
@@ -27,6 +28,12 @@ from specmap_cli.segmentation.splitting import SplitTest
 PAPER, OURS = "paper", "default"
 PRESETS = (PAPER, OURS)
 WORDS = {PAPER: "the paper's choices", OURS: "specmap's choices"}
+
+
+def beside(told: Mapping[str, str]) -> str:
+    """A sentence of what each preset shows."""
+    said = "; ".join(f"{WORDS[preset]}: {words}" for preset, words in told.items())
+    return f"{said[0].upper()}{said[1:]}."
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +88,10 @@ class Workshop:
     def of_manner(self, manner: str) -> list[Case]:
         """The recordings in the manner of one of the paper's buildings."""
         return [case for case in self.cases.found if case.manner == manner]
+
+    def drawn(self, manner: str) -> list[tuple[Case, Drawing]]:
+        """Those of them whose rooms are drawn, with the drawings."""
+        return [(case, case.drawing) for case in self.of_manner(manner) if case.drawing is not None]
 
     def recording(self, case: Case) -> Recording:
         """The registered scans of a recording: "registering them using scan matching"."""

@@ -22,7 +22,7 @@ from specmap_cli.segmentation.splitting import SplitTest
 
 _SIDE = 480  # pixels of the longer side of the map of a test
 _LARGE_SIDE = 900  # and of a divided map
-_FRAME_M = 0.5  # shown round the free cells of a divided map
+_FRAME_M = 0.5  # shown round the free cells of a map
 _BARS = (480, 150)  # width and height of a spectrum
 _EDGE, _CAPTION, _FLOOR = 8, 12, 24  # of paper beside, above and below its bars
 _LEVEL = 34  # of paper at the right, for the figure of the threshold
@@ -46,20 +46,21 @@ def draw_test(test: SplitTest, threshold: float, split: bool, occasion: Occasion
     (H, W, 3) BGR. Nodes on the robot's side are orange, the others blue, and the fainter the closer
     the eigenvector is to zero there.
     """
-    picture, scale = _map_picture(test.grid, _SIDE)
+    grid = _cropped(test.grid)
+    picture, scale = _map_picture(grid, _SIDE)
     if len(test.nodes):
         strength = np.abs(test.eigenvector) / max(float(np.abs(test.eigenvector).max()), 1e-12)
         for spot, near, weight in zip(
-            _pixels(test.grid, test.nodes, scale), test.near, strength, strict=True
+            _pixels(grid, test.nodes, scale), test.near, strength, strict=True
         ):
             pale = (1.0 - _PALEST) * (1.0 - float(weight))
             colour = paler(_AHEAD if near else _LEFT, pale)
             cv2.circle(picture, spot, 4, colour, cv2.FILLED, cv2.LINE_AA)
-    way = np.array(_pixels(test.grid, test.poses[:, :2], scale), dtype=np.int32)
+    way = np.array(_pixels(grid, test.poses[:, :2], scale), dtype=np.int32)
     for stroke in strokes(test.poses[:, :2]):
         cv2.polylines(picture, [way[stroke.first : stroke.end]], False, _BLACK, 1, cv2.LINE_AA)
     cv2.circle(picture, tuple(way[-1].tolist()), 5, _BLACK, cv2.FILLED, cv2.LINE_AA)
-    _draw_scale(picture, scale / test.grid.resolution)
+    _draw_scale(picture, scale / grid.resolution)
     words = _words(_about(test, threshold, split, occasion))
     _draw_sides(words)
     return _stacked(picture, words, _spectrum(test.eigenvalues, threshold, test.chosen))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -85,6 +86,15 @@ def test_nodes_have_the_colour_of_their_side_and_fade_towards_the_border() -> No
     paleness = [sum(colour) for colour in seen]
     assert paleness[0] < paleness[1] < paleness[2] > paleness[3] > paleness[4]
     assert paleness[2] < 3 * 255
+
+
+def test_what_nobody_has_seen_round_the_free_cells_is_cut_away() -> None:
+    test = split_test([-1.0, 1.0], [1.0, 0.8])
+    cells = np.pad(test.grid.cells, 50, constant_values=UNKNOWN)
+    wide = replace(test, grid=GridMap(cells, 0.1, (5.0, -7.0)))
+    image = drawn(wide)
+    seen = np.argwhere(of_colour(image[: -SPECTRUM - WORDS], DARK, 60))
+    assert seen[:, 1].max() - seen[:, 1].min() > 0.85 * 480  # walls from one end to the other
 
 
 def test_the_way_ends_in_a_dot_where_the_robot_is() -> None:

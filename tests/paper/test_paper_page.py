@@ -15,6 +15,7 @@ from benchmarks.paper.__main__ import main
 from benchmarks.paper.blocks import (
     Block,
     Chart,
+    Found,
     Gallery,
     Picture,
     Row,
@@ -30,6 +31,7 @@ from benchmarks.paper.parts import PARTS
 from specmap_cli.cli.app import app
 
 BLOCKS: list[Block] = [
+    Found("three of <four>.", "because of this"),
     Words("plain <words>"),
     Words("a warning", warning=True),
     Table(("map", "recall"), [Row(("a & b", "0.900")), Row(("paper", "0.8"), published=True)]),
@@ -40,7 +42,7 @@ BLOCKS: list[Block] = [
 
 @pytest.fixture(scope="module")
 def page() -> str:
-    done = [Done(PARTS[0], BLOCKS, 12.3), Done(PARTS[1], [], 0.0)]
+    done = [Done(PARTS[1], BLOCKS, 12.3), Done(PARTS[2], [], 0.0)]
     return render(done, Cases((), missing=("plans", "fr079")), "python -m this")
 
 
@@ -49,6 +51,7 @@ def test_every_kind_of_block_is_shown_and_escaped(page: str) -> None:
     assert '<p class="warning">a warning</p>' in page
     assert '<tr class="published"><td>paper</td><td class="n">0.8</td></tr>' in page
     assert "a &amp; b" in page
+    assert page.count("three of &lt;four&gt;. because of this") == 1
     assert page.count('class="filled"') == 1
 
 
@@ -96,7 +99,7 @@ def test_no_figure_is_a_dash() -> None:
 def test_every_part_of_the_paper_has_its_name() -> None:
     names = [part.name for part in PARTS]
     assert names == [
-        *("figure2", "figure3", "figure4", "figure5", "figure5c"),
+        *("figure1", "figure2", "figure3", "figure4", "figure5", "figure5c"),
         *("table1", "table2", "figure6", "cost"),
     ]
     assert len({part.title for part in PARTS}) == len(PARTS)
