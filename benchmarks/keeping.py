@@ -5,10 +5,10 @@
 `second`: the sample office and its second log. `cut`: fr079 cut in three by time, each piece added
 to the map of those before, and the three maps merged in all six orders. `tours`: another tour of
 simulated plans added to the map of the first, and five more in turn. A line an update: submaps that
-kept their ids, the least and the mean IoU of their borders over cells that both maps knew, how far
-old keyframes moved, new ids, the error of the layout against that of one build over everything
-(`kept / once`), keyframes before and after, and processor time against that of building the new log
-alone.
+kept their ids, the least and the mean IoU of their borders over cells that both maps knew, the
+least apart from floor that submaps entered now took, how far old keyframes moved, new ids, the
+error of the layout against that of one build over everything (`kept / once`), keyframes before and
+after, and processor time against that of building the new log alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import argparse
 import itertools
 import math
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -36,6 +36,7 @@ from specmap_cli.evaluation.trajectories import (
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import SimulationOptions
+from specmap_cli.topology.border_changes import BorderChange, border_changes
 
 SPECMAP = str(SCRIPTS / "specmap")
 SAMPLES = Path("sample_logs")
@@ -122,13 +123,16 @@ def update(folder: Path, number: int, log: Path, error: Error) -> None:
     command = [SPECMAP, "update", str(old), str(log), "-o", str(new), "--overwrite", "-q"]
     cost = measure(command, folder).processor_s / build(log, folder / "alone")
     before, after = read_map(old), read_map(new)
-    kept = [id_ for id_ in before.ids if id_ in after.ids]
-    ious = [border_iou(before, after, id_) for id_ in kept]
+    kept, entered = set(before.ids) & set(after.ids), set(after.ids) - set(before.ids)
+    changes = border_changes(before.regions, after.regions)
+    ious = [change.iou for change in changes]
+    apart = [apart_from_entered(change, entered) for change in changes]
     away = moved_by(before, after)
     print(
         f"update {number + 1}: {len(kept)} of {len(before.ids)} ids kept, IoU at least "
-        f"{min(ious):.3f}, mean {np.mean(ious):.3f}; moved {away.mean():.3f} m, at most "
-        f"{away.max():.3f}; new {sorted(set(after.ids) - set(before.ids))}; error "
+        f"{min(ious):.3f}, mean {np.mean(ious):.3f}; at least {min(apart):.3f} apart from rooms "
+        f"entered now; moved {away.mean():.3f} m, at most "
+        f"{away.max():.3f}; new {sorted(entered)}; error "
         f"{error(new / 'trajectory.tum'):.4f} m (before "
         f"{error(old / 'trajectory.tum'):.4f}); keyframes {len(before.labels.poses)} -> "
         f"{len(after.labels.poses)}; cost {cost:.2f}",
@@ -154,17 +158,12 @@ def places(map_: StoredMap, logs: int) -> dict[tuple[int, int], FloatArray]:
     return found
 
 
-def border_iou(before: StoredMap, after: StoredMap, submap: int) -> float:
-    """Intersection over union of a submap's regions in two maps, over cells that both knew."""
-    old, new = before.regions, after.regions
-    cells = np.argwhere(old.grid.free)
-    places = old.grid.centres_of(cells)
-    there = new.grid.cells_of(places)
-    both = new.grid.inside(there)
-    both[both] = new.grid.free[tuple(there[both].T)]
-    was = old.owner[tuple(cells[both].T)] == submap
-    now = new.owner[tuple(there[both].T)] == submap
-    return float((was & now).sum() / max(1, (was | now).sum()))
+def apart_from_entered(change: BorderChange, new: Collection[int]) -> float:
+    """The IoU of a border without the floor that submaps which were entered now took from it."""
+    taken = sum(m2 for submap, m2 in change.given.items() if submap in new)
+    before_m2 = max(change.was_m2 - taken, 0.0)
+    kept_m2 = change.was_m2 - sum(change.given.values())
+    return max(0.0, kept_m2) / max(1e-9, before_m2 + sum(change.taken.values()))
 
 
 def tour_error(path: Path, truths: Sequence[Path]) -> float:

@@ -65,14 +65,19 @@ def divide(
     The regions of the finished map say where submaps end, if one place of the building is one place
     of the layout. Otherwise the regions that were left on the way, and their merges, say it.
     """
-    consistent = config.relaxation.enabled and not layout.loose
-    if consistent and config.segmentation.final_regions:
+    if divides_whole(layout, config):
         labels = regions_of(whole, layout.poses, config.segmentation)
     else:
         labels = online_labels(regions, closures, len(layout.poses))
     settled = settle_labels(labels, layout.poses, config.segmentation.region_min_m)
     order = order_of_appearance(settled.tolist())
     return np.array([order[int(label)] for label in settled], dtype=np.int64)
+
+
+def divides_whole(layout: Layout, config: Config) -> bool:
+    """Whether the finished map says where submaps end."""
+    consistent = config.relaxation.enabled and not layout.loose
+    return consistent and config.segmentation.final_regions
 
 
 def submaps_of(labels: IntArray) -> dict[int, list[int]]:

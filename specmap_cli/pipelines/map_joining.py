@@ -208,8 +208,13 @@ def inherit(
     """
     there = compose(np.array(old_from_new.inverse()), old.labels.poses)
     divided = np.concatenate([new.regions.owners(there), new.kept.labels.submaps])
-    heritage = Heritage(old.labels.poses, old.labels.submaps, regions, old.next_id)
+    heritage = heritage_of(old, regions)
     return inherited(heritage, poses, divided, config.segmentation.region_min_m)
+
+
+def heritage_of(old: KeptMap, regions: Regions) -> Heritage:
+    """What a map hands down; `regions` divide it."""
+    return Heritage(old.labels.poses, old.labels.submaps, regions, old.next_id)
 
 
 def _trajectory(old: KeptMap, new: KeptMap, layout: Layout) -> Trajectory:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from specmap_cli.core.findings import Quality
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.settings import Config, QualityConfig
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.edits_text import written
 from specmap_cli.pipelines.edited import drawn, named, tell_unapplied
@@ -71,14 +72,15 @@ def divided_anew(
     clock: Stopwatch,
     counts: Mapping[str, int],
     features: KeyframeFeatures | None = None,
+    known: tuple[GridMap, int] | None = None,
 ) -> FinishedMap:
     """The finished map of keyframes, with the borders, names and forbidden links of the edits.
 
-    `judge` tells what is thought of a map that so many keyframes did not fit into. Edits that do
-    not apply are noted.
+    `judge` tells what is thought of a map that so many keyframes did not fit into. `known` is the
+    whole grid, where it was drawn before. Edits that do not apply are noted.
     """
     with clock.stage("grids"):
-        whole, beyond = whole_grid(store, kept.layout, config)
+        whole, beyond = known or whole_grid(store, kept.layout, config)
     edited = drawn(whole, kept.labels, kept.borders, kept.edits, kept.next_id)
     labels = replace(kept.labels, submaps=edited.submaps)
     features = features or KeyframeFeatures(store, config.recognition.feature_set)

@@ -32,11 +32,12 @@ from specmap_cli.topology.topological_map import LogInfo
 class Thinned:
     """A map with fewer keyframes, of which `old` are of the recordings before the last one.
 
-    `dropped` of these are gone since newer ones show the same; `witnesses` would be, too, but show
-    walls that no other one does.
+    `left` (k,) are the numbers that they had among all. `dropped` of the old ones are gone since
+    newer ones show the same; `witnesses` would be, too, but show walls that no other one does.
     """
 
     kept: KeptMap
+    left: IntArray
     old: int
     dropped: int = 0
     witnesses: int = 0
@@ -48,9 +49,9 @@ def thinned(store: KeyframeStore, joint: KeptMap, old: Seen, new: Seen, config: 
     `new` is one recording, laid out by itself. The store has only the keyframes that are left
     afterwards. Deterministic.
     """
-    count = len(old.kept.labels.stamps_ns)
+    count, everything = len(old.kept.labels.stamps_ns), np.arange(len(joint.labels.stamps_ns))
     if config.update.keep_all:
-        return Thinned(joint, count)
+        return Thinned(joint, everything, count)
     of = joint.recordings
     gone = repeated(_recorded(store, joint, of, config), _named(joint, of))
     unseen = _unseen(old, new, joint.layout.poses)
@@ -64,9 +65,9 @@ def thinned(store: KeyframeStore, joint: KeptMap, old: Seen, new: Seen, config: 
     )
     gone[stay] = False
     if not gone.any():
-        return Thinned(joint, count, 0, len(stay))
-    left = count - int(gone.sum())
-    return Thinned(_without(store, joint, of, gone, config), left, count - left, len(stay))
+        return Thinned(joint, everything, count, 0, len(stay))
+    fewer, dropped = _without(store, joint, of, gone, config), int(gone.sum())
+    return Thinned(fewer, np.flatnonzero(~gone), count - dropped, dropped, len(stay))
 
 
 def _recorded(store: KeyframeStore, kept: KeptMap, of: IntArray, config: Config) -> Recorded:

@@ -7,7 +7,6 @@ divided afresh, and the classifiers learn the new visits.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,9 @@ import numpy as np
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.errors import NOT_ALIGNED, InputError, NoResultError
-from specmap_cli.core.findings import Quality
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
-from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
@@ -30,72 +27,22 @@ from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
 from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.pipelines.kept_map import Seen, seen_of_stored
+from specmap_cli.pipelines.learning import whole_grid
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
+from specmap_cli.pipelines.redivision import redivided
 from specmap_cli.pipelines.remaking import added, divided_anew, judge_of
-from specmap_cli.pipelines.run_record import run_record, told
+from specmap_cli.pipelines.run_record import run_record
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.survey import survey
 from specmap_cli.pipelines.thinning import Thinned, thinned
+from specmap_cli.pipelines.update_report import UpdateReport
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import check_feature_sets
+from specmap_cli.topology.border_changes import border_changes
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
 _SAME_SHARE = 0.5  # of the readings; those of a scan in motion stand at other bearings
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UpdateReport:
-    """What `update` did: the map directory, its run.json, and which submaps are new.
-
-    `visited` are the ids of the old map's submaps that the recording came to; `dropped` older
-    keyframes were let go since newer ones show the same; `unapplied` tells which of a person's
-    edits do not apply.
-    """
-
-    out: Path
-    run: Mapping[str, Any]
-    quality: Quality
-    alignment: Alignment
-    visited: tuple[int, ...]
-    new: tuple[int, ...]
-    dropped: int = 0
-    unapplied: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """The same for a machine."""
-        motion = self.alignment.old_from_new
-        return {
-            "out": str(self.out),
-            **self.run["counts"],
-            "aligned": self.alignment.reason,
-            "old_from_new": None if motion is None else list(motion),
-            "visited": list(self.visited),
-            "new": list(self.new),
-            "keyframes_dropped": self.dropped,
-            "unapplied": list(self.unapplied),
-            "quality": self.run["quality"],
-            "warnings": self.run["warnings"],
-        }
-
-    def lines(self) -> list[str]:
-        """A summary: what makes the map doubtful or poor comes first."""
-        counts = self.run["counts"]
-        fresh = f"{len(self.new)} new"
-        if self.new:
-            fresh += f" ({', '.join(str(id_) for id_ in self.new)})"
-        made = (
-            f"{self.out}: {counted(counts['submaps'], 'submap')}: "
-            f"{len(self.visited)} visited again, {fresh}; "
-            f"{counted(counts['scans'], 'scan')} over {counts['path_m']:.0f} m"
-        )
-        lines = [f"{self.out}: {self.alignment.reason}", made]
-        if self.dropped:
-            lines.append(
-                f"{self.out}: {counted(counts['keyframes'], 'keyframe')}; "
-                f"{self.dropped} older keyframes dropped, newer ones show the same"
-            )
-        return told(self.out, self.quality, *lines)
 
 
 def update_map(
@@ -144,6 +91,7 @@ def update_map(
         alignment=updated.alignment,
         visited=tuple(sorted(set(visits.tolist()) & known)),
         new=tuple(sorted(set(visits.tolist()) - known)),
+        borders=border_changes(stored.regions, finished.regions),
         dropped=fewer.dropped,
         unapplied=finished.unapplied,
     )
@@ -186,10 +134,16 @@ def _updated(
     _refuse_loose(joined, old, name, allow=allow_apart)
     with clock.stage("thinning"):
         fewer = thinned(store, joined.kept, old, new, config)
+    with clock.stage("grids"):
+        whole, beyond = whole_grid(store, fewer.kept.layout, config)
+    with clock.stage("segmentation"):
+        kept = redivided(old, joined.kept, fewer, whole, config)
     counts = added(stored.counts, surveyed.tracking.counts)
     known = surveyed.features.among(store, fewer.old)
     judge = judge_of(joined, config.quality)
-    finished = divided_anew(store, fewer.kept, judge, config, progress, clock, counts, known)
+    finished = divided_anew(
+        store, kept, judge, config, progress, clock, counts, known, (whole, beyond)
+    )
     return _Updated(finished, fewer, alignment)
 
 

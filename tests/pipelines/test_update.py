@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +18,12 @@ from specmap_cli.evaluation.trajectories import read_tum, reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
-from specmap_cli.pipelines.update import UpdateReport, update_map
+from specmap_cli.pipelines.update import update_map
+from specmap_cli.pipelines.update_report import UpdateReport
 from specmap_cli.simulation import simulator
 from specmap_cli.simulation.simulator import SimulationOptions
+from specmap_cli.topology.border_changes import BorderChange
+from specmap_cli.topology.regions import NOBODY
 
 QUICK = load_config(
     None, None, {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
@@ -229,3 +232,17 @@ def test_a_map_without_keyframes_cannot_be_updated(kept: Kept, tmp_path: Path) -
             (bare / file.name).write_bytes(file.read_bytes())
     with pytest.raises(MapError, match=r"has no keyframes\.mcap"):
         update_map(bare, kept.second.log, tmp_path / "out", QUICK)
+
+
+def test_borders_that_moved_are_said_with_the_reason(kept: Kept) -> None:
+    assert kept.report.as_dict()["borders_moved"] == []
+    assert [change.submap for change in kept.report.borders] == sorted(kept.old.ids)
+    moved = BorderChange(submap=1, iou=0.5, was_m2=20.0, given={7: 9.0, 0: 1.0}, taken={NOBODY: 2})
+    report = replace(kept.report, borders=(moved,))
+    assert report.lines()[2].endswith(
+        "the border of submap 1 moved (IoU 0.50): 9.0 m2 that were only looked into are in 7, "
+        "entered now; 1.0 m2 are in 0 now; 2.0 m2 of no submap are in it now"
+    )
+    told = report.as_dict()["borders_moved"][0]
+    assert told["given"] == [{"submap": 7, "m2": 9.0}, {"submap": 0, "m2": 1.0}]
+    assert told["taken"] == [{"submap": None, "m2": 2}]
