@@ -28,15 +28,17 @@ def first_return(case: Case, preset: str, workshop: Workshop) -> Gallery | None:
     poses = whole.finished.labels.poses[:seen]
     grid = integrate_keyframes(whole.store, range(seen), poses, whole.config.grid).snapshot()
     shown = []
-    for merged, words in (((), "before"), ((merge,), "after")):
+    for merged, words in (
+        ((), f"before submap {merge.new} is recognised"),
+        ((merge,), f"once it is merged into submap {merge.old}"),
+    ):
         submaps = online_labels(explored.regions, merged, len(whole.store))[:seen]
         count = len(np.unique(submaps[submaps != NO_SUBMAP]))
         labels = replace(whole.finished.labels, poses=poses, submaps=submaps)
         shown.append(
             Picture(
                 pictures.topology(grid, labels, pictures.links(submaps)),
-                f"{case.name}, {WORDS[preset]}: {count} submaps {words} the robot is told to be "
-                f"back in submap {merge.old}",
+                f"{case.name}, {WORDS[preset]}, the first merge: {count} submaps {words}",
             )
         )
     return gallery(shown)

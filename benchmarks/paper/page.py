@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 
 from benchmarks.paper.blocks import Block, Found, Picture, Table
-from benchmarks.paper.cases import LACKING, Cases
+from benchmarks.paper.cases import FREIBURG, LACKING, STATA, Cases
 from benchmarks.paper.charts import drawn
 from benchmarks.paper.parts import Part
 from specmap_cli.report.colours import tones
@@ -40,7 +40,10 @@ def render(parts: Sequence[Done], cases: Cases, command: str) -> str:
         "title": "The paper by one command",
         "parts": parts,
         "missing": cases.missing,
-        "recordings": [case.name for case in cases.found],
+        "recordings": {
+            manner: [case.name for case in cases.found if case.manner == manner]
+            for manner in (FREIBURG, STATA)
+        },
         "command": command,
         "tones": tones(()),
         **page_parts(_PACKAGE, (), ("page.css", "parts.css", "paper.css")),

@@ -75,8 +75,8 @@ PARTS = (
         data=("fr079", "plans"),
         title="Figure 4: closing loops, Freiburg",
         said=(
-            "The first three submaps, the return to the corridor recognised, the final topology: "
-            "all three returns to the corridor are closed."
+            "The way (a), the first three submaps (b), two of them once the return to the corridor "
+            "is recognised (c), and the final topology (d): all three returns are closed."
         ),
         make=partial(topology.make, manner=FREIBURG),
         commands=("specmap build LOG -o DIR", "python -m benchmarks.recognition --only closures"),
@@ -98,7 +98,8 @@ PARTS = (
         title="Figure 5c: rooms and hallways do not divide a map",
         said=(
             "A classifier of rooms and hallways, learned in Freiburg and asked in Stata, “does not "
-            "generalize well”; the paper gives no figures."
+            "generalize well”. The paper gives no figures, and says that the classifier was not "
+            "optimised."
         ),
         make=room_hallway.make,
         commands=("specmap evaluate LOG LOG2 --baseline room-hallway",),

@@ -225,3 +225,6 @@ def test_a_hostile_name_is_no_markup(week: Path, tmp_path: Path) -> None:
     page = (tmp_path / "out" / "history.html").read_text(encoding="utf-8")
     assert "<script" not in page
     assert "&lt;script&gt;" in page
+    assert "<dt>map</dt><dd>1</dd>" in page
+    assert "<dt>changes</dt><dd>0</dd>" in page
+    assert "<title>1 building – specmap history</title>" in page
