@@ -8,10 +8,19 @@ import numpy as np
 
 from benchmarks.closure_truth import true_poses
 from benchmarks.paper import pictures
-from benchmarks.paper.blocks import Block, Found, Picture, Row, Table, figure, gallery
+from benchmarks.paper.blocks import (
+    Block,
+    Found,
+    Gallery,
+    Picture,
+    Row,
+    Table,
+    figure,
+    gallery,
+)
 from benchmarks.paper.cases import Case
 from benchmarks.paper.samples import Samples, fitted, of_keyframes, scored, the_papers
-from benchmarks.paper.workshop import OURS, PRESETS, WORDS, Built, Workshop
+from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Built, Workshop
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
 from specmap_cli.core.labels import neighbours
 from specmap_cli.core.records import NO_SUBMAP, IntArray
@@ -41,40 +50,64 @@ class Asked:
     places: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class Toured:
+    """A building with a second way through it: its rows of the table, its pictures.
+
+    The rows are single scans and filtered labels of the paper's choices, the same of ours, and the
+    paper's classifiers asked for our submaps.
+    """
+
+    rows: tuple[Row, Row, Row, Row, Row]
+    pictures: Gallery
+
+    def told(self) -> str:
+        """The shares of scans that are labelled right."""
+        papers, _, _, ours, classifiers = (row.cells for row in self.rows)
+        return (
+            f"{papers[0]}: right are {papers[6]} of the scans with the paper's choices "
+            f"({papers[3]} submaps), {classifiers[6]} with its classifiers on specmap's submaps "
+            f"({classifiers[3]}), {ours[6]} with specmap's filter."
+        )
+
+
 def make(workshop: Workshop) -> list[Block]:
     """Every building with a second way through it, with both presets."""
-    rows, galleries, told = [], [], []
-    for case in workshop.cases.found:
-        if case.again is None:
-            continue
-        built = {preset: workshop.built(case, preset) for preset in PRESETS}
-        asked = {p: ask(built[p], case, case.again, workshop) for p in PRESETS}
-        for preset, found in asked.items():
-            rows.append(_row(case, preset, "single scans", found.result.raw))
-            rows.append(_row(case, preset, "filtered", found.result.filtered))
-        words = "single scans, the paper's classifiers"
-        rows.append(
-            _row(case, OURS, words, _classifiers_alone(case, case.again, asked[OURS], workshop))
-        )
-        told.append(_told(case, rows[-5], rows[-1], rows[-2]))
-        shown = [_picture(case, preset, built[preset], asked[preset]) for preset in PRESETS]
-        galleries.append(gallery(shown))
+    tours = [
+        _toured(case, case.again, workshop)
+        for case in workshop.cases.found
+        if case.again is not None
+    ]
+    rows = [row for tour in tours for row in tour.rows]
     caption = (
-        "The robot drives through the building again, another way. The truth of a scan is the "
+        "The robot drives through the building again, another way. Its line has the colour of the "
+        "submap that was told, and a red rim where that is wrong. The truth of a scan is the "
         "submap of the map's keyframe nearest to where it was taken, by true poses. The paper "
         "shows its Figure 6 without figures. With few submaps, one of them large, most scans are "
         "right by themselves: look at their number; the last row of each tour asks the paper's "
         "classifiers for specmap's submaps."
     )
-    return [Found(" ".join(told), _WHY), *galleries, Table(_HEAD, rows, caption)]
+    return [
+        Found(" ".join(tour.told() for tour in tours), _WHY),
+        *(tour.pictures for tour in tours),
+        Table(_HEAD, rows, caption),
+    ]
 
 
-def _told(case: Case, papers: Row, classifiers: Row, filtered: Row) -> str:
-    return (
-        f"{case.name}: right are {papers.cells[6]} of the scans with the paper's choices "
-        f"({papers.cells[3]} submaps), {classifiers.cells[6]} with its classifiers on specmap's "
-        f"submaps ({classifiers.cells[3]}), {filtered.cells[6]} with specmap's filter."
+def _toured(case: Case, again: Case, workshop: Workshop) -> Toured:
+    built = {preset: workshop.built(case, preset) for preset in PRESETS}
+    asked = {preset: ask(built[preset], case, again, workshop) for preset in PRESETS}
+    papers, ours = asked[PAPER].result, asked[OURS].result
+    alone = _classifiers_alone(case, again, asked[OURS], workshop)
+    rows = (
+        _row(case, PAPER, "single scans", papers.raw),
+        _row(case, PAPER, "filtered", papers.filtered),
+        _row(case, OURS, "single scans", ours.raw),
+        _row(case, OURS, "filtered", ours.filtered),
+        _row(case, OURS, "single scans, the paper's classifiers", alone),
     )
+    shown = [_picture(case, preset, built[preset], asked[preset]) for preset in PRESETS]
+    return Toured(rows, gallery(shown))
 
 
 def ask(built: Built, case: Case, again: Case, workshop: Workshop) -> Asked:

@@ -29,8 +29,8 @@ def first_return(case: Case, preset: str, workshop: Workshop) -> Gallery | None:
     grid = integrate_keyframes(whole.store, range(seen), poses, whole.config.grid).snapshot()
     shown = []
     for merged, words in (
-        ((), f"before submap {merge.new} is recognised"),
-        ((merge,), f"once it is merged into submap {merge.old}"),
+        ((), f"before submap {merge.new} is merged into submap {merge.old}"),
+        ((merge,), "after it"),
     ):
         submaps = online_labels(explored.regions, merged, len(whole.store))[:seen]
         count = len(np.unique(submaps[submaps != NO_SUBMAP]))

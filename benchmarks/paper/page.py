@@ -17,6 +17,7 @@ from specmap_cli.report.colours import tones
 from specmap_cli.report.pouring import page_parts, poured
 
 _PACKAGE = "benchmarks.paper"
+_MOST_DOTS = 120  # of a line: more of them hide it
 _FIGURES = set("0123456789+−–.,")
 
 
@@ -46,6 +47,7 @@ def render(parts: Sequence[Done], cases: Cases, command: str) -> str:
         },
         "command": command,
         "tones": tones(()),
+        "most_dots": _MOST_DOTS,
         **page_parts(_PACKAGE, (), ("page.css", "parts.css", "paper.css")),
     }
     filters: dict[str, Callable[..., Any]] = {

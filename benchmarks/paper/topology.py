@@ -58,9 +58,10 @@ def _found(closed: Mapping[str, Sequence[Judged]]) -> Found:
     }
     return Found(
         beside(told),
-        "By xi alone nearly everything is merged: the first classifiers have few other submaps to "
-        "be told from, and claim whatever comes. In specmap the claims only rank the old "
-        "submaps, and a merge needs grids that match and tracks that overlap.",
+        "By xi alone nearly everything is merged: the classifiers of two submaps share out all "
+        "scans between them, so one of them claims whatever comes third, and after the merge there "
+        "are two again. In specmap the claims only rank the old submaps, and a merge needs grids "
+        "that match and tracks that overlap.",
     )
 
 

@@ -51,7 +51,7 @@ def test_every_kind_of_block_is_shown_and_escaped(page: str) -> None:
     assert '<p class="warning">a warning</p>' in page
     assert '<tr class="published"><td>paper</td><td class="n">0.8</td></tr>' in page
     assert "a &amp; b" in page
-    assert page.count("three of &lt;four&gt;. because of this") == 1
+    assert 'three of &lt;four&gt;. <span class="why">because of this</span>' in page
     assert page.count('class="filled"') == 1
 
 
