@@ -22,7 +22,7 @@ class Words:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What comes out here, to stand beside what the paper says, and why it differs."""
+    """What comes out here, line by line, to stand beside what the paper says; why it differs."""
 
     kind: ClassVar[str] = "found"
     text: str

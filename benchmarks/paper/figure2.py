@@ -18,7 +18,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.segmentation.division import segment
 from specmap_cli.simulation.room_truth import RoomTruth
 
-_HEAD = ("map", "choices", "regions", "recall", "precision", "IoU", "segments per room")
+_HEAD = ("map", "choices", "regions", "recall", "precision", "IoU", "regions per room")
 
 
 @dataclass(frozen=True, slots=True)

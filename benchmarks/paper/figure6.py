@@ -88,7 +88,7 @@ def make(workshop: Workshop) -> list[Block]:
         "classifiers for specmap's submaps."
     )
     return [
-        Found(" ".join(tour.told() for tour in tours), _WHY),
+        Found("\n".join(tour.told() for tour in tours), _WHY),
         *(tour.pictures for tour in tours),
         Table(_HEAD, rows, caption),
     ]

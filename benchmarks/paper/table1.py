@@ -102,14 +102,14 @@ def _found(papers: Mapping[str, Tried], ours: Mapping[str, Tried]) -> Found:
         chosen = max(tried.worths, key=lambda group: tried.worths[group].chosen)
         missed = min(tried.worths, key=lambda group: tried.worths[group].without)
         told.append(
-            f"On {name}, stumps choose group {chosen} most often "
+            f"On {name}, stumps choose “{chosen}” most often "
             f"({100.0 * tried.worths[chosen].chosen:.0f} %), and recall falls most without "
-            f"{missed} ({_change(tried.worths[missed].without - tried.recall)}). All twelve groups "
-            f"give a recall of {tried.recall:.3f}, specmap's features and trees "
+            f"“{missed}” ({_change(tried.worths[missed].without - tried.recall)}). All twelve "
+            f"groups give a recall of {tried.recall:.3f}, specmap's features and trees "
             f"{ours[name].recall:.3f}."
         )
     return Found(
-        " ".join(told),
+        "\n".join(told),
         "A group that is missed little is not worthless: others say nearly the same, and are "
         "chosen in its place.",
     )

@@ -50,7 +50,7 @@ def make(workshop: Workshop) -> list[Block]:
         "submaps, as in the paper: each counts the same, however small. Filtered: the share of "
         "held-out scans that the hidden Markov model labels right."
     )
-    return [Found(" ".join(told), _WHY), Table(_HEAD, rows, caption)]
+    return [Found("\n".join(told), _WHY), Table(_HEAD, rows, caption)]
 
 
 def _told(manner: str, published: str, rows: Sequence[Row]) -> str:
