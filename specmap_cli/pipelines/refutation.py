@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
-from specmap_cli.core.records import Closure
+from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.closure_matching import place_around, sharpened
@@ -75,10 +75,7 @@ def _constraint(
     """
     old_track = in_own_frame(store, old)
     new_track = compose(np.array(old_from_new), in_own_frame(store, new))
-    gaps = old_track[:, None] - new_track[None]
-    apart = np.hypot(gaps[..., 0], gaps[..., 1])
-    apart += METRES_A_RADIAN * np.abs(wrap_angles(gaps[..., 2]))
-    i, j = (int(k) for k in np.unravel_index(int(apart.argmin()), apart.shape))
+    i, j = nearest_pair(old_track, new_track)
     guess = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
     places = place_around(store, old, i, config), place_around(store, new, j, config)
     return Constraint(
@@ -87,6 +84,23 @@ def _constraint(
         source_from_target=sharpened(*places, guess, config),
         information=information,
     )
+
+
+def nearest_pair(old: FloatArray, new: FloatArray) -> Pair:
+    """Which poses of two tracks (n, 3) and (m, 3) are nearest: a turn is as bad as a way.
+
+    Only those are turned that are no farther apart than that, which are few of the n times m.
+    """
+    away = np.hypot(old[:, 0, None] - new[:, 0], old[:, 1, None] - new[:, 1])
+
+    def apart(i: IntArray, j: IntArray) -> FloatArray:
+        turns = np.abs(wrap_angles(old[i, 2] - new[j, 2]))
+        return np.asarray(away[i, j] + METRES_A_RADIAN * turns)
+
+    first = np.array([np.unravel_index(int(away.argmin()), away.shape)]).T
+    i, j = np.nonzero(away <= apart(*first))
+    best = int(apart(i, j).argmin())
+    return int(i[best]), int(j[best])
 
 
 def _taken_back(closure: Closure) -> Closure:
