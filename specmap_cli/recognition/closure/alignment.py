@@ -10,30 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
-import numpy as np
-
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
-from specmap_cli.core.sampling import evenly
+from specmap_cli.core.geometry import Pose2, wrap_angle
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.core.text import counted
-from specmap_cli.grids.gridmap import FREE, GridMap
-from specmap_cli.grids.matching import ScoreField, refine
+from specmap_cli.recognition.closure.candidates import Candidate, Floors, refined
 from specmap_cli.recognition.closure.common_ground import CommonGround, common_ground
 from specmap_cli.recognition.closure.joints import Joint, joints
 from specmap_cli.recognition.closure.kinship import likely_pairs
 from specmap_cli.recognition.closure.known_map import KnownMap, Pieces
 from specmap_cli.recognition.closure.prepared import PreparedGrid, prepared
 from specmap_cli.recognition.closure.transforms import RIVAL_M, RIVAL_RAD, TransformSearch, differ
-from specmap_cli.recognition.closure.verification import net_walls_m
 from specmap_cli.recognition.closure.votes import Party, parties_of, votes_of
 
-# Of the refinement of a candidate: from a coarse cell of the search away, then to the centimetre.
-_ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 400, 8, 0.6
-_FINE_STEPS, _FINE_SHIFT_M = 15, 0.2
-_NEAR_SCORE, _FEWEST_NEAR = 0.1, 50  # of a wide field: two sigma of it, some 0.6 m
-_WALLS_PER_M2 = 3.0  # of rooms, with all that stands in them; offices have two
-_FLOOR_POINTS = 5000  # of the free space: its share that both saw to a hundredth
 _LEAST_SCORE = 0.5  # of all that both saw; halls of other buildings that touch reach more
 _MOST_ODD = 0.2  # of the walls: one room of five was rebuilt; more may be another floor
 _LEAST_AREA_M2, _LEAST_WALLS_M = 10.0, 10.0  # a small room: less says nothing about a building
@@ -66,145 +56,94 @@ class Alignment:
     rival: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Candidate:
-    """A refined transform, the metres of wall that speak for it, and the party that found it.
-
-    Walls count only as far as there are rooms between them: maps that touch back to back have
-    straight walls in common, and nothing else.
-    """
-
-    old_from_new: Pose2
-    merit_m: float
-    party: Party | None
-
-    @property
-    def strength(self) -> int:
-        """How many submaps of either map found it by themselves."""
-        return 0 if self.party is None else self.party.strength
-
-
 def align(old: KnownMap, new: KnownMap, config: Config) -> Alignment:
-    """The transform between two maps, or the reason why there is none."""
+    """The transform between two maps, or the reason why there is none.
+
+    Submaps are matched with those that they are most like. Where these do not say where the maps
+    lie, they are matched with more.
+    """
     recognition = config.recognition
     wholes = [prepared(known.whole, recognition) for known in (old, new)]
     if wholes[0] is None or wholes[1] is None:
         return Alignment(old_from_new=None, reason="a map shows too few walls to match")
     pieces = Pieces(old, recognition), Pieces(new, recognition)
-    floors = Floors.of(old.whole, new.whole)
-    pairs = likely_pairs(old, new, config.localization, recognition.candidates)
-    parties = parties_of(votes_of(pairs, *pieces, recognition))
-    ranked = _candidates(wholes[0], wholes[1], floors, parties, recognition)
-    if not ranked:
-        return Alignment(old_from_new=None, reason="no place of one map was found in the other")
-    sides = (pieces[0], wholes[0]), (pieces[1], wholes[1])
-
-    def ground(candidate: _Candidate) -> CommonGround:
-        return common_ground(*sides, candidate.old_from_new, recognition)
-
-    best = ranked[0]
-    rivals = _rivals(ranked, ground)
-    found = Alignment(
-        old_from_new=best.old_from_new,
-        reason="",
-        votes=0 if best.party is None else len(best.party.votes),
-        party=best.strength,
-        ground=ground(best),
-        area_m2=floors.common_m2(best.old_from_new),
-        rival=rivals[0].merit_m / best.merit_m if rivals else 0.0,
-    )
-    doubt = _doubt(found, best, rivals)
-    if doubt:
-        return replace(found, old_from_new=None, reason=doubt)
-    agreed = joints(*pieces, best.old_from_new, recognition)
+    two = _Two(pieces, (wholes[0], wholes[1]), Floors.of(old.whole, new.whole), recognition)
+    likely, others = likely_pairs(old, new, config.localization, recognition.candidates)
+    votes = votes_of(likely, *pieces, recognition)
+    found = two.aligned(parties_of(votes))
+    if found.old_from_new is None and others:
+        found = two.aligned(parties_of([*votes, *votes_of(others, *pieces, recognition)]))
+    if found.old_from_new is None:
+        return found
+    agreed = joints(*pieces, found.old_from_new, recognition)
     return replace(found, reason=_praise(found), joints=agreed)
 
 
-@dataclass(frozen=True, slots=True)
-class Floors:
-    """What was seen free: in the old map's `grid`, and points (n, 2) of the new map's free space.
+@dataclass(frozen=True)  # without slots: the search and what it finds are made once
+class _Two:
+    """Two maps, the old one first: their submaps, their whole grids, and what was seen free."""
 
-    Each point stands for `area_m2`.
-    """
+    pieces: tuple[Pieces, Pieces]
+    wholes: tuple[PreparedGrid, PreparedGrid]
+    floors: Floors
+    config: RecognitionConfig
 
-    grid: GridMap
-    points: FloatArray
-    area_m2: float
+    @cached_property
+    def search(self) -> TransformSearch:
+        """The search for transforms of the whole maps."""
+        return TransformSearch(*self.wholes)
 
-    @classmethod
-    def of(cls, old: GridMap, new: GridMap) -> Floors:
-        """The free space of two maps."""
-        free = np.argwhere(new.free)
-        points = evenly(free, _FLOOR_POINTS)
-        area_m2 = new.free_area_m2 / max(1, len(points))
-        return cls(old, new.centres_of(points), area_m2)
+    @cached_property
+    def of_wholes(self) -> list[Candidate]:
+        """What the whole maps say of where they lie."""
+        return [self._refined(pose, None) for pose in self.search.best(self.search.many)]
 
-    def common_m2(self, old_from_new: Pose2) -> float:
-        """Square metres that are free in both maps."""
-        values = self.grid.values_at(old_from_new.apply(self.points))
-        return float(np.count_nonzero(values == FREE)) * self.area_m2
+    def aligned(self, parties: Sequence[Party]) -> Alignment:
+        """The transform that most walls speak for, or why it is not to be believed."""
+        ranked = self._candidates(parties)
+        if not ranked:
+            return Alignment(old_from_new=None, reason="no place of one map was found in the other")
+        best = ranked[0]
+        rivals = _rivals(ranked, self._ground)
+        found = Alignment(
+            old_from_new=best.old_from_new,
+            reason="",
+            votes=0 if best.party is None else len(best.party.votes),
+            party=best.strength,
+            ground=self._ground(best),
+            area_m2=self.floors.common_m2(best.old_from_new),
+            rival=rivals[0].merit_m / best.merit_m if rivals else 0.0,
+        )
+        doubt = _doubt(found, best, rivals)
+        return replace(found, old_from_new=None, reason=doubt) if doubt else found
+
+    def _ground(self, candidate: Candidate) -> CommonGround:
+        old, new = zip(self.pieces, self.wholes, strict=True)
+        return common_ground(old, new, candidate.old_from_new, self.config)
+
+    def _candidates(self, parties: Sequence[Party]) -> list[Candidate]:
+        """Different transforms, the best first: those of votes, and of the whole maps."""
+        found = [*(self._refined(one.old_from_new, one) for one in parties), *self.of_wholes]
+        kept: list[Candidate] = []
+        for one in sorted(found, key=lambda candidate: -candidate.merit_m):
+            near = [k for k, other in enumerate(kept) if _is_same(one, other, self.search)]
+            if not near and one.merit_m > 0.0:
+                kept.append(one)
+            elif near and kept[near[0]].party is None:  # the same, and some submaps found it
+                kept[near[0]] = replace(kept[near[0]], party=one.party)
+        return kept
+
+    def _refined(self, guess: Pose2, party: Party | None) -> Candidate:
+        return refined(*self.wholes, self.floors, guess, party, self.config)
 
 
-def _candidates(
-    old: PreparedGrid,
-    new: PreparedGrid,
-    floors: Floors,
-    parties: Sequence[Party],
-    config: RecognitionConfig,
-) -> list[_Candidate]:
-    """Different transforms, those first that most walls speak for: of votes, of the whole maps."""
-    search = TransformSearch(old, new)
-    guesses: list[tuple[Pose2, Party | None]] = [(party.old_from_new, party) for party in parties]
-    guesses += [(pose, None) for pose in search.best(search.many)]
-    found = [_refined(old, new, floors, *guess, config) for guess in guesses]
-    kept: list[_Candidate] = []
-    for one in sorted(found, key=lambda candidate: -candidate.merit_m):
-        near = [k for k, other in enumerate(kept) if _is_same(one, other, search)]
-        if not near and one.merit_m > 0.0:
-            kept.append(one)
-        elif near and kept[near[0]].party is None:  # the same, and some submaps found it
-            kept[near[0]] = replace(kept[near[0]], party=one.party)
-    return kept
-
-
-def _is_same(one: _Candidate, other: _Candidate, search: TransformSearch) -> bool:
+def _is_same(one: Candidate, other: Candidate, search: TransformSearch) -> bool:
     return not differ(one.old_from_new, other.old_from_new, search.centre, RIVAL_M, RIVAL_RAD)
 
 
-def _refined(
-    old: PreparedGrid,
-    new: PreparedGrid,
-    floors: Floors,
-    guess: Pose2,
-    party: Party | None,
-    config: RecognitionConfig,
-) -> _Candidate:
-    few = evenly(_near_walls(old, new, guess), _ROUGH_POINTS)
-    near = _about_their_middle(old.field, few, guess, _ROUGH_STEPS, _ROUGH_SHIFT_M)
-    walls = _near_walls(old, new, near)
-    fine = _about_their_middle(old.field.sharper(), walls, near, _FINE_STEPS, _FINE_SHIFT_M)
-    around_m = _WALLS_PER_M2 * floors.common_m2(fine)
-    return _Candidate(fine, min(net_walls_m(old, new, fine, config), around_m), party)
-
-
-def _near_walls(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> FloatArray:
-    """(N, 2) the points on the new map's walls that come near walls of the old one; or all."""
-    near = old.wide.at(old_from_new.apply(new.walls)) > _NEAR_SCORE
-    return new.walls[near] if np.count_nonzero(near) >= _FEWEST_NEAR else new.walls
-
-
-def _about_their_middle(
-    field: ScoreField, points: FloatArray, guess: Pose2, steps: int, shift_m: float
-) -> Pose2:
-    """`refine`, by no more than a shift where the points (N, 2) are: the frame may lie far off."""
-    x, y = points.mean(axis=0).tolist()
-    found = refine(field, points - (x, y), guess @ Pose2(x, y, 0.0), steps, shift_m)
-    return found.pose @ Pose2(-x, -y, 0.0)
-
-
 def _rivals(
-    ranked: Sequence[_Candidate], ground: Callable[[_Candidate], CommonGround]
-) -> list[_Candidate]:
+    ranked: Sequence[Candidate], ground: Callable[[Candidate], CommonGround]
+) -> list[Candidate]:
     """The transforms but the best that are to be weighed against it, in their order.
 
     Not those that are clearly worse, though they explain much, as in a building that looks nearly
@@ -224,7 +163,7 @@ def _rivals(
     ]
 
 
-def _doubt(found: Alignment, best: _Candidate, rivals: Sequence[_Candidate]) -> str:
+def _doubt(found: Alignment, best: Candidate, rivals: Sequence[Candidate]) -> str:
     """Why a transform is not to be believed; empty when it is."""
     ground = found.ground
     assert ground is not None
@@ -262,7 +201,7 @@ def _is_large(found: Alignment, ground: CommonGround) -> bool:
     )
 
 
-def _gap(best: _Candidate, rival: _Candidate) -> str:
+def _gap(best: Candidate, rival: Candidate) -> str:
     """How far apart two transforms are, in words."""
     away = best.old_from_new.inverse() @ rival.old_from_new
     turn = math.degrees(abs(wrap_angle(away.theta)))

@@ -18,6 +18,9 @@ from specmap_cli.recognition.closure.verification import Check, judge
 
 _POINTS, _STEPS, _SHIFT_M = 1000, 15, 0.5  # of a match near the transform of the maps
 _MOST_TURN_RAD = math.radians(3.0)
+_NEAR_SCORE = 0.1  # of a wide field: two sigma of it, some 0.6 m: no match moves a wall farther
+
+_Placed = tuple[int, PreparedGrid, Pose2]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,21 +47,16 @@ def joints(
     Only those are told that are the best of one of both submaps: neighbours that see each other
     through a door match, too, but slide along their walls.
     """
-    found = list[Joint]()
-    for j in new.known.ids:
-        piece = new.of(j)
-        for i in () if piece is None else _near(old, new, j, old_from_new):
-            other = old.of(i)
-            assert piece is not None
-            assert other is not None
-            joint = _joint(
-                (i, other, old.known.frames[i]),
-                (j, piece, new.known.frames[j]),
-                old_from_new,
-                config,
-            )
-            if joint is not None:
-                found.append(joint)
+    found, most = list[Joint](), dict[tuple[str, int], float]()
+    for walls_m, i, j in _shared(old, new, old_from_new, config):
+        ends = ("old", i), ("new", j)
+        if all(walls_m <= most.get(end, 0.0) for end in ends):
+            continue  # neither's best: no more can be confirmed than lies near
+        joint = _joint(_placed(old, i), _placed(new, j), old_from_new, config)
+        if joint is not None:
+            found.append(joint)
+            most |= {end: max(_confirmed_m(joint), most.get(end, 0.0)) for end in ends}
+    found.sort(key=lambda joint: (joint.new, joint.old))
     best = {("old", joint.old): joint for joint in sorted(found, key=_confirmed_m)}
     best |= {("new", joint.new): joint for joint in sorted(found, key=_confirmed_m)}
     return tuple(joint for joint in found if any(joint is other for other in best.values()))
@@ -66,6 +64,35 @@ def joints(
 
 def _confirmed_m(joint: Joint) -> float:
     return joint.check.confirmed_m
+
+
+def _shared(
+    old: Pieces, new: Pieces, old_from_new: Pose2, config: RecognitionConfig
+) -> list[tuple[float, int, int]]:
+    """Pairs of submaps, old and new, that may match, those first that may share most wall.
+
+    With each the metres of the new one's walls that lie near walls of the old one.
+    """
+    found = []
+    for j in new.known.ids:
+        piece = new.of(j)
+        for i in () if piece is None else _near(old, new, j, old_from_new):
+            one, old_frame = _placed(old, i)[1:]
+            assert piece is not None
+            guess = old_frame.inverse() @ old_from_new @ new.known.frames[j]
+            points = guess.apply(evenly(piece.walls, _POINTS))
+            share = float((one.wide.at(points) > _NEAR_SCORE).mean())
+            walls_m = share * len(piece.walls) * piece.metres_a_point
+            if walls_m >= config.min_wall_m:
+                found.append((walls_m, i, j))
+    return sorted(found, key=lambda pair: (-pair[0], pair[2], pair[1]))
+
+
+def _placed(pieces: Pieces, submap: int) -> _Placed:
+    """A submap with its walls prepared, which it has, and its frame in the map."""
+    piece = pieces.of(submap)
+    assert piece is not None
+    return submap, piece, pieces.known.frames[submap]
 
 
 def _near(old: Pieces, new: Pieces, submap: int, old_from_new: Pose2) -> Iterator[int]:
@@ -88,8 +115,8 @@ def _box(pieces: Pieces, submap: int, frame: Pose2) -> tuple[FloatArray, FloatAr
 
 
 def _joint(
-    old: tuple[int, PreparedGrid, Pose2],
-    new: tuple[int, PreparedGrid, Pose2],
+    old: _Placed,
+    new: _Placed,
     old_from_new: Pose2,
     config: RecognitionConfig,
 ) -> Joint | None:

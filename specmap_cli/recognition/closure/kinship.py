@@ -21,16 +21,18 @@ from specmap_cli.recognition.learning.classifiers import Recogniser
 _PLACES = 16  # of a submap from which scans are cast: a mean of chances to a tenth
 _DECIMALS = 6  # of a chance: the last digits of an exponential depend on the processor
 _AREA_PRIOR = 0.5  # times the logarithm of a ratio of areas, where no classifier can be asked
+_FAR_BEHIND = 0.1  # of the best rank: a tenth of the chance
 
 Pair = tuple[int, int]
 
 
 def likely_pairs(
     old: KnownMap, new: KnownMap, config: LocalizationConfig, candidates: int
-) -> list[Pair]:
+) -> tuple[list[Pair], list[Pair]]:
     """Pairs (old submap, new submap) worth a match of their grids, the likeliest first.
 
-    Of each submap the `candidates` best ranked ones of the other map.
+    Of each submap the `candidates` best ranked ones of the other map. The second list is of those
+    that another pair of the new submap is likelier than by far.
     """
     ranks = _ranks(old, new, config)
     best_new = np.argsort(-ranks, axis=1, kind="stable")[:, :candidates]
@@ -38,7 +40,11 @@ def likely_pairs(
     chosen = {(i, j) for i, row in enumerate(best_new.tolist()) for j in row}
     chosen |= {(i, j) for row in best_old.tolist() for j, i in enumerate(row)}
     ordered = sorted(chosen, key=lambda pair: (-ranks[pair], pair))
-    return [(old.ids[i], new.ids[j]) for i, j in ordered]
+    least = _FAR_BEHIND * ranks.max(axis=0, initial=0.0)
+    first, later = list[Pair](), list[Pair]()
+    for i, j in ordered:
+        (first if ranks[i, j] >= least[j] else later).append((old.ids[i], new.ids[j]))
+    return first, later
 
 
 def _ranks(old: KnownMap, new: KnownMap, config: LocalizationConfig) -> FloatArray:

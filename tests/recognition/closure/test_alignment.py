@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angle
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
+from specmap_cli.recognition.closure import alignment, kinship
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.closure.known_map import KnownMap
+from specmap_cli.recognition.closure.votes import Vote, votes_of
 from tests.recognition.closure.floors import CELL_M, Floor, floor, random_floor, seen
 
 CONFIG = Config()
@@ -52,6 +55,36 @@ def test_the_other_way_round_is_the_inverse() -> None:
     both = there.old_from_new @ back.old_from_new
     assert both.distance < 0.03
     assert abs(both.theta) < 0.002
+
+
+def test_submaps_are_matched_with_less_likely_ones_when_the_likely_ones_say_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plan, frame = random_floor(0), Pose2(3.0, 2.0, 2.0)
+    old, new = seen(plan, ALL, IDENTITY), seen(plan, ALL, frame)
+    matched: list[list[tuple[int, int]]] = []
+
+    def watched(pairs: list[tuple[int, int]], *others: Any) -> list[Vote]:
+        matched.append(pairs)
+        return votes_of(pairs, *others)
+
+    monkeypatch.setattr(alignment, "votes_of", watched)
+    pairs = [(k, k) for k in ALL]
+    for ranked, tried in ((pairs, pairs[:2]), [pairs]), (([], pairs), [[], pairs]):
+        matched.clear()
+        monkeypatch.setattr(alignment, "likely_pairs", lambda *_, ranked=ranked: ranked)
+        assert_right(aligned(old, new), frame)
+        assert matched == tried
+
+
+def test_pairs_far_behind_the_best_of_their_new_submap_come_later(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ranks = np.array([[0.9, 0.04], [0.2, 0.5]])  # of old submaps 0 and 1, and new ones in columns
+    monkeypatch.setattr(kinship, "_ranks", lambda *_: ranks)
+    two = seen(random_floor(0), [0, 1], IDENTITY)
+    first, later = kinship.likely_pairs(two, two, CONFIG.localization, 2)
+    assert (first, later) == ([(0, 0), (1, 1), (1, 0)], [(0, 1)])
 
 
 def test_maps_that_share_some_rooms() -> None:
