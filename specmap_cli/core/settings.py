@@ -550,7 +550,6 @@ class LocalizationConfig(_Section):
     virtual_range_m: float = Field(20.0, gt=0, description="farther returns are not in it")
     virtual_spacing_m: float = Field(0.2, ge=0, description="motion between the scans in it")
     virtual_spacing_rad: float = Field(0.3, ge=0, description="or turn between them")
-    raw_weight: float = Field(0.1, ge=0, le=1, description="of the single scan; 1 at the start")
     track_samples: int = Field(800, ge=1, description="virtual scans along the track, training")
     augmentation: int = Field(1500, ge=0, description="virtual scans from free cells, training")
     augmentation_reach_m: float = Field(
@@ -560,22 +559,22 @@ class LocalizationConfig(_Section):
         0.25, ge=0, description="and this far from walls, as a robot does"
     )
     stay: float = Field(
-        0.97, gt=0, lt=1, description="chance to stay in a submap from scan to scan"
+        0.95, gt=0, lt=1, description="chance to stay in a submap from view to view"
     )
     leap: float = Field(
         1e-4, gt=0, lt=0.5, description="chance to be anywhere next, by a way that was never driven"
     )
     leave: float = Field(1e-4, ge=0, lt=0.5, description="chance to leave the map, or to come back")
-    sharpness: float = Field(0.1, gt=0, description="scale of margins in the filter")
+    trust: float = Field(
+        1.0, gt=0, description="in what scans say, 1: as sure as the map's classifiers proved to be"
+    )
     view_m: float = Field(
         0.05, ge=0, description="motion to a new view; scans of one view are averaged, not summed"
     )
     view_rad: float = Field(0.0524, ge=0, description="or turn to it: a keyframe's, 3 degrees")
     unknown: bool = Field(True, description="allow the label unknown")
     unknown_prior: float = Field(0.5, gt=0, lt=1, description="chance of unknown at the start")
-    independent_m: float = Field(
-        1.0, gt=0, description="motion to a view that says something new of known or unknown"
-    )
+    independent_m: float = Field(1.0, gt=0, description="motion to a view that says something new")
     independent_rad: float = Field(1.0, gt=0, description="or turn to it; a part of it counts so")
     false_unknown: float = Field(0.05, gt=0, lt=1, description="share of known scans given up")
     exemplars: int = Field(80, ge=1, description="scans kept of a submap, to tell unknown ones by")

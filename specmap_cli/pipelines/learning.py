@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Generator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, compose, invert
@@ -21,7 +20,9 @@ from specmap_cli.pipelines.exploration import Regions, online_labels
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures
+from specmap_cli.recognition.learning.calibration import HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
+from specmap_cli.recognition.learning.holding_out import Samples
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
 from specmap_cli.recognition.learning.training import (
     cast_samples,
@@ -35,7 +36,7 @@ from specmap_cli.topology.graph import build_topology, settle_labels, stays_of
 from specmap_cli.topology.topological_map import Break, TopologicalMap
 
 Submaps = Mapping[int, Sequence[int]]
-Samples = Mapping[int, NDArray[np.float32]]
+OfTrack = Mapping[int, Samples]
 
 
 def whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[GridMap, int]:
@@ -136,13 +137,18 @@ def learn(
             grids = submap_grids(store, submaps, poses, config, progress)
         progress.start("training", None)
         with clock.stage("training"):
-            virtual = None
+            virtual = of_virtual = None
             if config.localization.virtual:
                 cast = cast_samples(submaps, poses, grids, config.localization, virtual_rng)
-                virtual = train_virtual(next(beside), cast, config, virtual_rng)
-            raw, misfit = beside.result
+                along = next(beside)
+                virtual, of_virtual = train_virtual(along, cast, poses, config, virtual_rng)
+            raw, of_raw, misfit = beside.result
             classifiers = ClassifierSet(
-                sensor=sensor_of(store, submaps), raw=raw, virtual=virtual, misfit=misfit
+                sensor=sensor_of(store, submaps),
+                raw=raw,
+                virtual=virtual,
+                misfit=misfit,
+                calibration=calibrated(of_raw, of_virtual),
             )
     return grids, classifiers
 
@@ -154,14 +160,16 @@ def _without_grids(
     poses: FloatArray,
     config: Config,
     rng: np.random.Generator,
-) -> Generator[Samples, None, tuple[Recogniser, HeldOutMisfit]]:
+) -> Generator[OfTrack, None, tuple[Recogniser, HeldOutMargins, HeldOutMisfit]]:
     """The virtual scans along the track, if wanted; then what raw scans teach, and the misfit."""
     if config.localization.virtual:
         along = track_samples(store, submaps, poses, config.localization)
         # they are of single precision: so they fit into the pipe, and nothing waits for it
-        yield {i: own.astype(np.float32) for i, own in along.items()}
-    raw = train_raw(store, submaps, config, rng, features)
-    return raw, held_out_misfit(store, submaps, poses, config.localization)
+        yield {
+            i: Samples(own.features.astype(np.float32), own.keyframes) for i, own in along.items()
+        }
+    raw, held_out = train_raw(store, submaps, poses, config, rng, features)
+    return raw, held_out, held_out_misfit(store, submaps, poses, config.localization)
 
 
 def submap_grids(

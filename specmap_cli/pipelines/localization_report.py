@@ -22,7 +22,7 @@ from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.localization.localizer import Label
 from specmap_cli.topology.topological_map import default_name
 
-HEADER = "stamp,submap,margin,runner_up,filtered_submap,name,filtered_probability"
+HEADER = "stamp,submap,margin,runner_up,filtered_submap,name,filtered_probability,probability"
 METRIC_HEADER = ",x,y,theta,score"
 _LEAP_M, _STEADY_SCANS = 0.5, 10  # a place that leaps and leaves within so many scans is wrong
 
@@ -114,7 +114,8 @@ def csv_text(report: LocalizationReport, metric: bool) -> str:
         line = (
             f"{stamp_text(label.stamp_ns)},{_id(label.submap)},{label.margin:.6f},"
             f"{_id(label.runner_up)},{_id(label.filtered_submap)},"
-            f"{_cell(report.name_of(label.filtered_submap))},{label.filtered_probability:.6f}"
+            f"{_cell(report.name_of(label.filtered_submap))},{label.filtered_probability:.6f},"
+            f"{label.probability:.6f}"
         )
         if metric:
             pose = scan.submap_from_base

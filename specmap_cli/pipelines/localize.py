@@ -26,6 +26,10 @@ from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Localizer
 from specmap_cli.registration.frontend import FrontEnd
 
+_NO_CALIBRATION = (
+    "an older map, which does not say how sure its classifiers are: probabilities are those that "
+    "are usual elsewhere; build it again"
+)
 _NO_MISFIT = (
     "an older map, which does not say how well its own scans fit its walls; known places are told "
     "from unknown by what is usual elsewhere: build it again"
@@ -68,6 +72,8 @@ def localize_log(
         if offline:
             scans = _smoothed(scans, stream, config, localizer, metric, progress)
         notes = [localizer.note] if localizer.note else []
+        if localizer.classifiers.calibration is None:
+            notes.append(f"{stored.path}: {_NO_CALIBRATION}")
         warnings = (*stream.warnings, *front_end.warnings, *notes)
         for warning in warnings:
             progress.warn(warning)

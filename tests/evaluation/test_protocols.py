@@ -105,6 +105,7 @@ def labels_of(submaps: list[int | None]) -> list[Label]:
             runner_up=None,
             filtered_submap=s,
             filtered_probability=1.0,
+            probability=1.0,
         )
         for k, s in enumerate(submaps)
     ]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.calibration import Told, best_sharpness, line, reliability, singles, softmax
+from benchmarks.calibration import Told, diagram, line, reliability
+from specmap_cli.core.records import IntArray
+from specmap_cli.recognition.localization.localizer import Label
 
 
 def test_labels_that_keep_their_word_have_no_error() -> None:
@@ -23,14 +25,32 @@ def test_the_error_is_weighted_by_the_labels_of_a_bin() -> None:
     assert reliability(np.zeros(0), np.zeros(0, dtype=bool)).error == 0.0
 
 
-def test_the_best_sharpness_is_the_one_the_labels_were_drawn_with() -> None:
-    rng = np.random.default_rng(3)
-    margins = rng.normal(0.0, 10.0, (4000, 3))
-    chance = softmax(0.2 * margins)
-    column = (rng.random(4000)[:, None] > chance.cumsum(axis=1)).sum(axis=1)
-    told = Told(margins, column, np.ones(4000), np.ones(4000, dtype=bool))
-    best = best_sharpness(told)
-    assert best == pytest.approx(0.2, rel=0.25)
-    errors = [reliability(*singles(told, s)).error for s in (0.02, best, 2.0)]
-    assert errors[1] < min(errors[0], errors[2])
-    assert "4,000" in line("a recording", told, best)
+def test_labels_without_a_truth_are_left_out() -> None:
+    truth: IntArray = np.array([3, -1, 5, 5])
+    told = Told.of([label(3, 3), label(1, 1), label(5, None), label(2, 5)], truth)
+    assert told.single_right.tolist() == [True, True, False]
+    assert told.filtered_right.tolist() == [True, False, True]
+    both = Told.joined([told, told])
+    assert len(both.single) == 6
+    assert "     6 |       0.667, 0.133 |         0.667, 0.267" in line("a recording", both)
+
+
+def test_the_diagram_draws_what_is_right_beside_what_is_said() -> None:
+    told = Told(*(2 * (np.array([0.5, 0.5]), np.array([True, False]))))
+    rows = diagram(told).splitlines()
+    assert len(rows) == 2
+    assert rows[0].endswith("says 0.500, right 0.500,      2  " + 20 * "#" + "|")
+    sure = Told(*(2 * (np.array([0.99, 0.99]), np.array([True, False]))))
+    assert diagram(sure).splitlines()[1].endswith("  " + 20 * "#" + 20 * " " + "|")
+
+
+def label(submap: int | None, filtered: int | None) -> Label:
+    return Label(
+        stamp_ns=0,
+        submap=submap,
+        margin=1.0,
+        runner_up=None,
+        filtered_submap=filtered,
+        filtered_probability=0.4,
+        probability=0.8,
+    )

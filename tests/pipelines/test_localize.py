@@ -62,6 +62,7 @@ def labelled(submaps: Sequence[int | None], poses: Sequence[Pose2 | None]) -> Lo
                 runner_up=None,
                 filtered_submap=submap,
                 filtered_probability=0.9,
+                probability=0.8,
             ),
             track_from_base=Pose2(0.1 * k, 0.0, 0.0),
             submap_from_base=pose,
@@ -164,6 +165,25 @@ def test_a_map_without_the_misfit_of_its_own_scans_is_used_and_noted(
         f"{older}: an older map, which does not say how well its own scans fit its walls; known "
         "places are told from unknown by what is usual elsewhere: build it again"
     ]
+    assert np.mean([scan.label.filtered_submap is not None for scan in report.scans]) > 0.97
+
+
+def test_a_map_that_does_not_say_how_sure_its_classifiers_are_is_used_and_told_of(
+    flat_log: SimulationResult, stored: StoredMap, metric: LocalizationReport, tmp_path: Path
+) -> None:
+    older = tmp_path / "older"
+    shutil.copytree(stored.path, older)
+    data = json.loads((older / CLASSIFIERS).read_text())
+    assert data["calibration"]["views"] > 20
+    del data["calibration"]
+    (older / CLASSIFIERS).write_text(json.dumps(data))
+    report = localize_log(flat_log.log, StoredMap(older, stored.record))
+    told = [warning for warning in report.as_dict()["warnings"] if "how sure" in warning]
+    assert told == [
+        f"{older}: an older map, which does not say how sure its classifiers are: probabilities "
+        "are those that are usual elsewhere; build it again"
+    ]
+    assert not [warning for warning in metric.warnings if "how sure" in warning]
     assert np.mean([scan.label.filtered_submap is not None for scan in report.scans]) > 0.97
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.text import to_exact_json
+from specmap_cli.recognition.learning.calibration import Calibration
 from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.json_fields import field, mapping, number, refuse
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
@@ -78,13 +79,15 @@ class Recogniser:
 class ClassifierSet:
     """The classifiers of a map: of raw scans, and of virtual full-circle scans where wanted.
 
-    `misfit` says how well the map's own scans fit its walls; None in maps made before it was kept.
+    `misfit` says how well the map's own scans fit its walls, `calibration` how sure the classifiers
+    are; None in maps made before they were kept.
     """
 
     sensor: Sensor
     raw: Recogniser
     virtual: Recogniser | None = None
     misfit: HeldOutMisfit | None = None
+    calibration: Calibration | None = None
 
     @property
     def ids(self) -> list[int]:
@@ -111,6 +114,8 @@ class ClassifierSet:
             data["virtual"] = self.virtual.to_dict()
         if self.misfit is not None:
             data["misfit"] = self.misfit.to_dict()
+        if self.calibration is not None:
+            data["calibration"] = self.calibration.to_dict()
         return to_exact_json(data, _JSON_LEVELS)
 
     @classmethod
@@ -123,13 +128,19 @@ class ClassifierSet:
         field(data, "schema_version", {SCHEMA_VERSION: SCHEMA_VERSION}, "file")
         sensor = _sensor(mapping(data, "sensor"))
         raw = Recogniser.from_dict(mapping(data, "raw"))
-        misfit = HeldOutMisfit.from_dict(mapping(data, "misfit")) if "misfit" in data else None
-        if "virtual" not in data:
-            return cls(sensor=sensor, raw=raw, misfit=misfit)
-        virtual = Recogniser.from_dict(mapping(data, "virtual"))
-        if virtual.ids != raw.ids:
+        virtual = Recogniser.from_dict(mapping(data, "virtual")) if "virtual" in data else None
+        if virtual is not None and virtual.ids != raw.ids:
             raise refuse("file", "raw and virtual classifiers are of different submaps")
-        return cls(sensor=sensor, raw=raw, virtual=virtual, misfit=misfit)
+        misfit, calibration = "misfit" in data, "calibration" in data
+        return cls(
+            sensor=sensor,
+            raw=raw,
+            virtual=virtual,
+            misfit=HeldOutMisfit.from_dict(mapping(data, "misfit")) if misfit else None,
+            calibration=Calibration.from_dict(mapping(data, "calibration"))
+            if calibration
+            else None,
+        )
 
 
 def _sensor(data: Mapping[str, Any]) -> Sensor:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +16,10 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.sets import KeyframeFeatures, scans_features
 from specmap_cli.recognition.features.virtual import RecentScans, cast_circles
+from specmap_cli.recognition.learning.calibration import HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
+from specmap_cli.recognition.learning.holding_out import Pieces, Samples, held_out_margins
 from specmap_cli.recognition.learning.misfit import held_out_misfit
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.sensor import Sensor
@@ -44,16 +45,18 @@ def train_localizer(
     base; `grids` are in the frame of each submap's first keyframe.
     """
     raw_rng, virtual_rng = rng.spawn(2)
-    virtual, localization = None, config.localization
+    virtual, of_virtual, localization = None, None, config.localization
     if localization.virtual:
         along = track_samples(store, submaps, poses, localization)
         cast = cast_samples(submaps, poses, grids, localization, virtual_rng)
-        virtual = train_virtual(along, cast, config, virtual_rng)
+        virtual, of_virtual = train_virtual(along, cast, poses, config, virtual_rng)
+    raw, of_raw = train_raw(store, submaps, poses, config, raw_rng)
     return ClassifierSet(
         sensor=sensor_of(store, submaps),
-        raw=train_raw(store, submaps, config, raw_rng),
+        raw=raw,
         virtual=virtual,
         misfit=held_out_misfit(store, submaps, poses, localization),
+        calibration=calibrated(of_raw, of_virtual),
     )
 
 
@@ -65,19 +68,25 @@ def sensor_of(store: KeyframeStore, submaps: Mapping[int, Sequence[int]]) -> Sen
 def train_raw(
     store: KeyframeStore,
     submaps: Mapping[int, Sequence[int]],
+    poses: FloatArray,
     config: Config,
     rng: np.random.Generator,
     features: KeyframeFeatures | None = None,
-) -> Recogniser:
-    """What tells the submaps apart by raw scans; `features` are those known so far.
+) -> tuple[Recogniser, HeldOutMargins]:
+    """What tells the submaps apart by raw scans, and how well it tells those that are held out.
 
-    A submap that was seen often is learned from some of its scans, evenly spread; first of all from
-    those whose features are known, which loop closure has chosen evenly, too.
+    `features` are those known so far. A submap that was seen often is learned from some of its
+    scans, evenly spread; first of all from those whose features are known, which loop closure has
+    chosen evenly, too.
     """
     feature_set, most = config.recognition.feature_set, config.recognition.positives
     features = features or KeyframeFeatures(store, feature_set)
-    samples = {i: features.of(_chosen(numbers, features, most)) for i, numbers in submaps.items()}
-    return train(samples, feature_set, config, rng)
+    samples = {}
+    for i, numbers in submaps.items():
+        chosen = _chosen(numbers, features, most)
+        samples[i] = Samples(features.of(chosen), np.array(chosen, dtype=np.intp))
+    learned = train({i: own.features for i, own in samples.items()}, feature_set, config, rng)
+    return learned, _tested(samples, samples, poses, feature_set, config, rng)
 
 
 def _chosen(numbers: Sequence[int], features: KeyframeFeatures, most: int) -> list[int]:
@@ -88,14 +97,42 @@ def _chosen(numbers: Sequence[int], features: KeyframeFeatures, most: int) -> li
 
 
 def train_virtual(
-    along: Mapping[int, NDArray[Any]],
-    cast: Mapping[int, NDArray[Any]],
+    along: Mapping[int, Samples],
+    cast: Mapping[int, Samples],
+    poses: FloatArray,
     config: Config,
     rng: np.random.Generator,
-) -> Recogniser:
-    """What tells the submaps apart by virtual scans: `track_samples` and `cast_samples`."""
-    samples = {i: np.vstack([along[i], cast[i]]) for i in sorted(along)}
-    return train(samples, config.localization.feature_set, config, rng)
+) -> tuple[Recogniser, HeldOutMargins]:
+    """What tells the submaps apart by virtual scans, and how well it tells those held out.
+
+    It is learned from `track_samples` and from `cast_samples`, and tested on the former.
+    """
+    feature_set = config.localization.feature_set
+    samples = {i: _joined(along[i], cast[i]) for i in sorted(along)}
+    learned = train({i: own.features for i, own in samples.items()}, feature_set, config, rng)
+    return learned, _tested(samples, along, poses, feature_set, config, rng)
+
+
+def _joined(along: Samples, cast: Samples) -> Samples:
+    return Samples(
+        np.vstack([along.features, cast.features]),
+        np.concatenate([along.keyframes, cast.keyframes]),
+    )
+
+
+def _tested(
+    samples: Mapping[int, Samples],
+    asked: Mapping[int, Samples],
+    poses: FloatArray,
+    feature_set: str,
+    config: Config,
+    rng: np.random.Generator,
+) -> HeldOutMargins:
+    """How the samples `asked` that lie in held-out pieces are told by all other samples."""
+    pieces = Pieces(poses, config.localization.held_out_reach_m)
+    rest = {i: pieces.rest(own) for i, own in samples.items()}
+    tested = {i: pieces.tested(own) for i, own in asked.items()}
+    return held_out_margins(rest, tested, feature_set, config.recognition, rng)
 
 
 def train(
@@ -116,16 +153,21 @@ def track_samples(
     submaps: Mapping[int, Sequence[int]],
     poses: FloatArray,
     localization: LocalizationConfig,
-) -> dict[int, FloatArray]:
-    """Features (n, F) of virtual scans of every submap, of what was seen of late along the track.
+) -> dict[int, Samples]:
+    """Virtual scans of every submap, of what was seen of late along the track.
 
     They need no grids.
     """
     owner = _owners(submaps, len(poses))
     scans: dict[int, list[PlanarScan]] = {i: [] for i in sorted(submaps)}
+    numbers: dict[int, list[int]] = {i: [] for i in scans}
     for keyframe, scan in _along_the_track(store, owner, poses, localization):
         scans[int(owner[keyframe])].append(scan)
-    return {i: scans_features(own, localization.feature_set) for i, own in scans.items()}
+        numbers[int(owner[keyframe])].append(keyframe)
+    return {
+        i: Samples(scans_features(own, localization.feature_set), np.array(numbers[i], np.intp))
+        for i, own in scans.items()
+    }
 
 
 def cast_samples(
@@ -134,8 +176,8 @@ def cast_samples(
     grids: Mapping[int, GridMap],
     localization: LocalizationConfig,
     rng: np.random.Generator,
-) -> dict[int, FloatArray]:
-    """Features (n, F) of virtual scans of every submap, cast from free cells near its track."""
+) -> dict[int, Samples]:
+    """Virtual scans of every submap, cast from free cells near its track."""
     owner = _owners(submaps, len(poses))
     samples = {}
     counts = _share_out(localization.augmentation, {i: g.free_area_m2 for i, g in grids.items()})
@@ -148,7 +190,8 @@ def cast_samples(
         near = (distance < localization.augmentation_reach_m) & (owner[tracked][nearest] == i)
         beams, reach = localization.virtual_beams, localization.virtual_range_m
         scans = cast_circles(grids[i], drawn[near][: counts[i]], beams, reach)
-        samples[i] = scans_features(scans, localization.feature_set)
+        features = scans_features(scans, localization.feature_set)
+        samples[i] = Samples(features, tracked[nearest[near][: counts[i]]])
     return samples
 
 

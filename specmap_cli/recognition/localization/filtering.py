@@ -1,7 +1,7 @@
 """A hidden Markov model over the submaps: the future work of the paper's Section IV-B.
 
-The robot stays in its submap or goes on to a neighbour in the topology; each scan's classifier
-margins are the evidence. One more state, the last, is "unknown": outside of the map.
+The robot stays in its submap or goes on to a neighbour in the topology; the likelihoods of
+each view are the evidence. One more state, the last, is "unknown": outside of the map.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.doubt import Doubt
 from specmap_cli.recognition.localization.filtering import SMALLEST, HiddenMarkovFilter
@@ -28,8 +29,9 @@ _TOGETHER = 32  # scans whose features are computed at once
 class Label:
     """Where one scan was taken; a submap of None means unknown: nothing fits.
 
-    `margin` is the winner's margin over `runner_up`'s in the raw vote; the filtered label uses all
-    scans so far (all scans of the log after smoothing) and has a probability.
+    `margin` is the winner's margin over `runner_up`'s in the raw vote, `probability` how likely it
+    is by this scan alone, if the scan is from the map. The filtered label uses all scans so far
+    (all scans of the log after smoothing) and has a probability, too.
     """
 
     stamp_ns: int
@@ -38,6 +40,7 @@ class Label:
     runner_up: int | None
     filtered_submap: int | None
     filtered_probability: float
+    probability: float
 
 
 class Localizer:
@@ -109,24 +112,29 @@ class Localizer:
 
     def _log_likelihoods(self, posed: PosedScan, evidence: Impression, again: bool) -> FloatArray:
         """(m + 1,) log likelihoods of every submap and, last, of unknown, of the scan's view."""
-        known = self._views.mean(self.config.sharpness * evidence.all)
+        known = self._views.mean(evidence.all)
+        known = self.config.trust * self._share_of_new(known) * known
         if not self.config.unknown:
             return np.append(known, -math.inf)
         likely = self._likely(evidence, again)
         worth = self._doubt.worth(posed, evidence, likely, again)
         return self.filter.with_unknown(known, worth, again)
 
+    def _share_of_new(self, said: FloatArray) -> float:
+        """How much of what a view says, log probabilities (m,), was not said by the view before."""
+        return min(1.0, self._views.motion / steadiness(said))
+
     def _likely(self, evidence: Impression, again: bool) -> list[int]:
         """The submaps, the one first that is likeliest by all scans, then by this one's margins."""
         before = np.maximum(self.filter.predicted(again)[:-1], SMALLEST)
-        by_all = self.config.sharpness * evidence.all + np.log(before)
+        by_all = evidence.all + np.log(before)
         ranked = [int(by_all.argmax()), *np.argsort(-evidence.all, kind="stable").tolist()]
         return [self.filter.ids[k] for k in dict.fromkeys(ranked)]
 
     def _raw_label(self, stamp_ns: int, evidence: Impression) -> Label:
         """The label of the single scan by the most votes; nothing is filtered yet."""
-        order = np.argsort(-evidence.raw, kind="stable")
-        ids, margins = self.filter.ids, evidence.raw[order]
+        order = np.argsort(-evidence.margins, kind="stable")
+        ids, margins = self.filter.ids, evidence.margins[order]
         known = not self.config.unknown or not self._is_strange(evidence)
         return Label(
             stamp_ns=stamp_ns,
@@ -135,6 +143,7 @@ class Localizer:
             runner_up=ids[order[1]] if len(order) > 1 else None,
             filtered_submap=None,
             filtered_probability=0.0,
+            probability=math.exp(evidence.raw[order[0]]),
         )
 
     def _is_strange(self, evidence: Impression) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,15 @@ class ViewGrouping:
     """The views of a log. A view begins where the robot moved, and lasts until it moves again.
 
     `mean` of what is said of the scans of a view is what the view says, however many they are.
+    `motion` is how much the view shows that the one before did not, by the motion between them: one
+    after `independent_m` or `independent_rad`, infinite for the first view of a track.
     `keep` stores the evidence of the view as it is known now; `tracks` returns that of all views.
     """
 
     def __init__(self, config: LocalizationConfig) -> None:
         self.config = config
         self._at: Pose2 | None = None
+        self.motion = math.inf
         self._sum: FloatArray = np.zeros(0)
         self._scans = 0  # of the view
         self._tracks: list[list[FloatArray]] = [[]]  # of views, one for each unbroken track
@@ -39,10 +43,18 @@ class ViewGrouping:
         far = moved(self._at, posed.map_from_base, self.config.view_m, self.config.view_rad)
         if not first and (posed.lost or not far):
             return False
+        self.motion = self._motion_to(posed.map_from_base)
         self._at = posed.map_from_base
         self._sum, self._scans = np.zeros(0), 0
         self._tracks[-1].append(np.zeros(0))
         return True
+
+    def _motion_to(self, map_from_base: Pose2) -> float:
+        if self._at is None:
+            return math.inf
+        step = self._at.inverse() @ map_from_base
+        config = self.config
+        return step.distance / config.independent_m + abs(step.theta) / config.independent_rad
 
     def mean(self, said: NDArray[Any]) -> FloatArray:
         """The mean of what is said (k,) of the scans of this view, this one the last."""

@@ -6,13 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.features.virtual import RecentScans
+from specmap_cli.recognition.learning.calibration import Calibration
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.learning.sensor import Sensor
 from specmap_cli.recognition.localization.beam_sampler import BeamSampler
@@ -22,12 +21,14 @@ from specmap_cli.recognition.localization.beam_sampler import BeamSampler
 class Impression:
     """What is said of one scan, and of the virtual one of the window before it.
 
-    `raw` (m,) margins of the single scan, `all` (m,) those with the virtual scan; `strange` is how
-    little it looks like any place of the map: above one where nothing fits, -inf when not known.
+    `raw` (m,) log probabilities of the submaps by the single scan, `margins` (m,) its votes, `all`
+    (m,) log probabilities with the virtual scan; `strange` is how little it looks like any place of
+    the map: above one where nothing fits, -inf when not known.
     `seen` is what is matched with walls: the scan of a laser that sees all round, else the virtual
     one; `shown` in [0, 1] is how much of the robot's surroundings the virtual one holds.
     """
 
+    margins: FloatArray
     raw: FloatArray
     all: FloatArray
     strange: float
@@ -41,6 +42,7 @@ class Witness:
     def __init__(self, classifiers: ClassifierSet, config: LocalizationConfig) -> None:
         self.classifiers = classifiers
         self.config = config
+        self._calibration = classifiers.calibration or Calibration()
         self._recent = RecentScans(config)
         self._sampler: BeamSampler | None = None
 
@@ -58,28 +60,34 @@ class Witness:
         raw = self.classifiers.raw
         features = scans_features([self._resampled(s.planar) for s in scans], raw.feature_set)
         margins, strange = raw.margins(features), raw.strangeness(features)
+        alone = self._calibration.alone(margins)
         virtual = self.classifiers.virtual
         if virtual is None or not self.config.virtual:
             return [
-                Impression(raw=votes, all=votes, strange=float(odd), seen=posed.planar, shown=1.0)
-                for posed, votes, odd in zip(scans, margins, strange, strict=True)
+                Impression(
+                    margins=margins[k],
+                    raw=alone[k],
+                    all=alone[k],
+                    strange=float(strange[k]),
+                    seen=posed.planar,
+                    shown=1.0,
+                )
+                for k, posed in enumerate(scans)
             ]
         windows = [self._window(posed) for posed in scans]
-        filled = np.array([share for _, share in windows])
         features = scans_features([seen for seen, _ in windows], virtual.feature_set)
-        # the virtual scan says less while the window fills
-        weight = self.config.raw_weight * filled + 1.0 - filled
-        both = weight[:, None] * margins + virtual.margins(features)
+        both = self._calibration.together(margins, virtual.margins(features))
         if virtual.familiarity is not None:
             strange = virtual.strangeness(features)
         view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
         return [
             Impression(
-                raw=margins[k],
+                margins=margins[k],
+                raw=alone[k],
                 all=both[k],
                 strange=float(strange[k]),
                 seen=posed.planar if posed.planar.full_circle else windows[k][0],
-                shown=max(float(filled[k]), view),
+                shown=max(windows[k][1], view),
             )
             for k, posed in enumerate(scans)
         ]

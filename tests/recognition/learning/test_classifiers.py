@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.settings import Config
 from specmap_cli.recognition.features.sets import feature_names
+from specmap_cli.recognition.learning.calibration import Calibration
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 from specmap_cli.recognition.learning.sensor import Sensor
@@ -35,6 +36,7 @@ def classifier_set(config: Config = SMALL) -> ClassifierSet:
         raw=recogniser(config),
         virtual=recogniser(config, 1),
         misfit=HeldOutMisfit(0.0371, 55),
+        calibration=Calibration(1.25, 0.8, 120),
     )
 
 
@@ -53,6 +55,7 @@ def test_a_file_gives_the_same_set_back(config: Config) -> None:
     assert back.to_json() == model.to_json()
     assert back.sensor == SENSOR
     assert back.misfit == model.misfit
+    assert back.calibration == model.calibration
     assert back.ids == model.ids == [0, 2, 4]
     X = np.vstack(list(samples_of(config).values()))
     assert back.margins(X).tolist() == model.margins(X).tolist()

@@ -23,7 +23,8 @@ from specmap_cli.recognition.features.sets import (
 )
 from specmap_cli.recognition.features.virtual import cast_circles
 from specmap_cli.recognition.learning import training
-from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.learning.calibration import calibrated
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.misfit import held_out_misfit
 from specmap_cli.recognition.learning.training import (
     cast_samples,
@@ -99,7 +100,9 @@ def test_a_submap_seen_very_often_is_learned_from_some_of_its_scans(
     store: KeyframeStore, asked: list[list[int]]
 ) -> None:
     recognition = RecognitionConfig(rounds=2, positives=10)
-    train_raw(store, SUBMAPS, Config(recognition=recognition), np.random.default_rng(0))
+    train_raw(
+        store, SUBMAPS, store.poses, Config(recognition=recognition), np.random.default_rng(0)
+    )
     assert [len(numbers) for numbers in asked] == [min(10, len(n)) for n in SUBMAPS.values()]
     assert all(numbers[-1] == n[-1] for numbers, n in zip(asked, SUBMAPS.values(), strict=True))
 
@@ -111,7 +114,7 @@ def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
     features = KeyframeFeatures(store, "full")
     features.of([*range(5, 35), 50, 51])
     asked.clear()
-    train_raw(store, SUBMAPS, config, np.random.default_rng(0), features)
+    train_raw(store, SUBMAPS, store.poses, config, np.random.default_rng(0), features)
     enough, few = asked
     assert (len(enough), enough[0], enough[-1]) == (12, 5, 34)
     assert set(enough) <= set(range(5, 35))
@@ -122,7 +125,7 @@ def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
 
 def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: KeyframeStore) -> None:
     config = settings()
-    learned = train_raw(store, SUBMAPS, config, np.random.default_rng(0))
+    learned = raw_of(store, config)
     assert learned.ids == (0, 2)
     samples = {
         i: scans_features([store.scan(k) for k in keyframes], "table1")
@@ -132,7 +135,7 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
     assert learned.to_dict() == again.to_dict()
     known = KeyframeFeatures(store, "table1")
     known.of(range(50))
-    shared = train_raw(store, SUBMAPS, config, np.random.default_rng(0), known)
+    shared, _ = train_raw(store, SUBMAPS, store.poses, config, np.random.default_rng(0), known)
     assert shared.to_dict() == learned.to_dict()
 
 
@@ -144,12 +147,14 @@ def test_the_two_kinds_are_learned_apart_or_together_alike(
     raw_rng, virtual_rng = np.random.default_rng(3).spawn(2)
     cast = cast_samples(SUBMAPS, store.poses, grids, config.localization, virtual_rng)
     along = track_samples(store, SUBMAPS, store.poses, config.localization)
-    virtual = train_virtual(along, cast, config, virtual_rng)
+    virtual, of_virtual = train_virtual(along, cast, store.poses, config, virtual_rng)
+    raw, of_raw = train_raw(store, SUBMAPS, store.poses, config, raw_rng)
     apart = ClassifierSet(
         sensor=sensor_of(store, SUBMAPS),
-        raw=train_raw(store, SUBMAPS, config, raw_rng),
+        raw=raw,
         virtual=virtual,
         misfit=held_out_misfit(store, SUBMAPS, store.poses, config.localization),
+        calibration=calibrated(of_raw, of_virtual),
     )
     assert apart.to_json() == both.to_json()
 
@@ -180,6 +185,11 @@ class Cast:
         return cast_circles(grid, origins, beams, reach)
 
 
+def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
+    """What raw scans teach."""
+    return train_raw(store, SUBMAPS, store.poses, config, np.random.default_rng(0))[0]
+
+
 def samples_of(
     store: KeyframeStore, grids: dict[int, GridMap], seed: int = 0, **localization: Any
 ) -> dict[int, FloatArray]:
@@ -187,7 +197,7 @@ def samples_of(
     rng = np.random.default_rng(seed)
     along = track_samples(store, SUBMAPS, store.poses, config)
     cast = cast_samples(SUBMAPS, store.poses, grids, config, rng)
-    return {i: np.vstack([along[i], cast[i]]) for i in SUBMAPS}
+    return {i: np.vstack([along[i].features, cast[i].features]) for i in SUBMAPS}
 
 
 def test_virtual_scans_are_cast_from_free_cells_near_the_submap_s_own_track(
@@ -256,7 +266,7 @@ def test_samples_are_repeatable_and_drawn_anew_for_another_seed(
 
 def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> None:
     few, many = (
-        train_raw(store, SUBMAPS, settings(**chosen), np.random.default_rng(0)).familiarity
+        raw_of(store, settings(**chosen)).familiarity
         for chosen in ({"exemplars": 5}, {"exemplars": 12, "false_unknown": 0.4})
     )
     assert few is not None
@@ -323,7 +333,7 @@ def test_a_file_of_an_older_edition_of_the_package_is_refused(
     config = load_config(overrides={"recognition": {"rounds": 20, "feature_set": "mine"}})
     learned = ClassifierSet(
         sensor=sensor_of(store, SUBMAPS),
-        raw=train_raw(store, SUBMAPS, config, np.random.default_rng(0)),
+        raw=raw_of(store, config),
     )
     text = learned.to_json().replace('"rings_far"', '"rings_farthest"')
     with pytest.raises(MapError, match="'rings_farthest', which is not known; build the map again"):

@@ -52,7 +52,7 @@ def doubt(said: Sequence[float | None], found: Sequence[int] = ()) -> Doubt:
 
 def looks(strange: float = -math.inf, shown: float = 1.0) -> Impression:
     none = np.zeros(1)
-    return Impression(raw=none, all=none, strange=strange, seen=EMPTY, shown=shown)
+    return Impression(margins=none, raw=none, all=none, strange=strange, seen=EMPTY, shown=shown)
 
 
 def test_scans_of_one_view_are_averaged() -> None:

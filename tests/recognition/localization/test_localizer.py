@@ -16,6 +16,7 @@ from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.recognition.features.sets import scan_features
+from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.learning.training import train_localizer
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
@@ -224,13 +225,23 @@ def test_without_virtual_scans_the_filter_hears_the_single_scans(
     guide = localizer(trained, config)
     alone = HiddenMarkovFilter(ADJACENCY, config.localization)
     raw = trained.classifiers.raw
+    here: Pose2 | None = None
+    assert trained.classifiers.calibration is not None
     for scan in again[:20]:
         margins = raw.margins(scan_features(scan.planar, raw.feature_set)[None])[0]
-        said = np.append(config.localization.sharpness * margins, -np.inf)
-        belief = alone.update(said)
+        told = trained.classifiers.calibration.alone(margins[None])[0]
+        before, here = here, scan.map_from_base
+        step = np.inf if before is None else _motion(before.inverse() @ here)
+        belief = alone.update(np.append(min(1.0, step / steadiness(told)) * told, -np.inf))
         label = guide.update(scan)
+        assert label.probability == pytest.approx(np.exp(told).max())
         assert label.filtered_submap == alone.ids[int(belief[:-1].argmax())]
         assert label.filtered_probability == pytest.approx(belief.max())
+
+
+def _motion(step: Pose2) -> float:
+    """By how much a view shows what the one before did not, by the default settings."""
+    return step.distance + abs(step.theta)
 
 
 def test_smoothing_changes_the_filtered_labels_alone(
