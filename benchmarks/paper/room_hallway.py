@@ -87,7 +87,8 @@ def _row(name: str, found: SemanticResult, scans: int) -> Row:
 
 def _found(told: Mapping[str, tuple[SemanticResult, int]]) -> Found:
     seen = ", ".join(
-        f"{100.0 * found.borders_seen:.0f} % ({name})" for name, (found, _) in told.items()
+        f"{100.0 * found.borders_seen:.0f}\N{NO-BREAK SPACE}% ({name})"
+        for name, (found, _) in told.items()
     )
     return Found(
         f"Of the borders between specmap's submaps such a classifier sees {seen}.",
