@@ -124,8 +124,7 @@ def edit_map(
         else:
             edited = _relabelled(stored, found, partial)
         _refuse_unapplied(edited.unapplied, found, wishes)
-    if not anew:
-        tell_unapplied(edited.unapplied, progress)
+    tell_unapplied(edited.unapplied, progress)
     submaps, edges = edited.topology.submaps, edited.topology.edges
     return EditReport(
         out=target,

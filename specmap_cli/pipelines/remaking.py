@@ -41,7 +41,9 @@ def remade(
     `counts` are of the messages and scans that were read for it, `features` those known by now.
     """
     judge = judge_of(joined, config.quality)
-    return divided_anew(store, joined.kept, judge, config, progress, clock, counts, features)
+    finished = divided_anew(store, joined.kept, judge, config, progress, clock, counts, features)
+    tell_unapplied(finished.unapplied, progress)
+    return finished
 
 
 def judge_of(joined: Joined, config: QualityConfig) -> Judge:
@@ -77,7 +79,7 @@ def divided_anew(
     """The finished map of keyframes, with the borders, names and forbidden links of the edits.
 
     `judge` tells what is thought of a map that so many keyframes did not fit into. `known` is the
-    whole grid, where it was drawn before. Edits that do not apply are noted.
+    whole grid, where it was drawn before.
     """
     with clock.stage("grids"):
         whole, beyond = known or whole_grid(store, kept.layout, config)
@@ -93,8 +95,6 @@ def divided_anew(
         bordered = replace(bare, borders=edited.borders, next_id=edited.next_id)
         linked_up = with_ways(bordered, regions, config.ways, kept.layout.poses)
     topology, skipped = named(linked_up, regions, edited.edits, edited.skipped)
-    unapplied = (*skipped, *kept.lost)
-    tell_unapplied(unapplied, progress)
     return FinishedMap(
         topology=topology,
         labels=labels,
@@ -110,7 +110,7 @@ def divided_anew(
         starts=kept.scan_starts,
         driven_m=tuple(log.path_m for log in kept.logs),
         edits=written(edited.edits, kept.edits_text),
-        unapplied=unapplied,
+        unapplied=(*skipped, *kept.lost),
     )
 
 

@@ -25,6 +25,7 @@ from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
+from specmap_cli.pipelines.edited import tell_unapplied
 from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.pipelines.kept_map import Seen, seen_of_stored
 from specmap_cli.pipelines.learning import whole_grid
@@ -144,6 +145,7 @@ def _updated(
     finished = divided_anew(
         store, kept, judge, config, progress, clock, counts, known, (whole, beyond)
     )
+    tell_unapplied(finished.unapplied, progress)
     return _Updated(finished, fewer, alignment)
 
 

@@ -225,13 +225,21 @@ class TestBorders:
                 "the line does not cross submap 0",
             ),
             (Wishes(changes=({"forbid": list(built.rooms[:2])},)), "there is no link between"),
+            (
+                Wishes(
+                    changes=({"merge": list(built.rooms[:2])}, {"forbid": list(built.rooms[:2])})
+                ),
+                "there is no link between",
+            ),
             (Wishes(names={99: "x"}), "there is no submap 99 to name or to describe"),
             (Wishes(names={0: " x"}), "must be one line of printable characters"),
             (Wishes(kinds={0: "cellar"}), "Input should be 'room', 'corridor' or 'hall'"),
             (Wishes(undo=(1,)), "--undo 1: there is no such change: edits.toml has 0 changes"),
         ):
+            notes = Notes()
             with pytest.raises(UsageError, match=complaint):
-                edit_map(own, wishes)
+                edit_map(own, wishes, progress=notes)
+            assert notes.lines == []
         after = {path.name: path.read_bytes() for path in own.iterdir() if path.is_file()}
         assert after == before
 
