@@ -26,6 +26,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "cell_m": 0.1,
             "obstacle_m": 0.0,
             "furniture_m": 0.0,
+            "wide_door_m": 0.0,
             "fill": False,
             "nodes": "centre",
             "node_step_m": 0.5,

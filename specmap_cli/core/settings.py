@@ -250,7 +250,10 @@ class SegmentationConfig(_Section):
     obstacle_m: float = Field(1.5, ge=0, description="isolated obstacles up to this size are free")
     furniture_m: float = Field(2.5, ge=0, description="and up to this size when they are thick")
     furniture_thick_m: float = Field(0.4, gt=0, description="tables are thicker than walls")
-    fill: bool = Field(True, description="cells of removed obstacles take their room's label")
+    wide_door_m: float = Field(
+        2.5, ge=0, description="openings in the line of a wall up to this are doors; 0: only narrow"
+    )
+    fill: bool = Field(True, description="cells of furniture take their room's label")
     nodes: Literal["clearest", "centre"] = Field("clearest", description="cell taken in a block")
     node_step_m: float = Field(0.7, gt=0, le=10, description="side of a block; one node a block")
     clearance_m: float = Field(0.25, ge=0, description="nodes and sight lines keep this off walls")
@@ -264,9 +267,9 @@ class SegmentationConfig(_Section):
     halve_eigenvalue: float = Field(0.7, gt=0, lt=1, description="its second one that halves it")
     labels: Literal["flood", "nearest"] = Field("flood", description="how cells get their label")
     merge: bool = Field(True, description="join clusters whose border is as wide as they are")
-    merge_ratio: float = Field(0.8, gt=0, description="border width over room width that joins")
+    merge_ratio: float = Field(0.78, gt=0, description="border width over room width that joins")
     placements: int = Field(
-        3, ge=1, le=16, description="divisions with other nodes; what most of them say counts"
+        5, ge=1, le=16, description="divisions with other nodes; what most of them say counts"
     )
     width_percentile: float = Field(60.0, ge=0, le=100, description="of local widths: a room's")
     test_every: Literal["metres", "keyframes"] = Field("metres", description="pace of the tests")

@@ -12,7 +12,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import BoolArray, GridMap
+from specmap_cli.grids.gridmap import UNKNOWN, BoolArray, GridMap
 from specmap_cli.segmentation.clutter import (
     WorkingGrid,
     coarse_step,
@@ -20,6 +20,7 @@ from specmap_cli.segmentation.clutter import (
     working_grid,
 )
 from specmap_cli.segmentation.consensus import consensus
+from specmap_cli.segmentation.cupboards import fill_cupboards
 from specmap_cli.segmentation.flood import RINGS, flood_labels, nearest_labels, spread_labels
 from specmap_cli.segmentation.halving import split_again
 from specmap_cli.segmentation.kmeans import LabelArray
@@ -32,6 +33,7 @@ from specmap_cli.segmentation.visibility import (
     sample_nodes,
     visibility_graph,
 )
+from specmap_cli.segmentation.wide_doors import with_narrow_doors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,14 +66,17 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     step = coarse_step(grid.resolution, config.cell_m)
     upright = canonical(grid.free, step * _block(step * grid.resolution, config))
     free = upright.apply(grid.free)
-    opened = free | _furniture(free, grid.resolution, config)
-    work = working_grid(opened, grid.resolution, config.cell_m)
+    opened, narrowed = _without_furniture(free, grid.resolution, config)
+    work = working_grid(narrowed, grid.resolution, config.cell_m)
     found = [_placement(work, config, number) for number in range(config.placements)]
     cells = consensus([one.cells for one in found])
     graph, spectrum = found[0].graph, found[0].spectrum
     clusters = cells[graph.nodes[:, 0], graph.nodes[:, 1]]
     rings = max(RINGS, work.step + 1)  # across a coarse cell that is not wholly free
     fine = spread_labels(work.refine(cells, opened.shape), opened, rings)
+    if config.fill:
+        unknown = ~upright.apply(grid.cells != UNKNOWN)
+        fine = fill_cupboards(fine, free, unknown, grid.resolution, config.furniture_thick_m)
     named, names = _by_area(fine if config.fill else np.where(free, fine, np.int32(-1)))
     return Segmentation(
         labels=upright.undo(named, np.full(grid.cells.shape, -1, dtype=np.int32)),
@@ -124,10 +129,15 @@ def _block(cell_m: float, config: SegmentationConfig) -> int:
     return max(1, round(config.node_step_m / cell_m))
 
 
-def _furniture(free: BoolArray, resolution: float, config: SegmentationConfig) -> BoolArray:
-    """(h, w) the isolated obstacles that count as free."""
+def _without_furniture(
+    free: BoolArray, resolution: float, config: SegmentationConfig
+) -> tuple[BoolArray, BoolArray]:
+    """(h, w) free space with the isolated obstacles; and with wide openings narrowed besides."""
     sizes = np.array([config.obstacle_m, config.furniture_m, config.furniture_thick_m])
-    return small_obstacles(free, *(sizes / resolution).tolist())
+    small = small_obstacles(free, *(sizes / resolution).tolist())
+    if not config.wide_door_m:
+        return free | small, free | small
+    return with_narrow_doors(free, small, resolution, config.wide_door_m)
 
 
 def _label_cells(

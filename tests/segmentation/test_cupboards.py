@@ -1,0 +1,55 @@
+"""Furniture that stands at a wall."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray
+from specmap_cli.segmentation.cupboards import fill_cupboards
+from specmap_cli.segmentation.kmeans import LabelArray
+
+CELL_M = 0.05
+
+
+def two_rooms() -> CellArray:
+    """Rooms of 4 x 3 m beside each other, walls of 0.15 m, unknown all around."""
+    cells = np.full((100, 200), UNKNOWN, dtype=np.uint8)
+    cells[17:83, 17:183] = OCCUPIED
+    cells[20:80, 20:98] = FREE
+    cells[20:80, 101:180] = FREE
+    return cells
+
+
+def labelled(cells: CellArray) -> LabelArray:
+    labels = np.where(cells == FREE, 0, -1).astype(np.int32)
+    labels[:, 100:][cells[:, 100:] == FREE] = 1
+    return labels
+
+
+def filled(cells: CellArray) -> LabelArray:
+    return fill_cupboards(labelled(cells), cells == FREE, cells == UNKNOWN, CELL_M, 0.4)
+
+
+@pytest.mark.parametrize("inside", [OCCUPIED, UNKNOWN])
+def test_a_cupboard_at_a_wall_belongs_to_its_room(inside: int) -> None:
+    cells = two_rooms()
+    cells[30:60, 86:98] = OCCUPIED  # at the wall between the rooms: the other one is near
+    cells[31:59, 87:97] = inside
+    assert (filled(cells)[31:59, 87:97] == 0).all()
+
+
+def changed(cells: CellArray) -> BoolArray:
+    return filled(cells) != labelled(cells)
+
+
+def test_walls_shelves_as_thin_and_what_is_outside_get_no_label() -> None:
+    cells = two_rooms()
+    cells[50:54, 20:60] = OCCUPIED  # a piece of wall into the room
+    assert not changed(cells).any()
+
+
+def test_a_wall_as_thick_as_a_cupboard_gets_no_label() -> None:
+    cells = two_rooms()
+    cells[70:83, 17:183] = OCCUPIED  # 0.65 m, longer than a row of cupboards
+    assert not changed(cells).any()

@@ -1,0 +1,103 @@
+"""Wide openings in the line of a wall."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.settings import SegmentationConfig
+from specmap_cli.grids.gridmap import BoolArray, GridMap
+from specmap_cli.segmentation.division import segment
+from specmap_cli.segmentation.runs import Runs
+from specmap_cli.segmentation.wide_doors import with_narrow_doors
+
+PlanBuilder = Callable[..., GridMap]
+CELL_M = 0.05
+CORRIDOR = (0.3, 0.3, 11.7, 2.1)
+OFFICES = ((0.3, 2.3, 4.0, 6.3), (4.2, 2.3, 7.8, 6.3), (8.0, 2.3, 11.7, 6.3))
+OPENINGS = tuple((x, 2.1, x + 2.0, 2.3) for x in (1.0, 5.0, 9.0))
+
+
+def narrowed(grid: GridMap, widest_m: float = 2.5, small: BoolArray | None = None) -> BoolArray:
+    nothing = np.zeros_like(grid.free)
+    return with_narrow_doors(grid.free, nothing if small is None else small, CELL_M, widest_m)[1]
+
+
+def widths_at(free: BoolArray, y_m: float) -> list[float]:
+    """The widths of the openings in the row of cells at a height."""
+    row = free[round(y_m / CELL_M)][None]
+    return [round(length * CELL_M, 2) for length in Runs.of(row).lengths.tolist()]
+
+
+def test_offices_that_stand_open_are_told_from_their_corridor(plan: PlanBuilder) -> None:
+    building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS)
+    assert segment(building, SegmentationConfig()).count == 4
+    assert segment(building, SegmentationConfig(wide_door_m=0.0)).count != 4  # corridor in pieces
+
+
+def test_an_opening_is_narrowed_to_a_door_and_a_door_stays(plan: PlanBuilder) -> None:
+    building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS[:2], (9.0, 2.1, 9.8, 2.3))
+    assert widths_at(narrowed(building), 2.2) == [0.9, 0.9, 0.8]
+    assert widths_at(narrowed(building, 1.9), 2.2) == [2.0, 2.0, 0.8]
+
+
+def test_the_room_behind_an_opening_may_begin_at_its_side(plan: PlanBuilder) -> None:
+    """There the wall ends in a corner: the partition between two rooms."""
+    building = plan(12.0, 6.6, CORRIDOR, *OFFICES, (0.3, 2.1, 2.3, 2.3), (4.2, 2.1, 6.2, 2.3))
+    assert widths_at(narrowed(building), 2.2)[1] == 0.9
+
+
+def test_no_corridor_is_cut_where_partitions_on_both_sides_meet_it(plan: PlanBuilder) -> None:
+    below = [(x0, -y1 + 4.4 + 2.2, x1, -y0 + 4.4 + 2.2) for x0, y0, x1, y1 in OFFICES]
+    above = [(x0, y0 + 4.2, x1, y1 + 4.2) for x0, y0, x1, y1 in OFFICES]
+    corridor = (0.3, 4.5, 11.7, 6.3)
+    doors = [(x, y, x + 0.9, y + 0.2) for x in (2.8, 4.4, 6.6, 8.2) for y in (4.3, 6.3)]
+    building = plan(12.0, 10.8, corridor, *below, *above, *doors)
+    np.testing.assert_array_equal(narrowed(building), building.free)
+
+
+def test_a_slanted_wall_points_at_nothing() -> None:
+    rows, columns = np.mgrid[:160, :160]
+    free = np.abs(columns - 0.5 * rows - 20) > 4  # a wall at an angle, ends at both sides
+    free[(rows > 60) & (rows < 100) & (np.abs(columns - 0.5 * rows - 20) <= 4)] = True
+    free[:, 120:124] = False
+    np.testing.assert_array_equal(narrowed(GridMap((~free).astype(np.uint8), CELL_M)), free)
+
+
+@pytest.mark.parametrize(("kept", "post"), [(True, (2.2, 2.1)), (False, (2.2, 3.5))])
+def test_a_post_in_the_line_of_a_wall_is_no_furniture(
+    plan: PlanBuilder, kept: bool, post: tuple[float, float]
+) -> None:
+    building = plan(12.0, 6.6, CORRIDOR, *OFFICES, (1.0, 2.1, 3.4, 2.3))
+    small = np.zeros_like(building.free)
+    row, column = (round(place / CELL_M) for place in (post[1], post[0]))
+    small[row : row + 4, column : column + 4] = True
+    free = building.free & ~small
+    opened, _ = with_narrow_doors(free, small, CELL_M, 2.5)
+    assert (opened & small).any() != kept
+
+
+@given(seed=st.integers(0, 10_000))
+def test_rows_and_columns_are_treated_alike(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    free = np.ones((60, 70), dtype=bool)
+    for row, column, height, width in rng.integers(2, 30, (6, 4)):
+        free[row : row + min(height, 4), column : column + width] = False
+    nothing = np.zeros_like(free)
+    upright = with_narrow_doors(free, nothing, CELL_M, 2.5)[1]
+    turned = with_narrow_doors(free.T, nothing.T, CELL_M, 2.5)[1]
+    np.testing.assert_array_equal(turned.T, upright)
+    assert not (upright & ~free).any()
+
+
+@given(seed=st.integers(0, 10_000))
+def test_runs_painted_are_the_mask_again(seed: int) -> None:
+    mask = np.random.default_rng(seed).random((9, 12)) < 0.6
+    runs = Runs.of(mask)
+    painted = runs.painted(mask.shape, np.arange(1, len(runs.row) + 1))
+    np.testing.assert_array_equal(painted > 0, mask)
+    assert (np.bincount(painted[mask], minlength=1)[1:] == runs.lengths).all()
