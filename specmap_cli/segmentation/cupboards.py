@@ -10,26 +10,33 @@ import cv2
 import numpy as np
 
 from specmap_cli.core.records import IntArray
-from specmap_cli.grids.gridmap import BoolArray, cell_distances
+from specmap_cli.grids.gridmap import UNKNOWN, BoolArray, GridMap, cell_distances
 from specmap_cli.segmentation.kmeans import LabelArray
 
 _LONGEST_M = 4.0  # a row of cupboards; larger is what was never seen, and thick walls
 _REACH_M = 0.2  # from a piece to the labelled cells of its room
 
 
-def fill_cupboards(
-    labels: LabelArray, free: BoolArray, unknown: BoolArray, resolution: float, thick_m: float
-) -> LabelArray:
-    """`labels` (H, W) with those of pieces at walls that are `thick_m` or more, which had none.
+def pieces_at_walls(grid: GridMap, thick_m: float) -> LabelArray:
+    """The number (H, W) of each piece at a wall that is `thick_m` or more, 0 where there is none.
 
-    A piece takes the label that most of the cells around it have. `free` and `unknown` (H, W) are
-    the cells of the map. What is outside of the building, unknown and large, is no piece.
+    What is outside of the building is none: what is unknown and large, and all at the map's edge.
     """
-    thick = _thick(~free & ~_large(unknown, resolution), thick_m / resolution)
+    unknown = np.asarray(grid.cells == UNKNOWN)
+    thick = _thick(~grid.free & ~_large(unknown, grid.resolution), thick_m / grid.resolution)
     if not thick.any():
-        return labels
-    pieces, large = _pieces(thick, resolution)
-    pieces[large[pieces] | ~thick] = 0
+        return np.zeros(thick.shape, dtype=np.int32)
+    pieces, large = _pieces(thick, grid.resolution)
+    for edge in (pieces[0], pieces[-1], pieces[:, 0], pieces[:, -1]):
+        large[edge] = True
+    return np.where(large[pieces] | ~thick, np.int32(0), pieces)
+
+
+def fill_cupboards(labels: LabelArray, pieces: LabelArray, resolution: float) -> LabelArray:
+    """`labels` (H, W) with those of the `pieces` (H, W) at walls, which had none.
+
+    A piece takes the label that more than half of the labelled cells around it have.
+    """
     if not pieces.any():
         return labels
     best = _label_around(labels, pieces, round(_REACH_M / resolution))
@@ -66,7 +73,10 @@ def _thick(blocked: BoolArray, across: float) -> BoolArray:
 
 
 def _label_around(labels: LabelArray, pieces: LabelArray, reach: int) -> IntArray:
-    """(k,) the label that most cells within `reach` of each piece (H, W) have, -1: none."""
+    """(k,) the label of more than half of the labelled cells round each piece (H, W), -1: none.
+
+    Cells count within `reach` of it.
+    """
     grown = pieces.astype(np.float64)
     for _ in range(reach):
         grown = np.where(pieces > 0, grown, cv2.dilate(grown, np.ones((3, 3), np.uint8)))
@@ -74,4 +84,5 @@ def _label_around(labels: LabelArray, pieces: LabelArray, reach: int) -> IntArra
     ring = (around > 0) & (labels >= 0)
     votes = np.zeros((int(pieces.max()) + 1, int(labels.max(initial=0)) + 1), dtype=np.int64)
     np.add.at(votes, (around[ring], labels[ring]), 1)
-    return np.where(votes.any(axis=1), votes.argmax(axis=1), -1).astype(np.int32)
+    sure = 2 * votes.max(axis=1) > votes.sum(axis=1)
+    return np.where(sure, votes.argmax(axis=1), -1).astype(np.int32)

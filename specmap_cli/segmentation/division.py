@@ -12,7 +12,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import UNKNOWN, BoolArray, GridMap
+from specmap_cli.grids.gridmap import BoolArray, GridMap
 from specmap_cli.segmentation.clutter import (
     WorkingGrid,
     coarse_step,
@@ -20,7 +20,7 @@ from specmap_cli.segmentation.clutter import (
     working_grid,
 )
 from specmap_cli.segmentation.consensus import consensus
-from specmap_cli.segmentation.cupboards import fill_cupboards
+from specmap_cli.segmentation.cupboards import fill_cupboards, pieces_at_walls
 from specmap_cli.segmentation.flood import RINGS, flood_labels, nearest_labels, spread_labels
 from specmap_cli.segmentation.halving import split_again
 from specmap_cli.segmentation.kmeans import LabelArray
@@ -75,8 +75,8 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     rings = max(RINGS, work.step + 1)  # across a coarse cell that is not wholly free
     fine = spread_labels(work.refine(cells, opened.shape), opened, rings)
     if config.fill:
-        unknown = ~upright.apply(grid.cells != UNKNOWN)
-        fine = fill_cupboards(fine, free, unknown, grid.resolution, config.furniture_thick_m)
+        pieces = upright.apply(pieces_at_walls(grid, config.furniture_thick_m))
+        fine = fill_cupboards(fine, pieces, grid.resolution)
     named, names = _by_area(fine if config.fill else np.where(free, fine, np.int32(-1)))
     return Segmentation(
         labels=upright.undo(named, np.full(grid.cells.shape, -1, dtype=np.int32)),

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray
-from specmap_cli.segmentation.cupboards import fill_cupboards
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
+from specmap_cli.segmentation.cupboards import fill_cupboards, pieces_at_walls
 from specmap_cli.segmentation.kmeans import LabelArray
 
 CELL_M = 0.05
@@ -28,7 +28,8 @@ def labelled(cells: CellArray) -> LabelArray:
 
 
 def filled(cells: CellArray) -> LabelArray:
-    return fill_cupboards(labelled(cells), cells == FREE, cells == UNKNOWN, CELL_M, 0.4)
+    pieces = pieces_at_walls(GridMap(cells, CELL_M), 0.4)
+    return fill_cupboards(labelled(cells), pieces, CELL_M)
 
 
 @pytest.mark.parametrize("inside", [OCCUPIED, UNKNOWN])
@@ -40,7 +41,7 @@ def test_a_cupboard_at_a_wall_belongs_to_its_room(inside: int) -> None:
 
 
 def changed(cells: CellArray) -> BoolArray:
-    return filled(cells) != labelled(cells)
+    return np.asarray(filled(cells) != labelled(cells))
 
 
 def test_walls_shelves_as_thin_and_what_is_outside_get_no_label() -> None:
@@ -52,4 +53,10 @@ def test_walls_shelves_as_thin_and_what_is_outside_get_no_label() -> None:
 def test_a_wall_as_thick_as_a_cupboard_gets_no_label() -> None:
     cells = two_rooms()
     cells[70:83, 17:183] = OCCUPIED  # 0.65 m, longer than a row of cupboards
+    assert not changed(cells).any()
+
+
+def test_a_short_thick_wall_between_two_rooms_gets_no_label() -> None:
+    cells = two_rooms()
+    cells[20:80, 95:105] = OCCUPIED  # 3 m long, 0.5 m thick
     assert not changed(cells).any()
