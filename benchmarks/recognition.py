@@ -214,9 +214,10 @@ def localizer_of_tour(
             grids[i] = integrate_keyframes(store, numbers, track, config.grid).snapshot()
         rng = np.random.default_rng(config.seed)
         trained = train_localizer(store, submaps, store.poses, grids, config, rng)
+        tracks = {i: store.poses[numbers] for i, numbers in submaps.items()}
     driven = pairwise(labels.tolist())
     adjacency = neighbours(submaps, [(a, b) for a, b in driven if a in submaps and b in submaps])
-    return lambda: Localizer(trained, adjacency, grids, config.localization, frames)
+    return lambda: Localizer(trained, adjacency, grids, config.localization, frames, tracks)
 
 
 def cost(quick: bool) -> None:

@@ -242,7 +242,10 @@ def _real_map(name: str) -> tuple[Callable[[], Localizer], list[PosedScan]]:
     submaps = made.topology.submaps
     grids = {i: submap.grid for i, submap in submaps.items()}
     frames = {i: submap.map_from_submap for i, submap in submaps.items()}
-    return lambda: Localizer(made.classifiers, adjacency, grids, config.localization, frames), seen
+    kept = made.labels
+    tracks = {i: kept.poses[kept.submaps == i] for i in made.classifiers.ids}
+    settings = config.localization
+    return lambda: Localizer(made.classifiers, adjacency, grids, settings, frames, tracks), seen
 
 
 if __name__ == "__main__":

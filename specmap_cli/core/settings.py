@@ -645,6 +645,9 @@ class LocalizationConfig(_Section):
     follow_score: float = Field(
         0.8, ge=0, le=1, description="from it on, a pose to which the motion leads is not sought"
     )
+    lead: float = Field(
+        0.95, gt=0.5, lt=1, description="chance of a place from which on its pose is given"
+    )
     lost_score: float = Field(0.55, ge=0, le=1, description="below it the whole submap is searched")
 
 

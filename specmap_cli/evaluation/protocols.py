@@ -161,7 +161,9 @@ def labels_of(finished: FinishedMap, held_out: KeyframeStore, config: Config) ->
     submaps = finished.topology.submaps
     grids = {i: submap.grid for i, submap in submaps.items()}
     frames = {i: submap.map_from_submap for i, submap in submaps.items()}
-    localizer = Localizer(classifiers, adjacency, grids, config.localization, frames)
+    kept = finished.labels
+    tracks = {i: kept.poses[kept.submaps == i] for i in classifiers.ids}
+    localizer = Localizer(classifiers, adjacency, grids, config.localization, frames, tracks)
     labels: list[Label] = []
     for k in range(len(held_out)):
         place = Pose2(*poses[k].tolist())

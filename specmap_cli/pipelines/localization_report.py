@@ -20,10 +20,11 @@ from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.localization.localizer import Label
+from specmap_cli.recognition.localization.metric import Fix
 from specmap_cli.topology.topological_map import default_name
 
 HEADER = "stamp,submap,margin,runner_up,filtered_submap,name,filtered_probability,probability"
-METRIC_HEADER = ",x,y,theta,score"
+METRIC_HEADER = ",x,y,theta,score,var_x,cov_xy,cov_xtheta,var_y,cov_ytheta,var_theta"
 _LEAP_M, _STEADY_SCANS = 0.5, 10  # a place that leaps and leaves within so many scans is wrong
 
 
@@ -33,8 +34,22 @@ class LocalizedScan:
 
     label: Label
     track_from_base: Pose2
-    submap_from_base: Pose2 | None = None
-    score: float = math.nan
+    fix: Fix | None = None
+
+    @property
+    def submap_from_base(self) -> Pose2 | None:
+        """The pose in the submap of the filtered label, None where it is not known."""
+        return None if self.fix is None else self.fix.pose
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """(3, 3) of x, y and angle of that pose: square metres and radians."""
+        return None if self.fix is None else self.fix.covariance
+
+    @property
+    def score(self) -> float:
+        """How well the scan lies on walls there, in [0, 1]; NaN without a pose."""
+        return math.nan if self.fix is None else self.fix.score
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,12 +132,16 @@ def csv_text(report: LocalizationReport, metric: bool) -> str:
             f"{_cell(report.name_of(label.filtered_submap))},{label.filtered_probability:.6f},"
             f"{label.probability:.6f}"
         )
-        if metric:
-            pose = scan.submap_from_base
-            line += ",,,," if pose is None else f",{pose.x:.6f},{pose.y:.6f},{pose.theta:.6f}"
-            line += "" if pose is None else f",{scan.score:.6f}"
-        lines.append(line)
+        lines.append(line + (_metric_cells(scan.fix) if metric else ""))
     return "\n".join(lines) + "\n"
+
+
+def _metric_cells(fix: Fix | None) -> str:
+    """The pose, its score and the upper triangle of its covariance; empty cells for none."""
+    if fix is None:
+        return "," * METRIC_HEADER.count(",")
+    pose = "".join(f",{value:.6f}" for value in (*fix.pose, fix.score))
+    return pose + "".join(f",{value:.4e}" for value in fix.covariance[np.triu_indices(3)].tolist())
 
 
 def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> NDArray[np.uint8]:
@@ -166,11 +185,10 @@ def _steady(places: FloatArray, scans: Sequence[LocalizedScan]) -> FloatArray:
 
 
 def _place(scan: LocalizedScan, stored: StoredMap) -> FloatArray:
-    """(2,) place of a matched scan in the map, NaN when it fits badly."""
-    id_ = scan.label.filtered_submap
-    if id_ is None or scan.submap_from_base is None or scan.score < 0.5:
+    """(2,) place of a matched scan in the map, NaN when it is not known."""
+    if scan.fix is None:
         return np.array([math.nan, math.nan])
-    pose = stored.topology.submaps[id_].map_from_submap @ scan.submap_from_base
+    pose = stored.topology.submaps[scan.fix.submap].map_from_submap @ scan.fix.pose
     return np.array([pose.x, pose.y])
 
 

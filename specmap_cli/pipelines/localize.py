@@ -23,6 +23,7 @@ from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.localization_report import LocalizationReport, LocalizedScan
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.localization.leads import Lead
 from specmap_cli.recognition.localization.localizer import Localizer
 from specmap_cli.registration.frontend import FrontEnd
 
@@ -48,8 +49,8 @@ def localize_log(
     """Label every scan of a recording with a submap of a stored map.
 
     `map_` is a map directory, or one that was read. Without `config` the settings are those the map
-    was built with. `offline` smooths over the whole log instead of filtering; `metric` matches each
-    scan within the grid of its filtered submap. Raises LogError for a recording without a usable
+    was built with. `offline` smooths over the whole log instead of filtering; `metric` gives the pose
+    in the filtered submap, of scans whose place is clear. Raises LogError for a recording without a usable
     scan, InputError when its laser cannot stand in for the map's, MapError for a damaged map.
     """
     progress = progress or Silent()
@@ -59,7 +60,7 @@ def localize_log(
     stored = _opened(map_, config, progress)
     config = settings_for(stored, {}) if config is None else config
     check_feature_sets(config)
-    localizer = localizer_of(stored, config)
+    localizer = localizer_of(stored, config, metric=metric)
     if config.localization.unknown and localizer.classifiers.misfit is None:
         progress.note(f"{stored.path}: {_NO_MISFIT}")
     with open_log(given, config.log) as log:
@@ -104,7 +105,7 @@ def _localized(
     tracked = (front_end.register(sweep) for sweep in stream)
     for posed, label in localizer.labelled(tracked):
         scan = LocalizedScan(label=label, track_from_base=posed.map_from_base)
-        yield _in_submap(scan, posed, localizer) if metric else scan
+        yield _in_submap(scan, posed, localizer, localizer.places.lead) if metric else scan
         progress.advance()
 
 
@@ -137,17 +138,18 @@ def _matched(
     The log is read and registered once more, with the same result: no scan was kept.
     """
     front_end = FrontEnd(config.registration)
-    for sweep, scan in zip(stream, scans, strict=True):
-        yield _in_submap(scan, front_end.register(sweep), localizer)
+    for sweep, scan, lead in zip(stream, scans, localizer.leads(), strict=True):
+        yield _in_submap(scan, front_end.register(sweep), localizer, lead)
         progress.advance()
 
 
-def _in_submap(scan: LocalizedScan, posed: PosedScan, localizer: Localizer) -> LocalizedScan:
-    """A scan with its pose in the submap that it is labelled with, if it is labelled."""
-    if scan.label.filtered_submap is None:
-        return scan
-    match = localizer.tracker.locate(posed, scan.label.filtered_submap)
-    return replace(scan, submap_from_base=match.pose, score=match.score)
+def _in_submap(
+    scan: LocalizedScan, posed: PosedScan, localizer: Localizer, lead: Lead | None
+) -> LocalizedScan:
+    """A scan with its pose in the submap that it is labelled with, where a place leads."""
+    place = None if lead is None else lead.place
+    fix = localizer.tracker.locate(posed, place, scan.label.filtered_submap)
+    return replace(scan, fix=fix)
 
 
 def settings_for(
@@ -169,12 +171,14 @@ def settings_for(
     return with_overrides(config, overrides)
 
 
-def localizer_of(stored: StoredMap, config: Config) -> Localizer:
+def localizer_of(stored: StoredMap, config: Config, *, metric: bool = False) -> Localizer:
     """The localizer of a stored map: its classifiers, the neighbours of its submaps, its grids."""
     classifiers = classifiers_of(stored)
     adjacency = neighbours(stored.ids, stored.topology.joined)
     frames = {i: submap.map_from_submap for i, submap in stored.topology.submaps.items()}
-    return Localizer(classifiers, adjacency, stored.grids, config.localization, frames)
+    labels, settings = stored.labels, config.localization
+    tracks = {i: labels.poses[labels.submaps == i] for i in stored.ids}
+    return Localizer(classifiers, adjacency, stored.grids, settings, frames, tracks, metric=metric)
 
 
 def classifiers_of(stored: StoredMap) -> ClassifierSet:

@@ -17,9 +17,14 @@ from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.doubt import Doubt
 from specmap_cli.recognition.localization.filtering import SMALLEST, HiddenMarkovFilter
+from specmap_cli.recognition.localization.leads import Lead, Leads
 from specmap_cli.recognition.localization.metric import MetricTracker
+from specmap_cli.recognition.localization.owners import Owners
+from specmap_cli.recognition.localization.surroundings import Surroundings
+from specmap_cli.recognition.localization.tracking import PlaceTracker
 from specmap_cli.recognition.localization.views import ViewGrouping
-from specmap_cli.recognition.localization.walls import Ratio, WallCheck
+from specmap_cli.recognition.localization.wall_fit import Ratio, WallFit
+from specmap_cli.recognition.localization.walls import WallCheck
 from specmap_cli.recognition.localization.witness import Impression, Witness
 
 _TOGETHER = 32  # scans whose features are computed at once
@@ -47,7 +52,9 @@ class Localizer:
     """Labels the scans of a log in turn, by the classifiers and topology of a map.
 
     `frames` are the submaps' frames in the layout: they say where a robot comes out that drives
-    from one submap into another.
+    from one submap into another. `tracks` (n, 2 or more) are where the keyframes of each submap
+    are in the map: they say where one submap ends. `metric` asks for places even where walls do not
+    count for the labels.
     """
 
     def __init__(
@@ -57,17 +64,26 @@ class Localizer:
         grids: Mapping[int, GridMap],
         config: LocalizationConfig,
         frames: Mapping[int, Pose2] | None = None,
+        tracks: Mapping[int, FloatArray] | None = None,
+        *,
+        metric: bool = False,
     ) -> None:
         self.classifiers = classifiers
         self.config = config
         self.filter = HiddenMarkovFilter({i: adjacency.get(i, ()) for i in classifiers.ids}, config)
-        self.tracker = MetricTracker(grids, config, frames)
         self._witness = Witness(classifiers, config)
-        ratio = Ratio(classifiers.misfit, config)
-        walls = WallCheck(grids, self.tracker.field, ratio, config, frames)
-        self._doubt = Doubt(walls, config)
+        frames = frames or {}
+        around = Surroundings(grids, adjacency, frames)
+        self.tracker = MetricTracker(around.field, config, frames)
+        fit = WallFit(grids, around, Ratio(classifiers.misfit, config), config, frames)
+        owners = Owners(tracks or {}, frames, grids)
+        self.places = PlaceTracker(self.filter.ids, fit, owners, config)
+        self.walls = WallCheck(fit, config)
+        self._uses_walls = metric or config.unknown
+        self._doubt = Doubt(self.walls, config)
         self._views = ViewGrouping(config)
         self._labels: list[Label] = []
+        self._leads = Leads()
 
     @property
     def note(self) -> str:
@@ -93,13 +109,23 @@ class Localizer:
             self._doubt.restart()
             self._views.restart()
             self.filter.reset()
+            self.places.restart()
         again = not self._views.begins(posed)
         log_likelihoods = self._log_likelihoods(posed, evidence, again)
-        belief = self.filter.update(log_likelihoods, again)
+        belief = self._placed(posed, self.filter.update(log_likelihoods, again))
         label = self._filtered(self._raw_label(posed.stamp_ns, evidence), belief)
         self._labels.append(label)
+        self._leads.add(posed, self.places.lead)
         self._views.keep(log_likelihoods)
         return label
+
+    def _placed(self, posed: PosedScan, belief: FloatArray) -> FloatArray:
+        """(m + 1,) belief of the filter with what the places say that are followed."""
+        walls = self.walls
+        known = self.places.update(posed, walls.view, walls.sought, belief[:-1])
+        if self.places.lead is not None:
+            walls.follow(self.places.lead.place)
+        return np.append(known, belief[-1])
 
     def smoothed(self) -> list[Label]:
         """All labels so far, the filtered ones given the whole track that they belong to.
@@ -107,17 +133,35 @@ class Localizer:
         A loss of tracking ends a track: what comes after it says nothing of what was before.
         """
         rows = [row for track in self._views.tracks() for row in self.filter.smooth(track)]
-        beliefs = self._views.of_scans(rows)
+        beliefs = [
+            self._led(belief, lead)
+            for belief, lead in zip(self._views.of_scans(rows), self.leads(), strict=True)
+        ]
         return [self._filtered(a, b) for a, b in zip(self._labels, beliefs, strict=True)]
+
+    def leads(self) -> list[Lead | None]:
+        """The place that leads at each scan so far, or that leads later and tells of it."""
+        return self._leads.looking_back(self.config.window_m)
+
+    def _led(self, belief: FloatArray, lead: Lead | None) -> FloatArray:
+        """(m + 1,) belief with what a lead says of the submap."""
+        if lead is None:
+            return belief
+        led = (1.0 - lead.probability) * belief
+        owner = self.filter.ids.index(self.places.owner(lead.place))
+        led[owner] += lead.probability * float(belief[:-1].sum())
+        led[-1] = belief[-1]
+        return led
 
     def _log_likelihoods(self, posed: PosedScan, evidence: Impression, again: bool) -> FloatArray:
         """(m + 1,) log likelihoods of every submap and, last, of unknown, of the scan's view."""
         known = self._views.mean(evidence.all)
         known = self.config.trust * self._share_of_new(known) * known
+        worth = -math.inf
+        if self._uses_walls:
+            worth = self._doubt.worth(posed, evidence, self._likely(evidence, again), again)
         if not self.config.unknown:
             return np.append(known, -math.inf)
-        likely = self._likely(evidence, again)
-        worth = self._doubt.worth(posed, evidence, likely, again)
         return self.filter.with_unknown(known, worth, again)
 
     def _share_of_new(self, said: FloatArray) -> float:

@@ -1,86 +1,103 @@
-"""The pose within a submap: the matcher on the submap's grid, followed from scan to scan."""
+"""The pose within a submap, with its covariance: the place that leads, matched at every scan."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.matching import Match, ScoreField, Window, refine, search, search_everywhere
+from specmap_cli.grids.matching import Match, ScoreField, Window, refine, search
+from specmap_cli.recognition.localization.estimate import Estimate, information
 from specmap_cli.recognition.localization.place import Place
 
 _MOST_POINTS = 180  # one every other degree: what a match costs grows with them
-# Steps of the searches: what the refinement after them mends (0.3 m at the most).
+# Steps of the search: what the refinement after it mends (0.3 m at the most).
 _FOLLOW_STEP_M, _FOLLOW_STEP_RAD = 0.1, math.radians(2.0)
-_SEARCH_STEP_M = 0.2
+# What a place is good to that the walls of the last metres led to, and how far it may be from the
+# pose that was followed before that is taken for wrong.
+_PLACE_M, _PLACE_RAD = 0.1, 0.05
+_APART_M, _APART_RAD = 0.3, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """A scan's pose in a submap, its covariance (3, 3) in x, y and angle, its score in [0, 1]."""
+
+    submap: int
+    pose: Pose2
+    covariance: FloatArray
+    score: float
 
 
 class MetricTracker:
-    """Poses of scans within the submaps they are labelled with, each with its score in [0, 1].
+    """Poses of successive scans; `field` gives the walls of each submap, in its own frame.
 
-    `grids` are in the submaps' frames, and `frames` are these in the layout. The motion since the
-    last scan says where to look, also in a submap newly entered. Where that is not known, or its
-    score is too low to go on from, the submap is searched as a whole.
+    `frames` are the frames of the submaps in the layout.
     """
 
     def __init__(
         self,
-        grids: Mapping[int, GridMap],
+        field: Callable[[int], ScoreField],
         config: LocalizationConfig,
-        frames: Mapping[int, Pose2] | None = None,
+        frames: Mapping[int, Pose2],
     ) -> None:
-        self.grids = grids
+        self.field = field
         self.config = config
-        self.frames = frames or {}
-        self._fields: dict[int, ScoreField] = {}
-        self._last: Place | None = None
+        self.frames = frames
+        self._last: tuple[Place, Estimate] | None = None
 
-    def locate(self, posed: PosedScan, submap: int) -> Match:
-        """`submap_from_base` and its score; call for successive scans."""
+    def locate(self, posed: PosedScan, place: Place | None, submap: int | None) -> Fix | None:
+        """The pose in a submap of a scan, by a `place` of another scan of the same track.
+
+        None where no place or no submap is known, or where the scan fits no walls. Call for
+        successive scans.
+        """
+        if posed.restarted:  # this pose has nothing to do with the last one
+            self._last = None
+        if place is None or submap is None or posed.lost:
+            return None
+        guess = place.led_to(submap, posed.map_from_base, self.frames)
         points = posed.base_from_laser.apply(evenly(posed.planar.hits(), _MOST_POINTS))
+        if guess is None or not len(points):
+            return None
+        prior = self._expected(posed, submap, guess)
         field = self.field(submap)
-        guess = None
-        if self._last is not None and not posed.restarted:
-            guess = self._last.led_to(submap, posed.map_from_base, self.frames)
-        match = None if guess is None else self._near(field, points, guess)
-        if match is None or match.score < self.config.lost_score:
-            match = _anywhere(field, points, match)
-        self._last = Place(submap, match.pose, posed.map_from_base)
-        return match
+        match = self._near(field, points, prior.pose)
+        told = information(field, points, match.pose)
+        if not prior.agrees_with(match.pose, told):
+            prior = Estimate.about(prior.pose, _PLACE_M, _PLACE_RAD)
+        estimate = prior.corrected(match.pose, told)
+        self._last = Place(submap, estimate.pose, posed.map_from_base), estimate
+        if match.score < self.config.lost_score:
+            return None
+        return Fix(submap, estimate.pose, estimate.covariance, match.score)
+
+    def _expected(self, posed: PosedScan, submap: int, guess: Pose2) -> Estimate:
+        """Where the motion since the last scan leads, if that is where the place is."""
+        if self._last is not None:
+            place, estimate = self._last
+            moved = estimate.moved(place.map_from_base.inverse() @ posed.map_from_base)
+            there = place.led_to(submap, posed.map_from_base, self.frames)
+            if there is not None:
+                off = there.inverse() @ guess
+                if off.distance < _APART_M and abs(off.theta) < _APART_RAD:
+                    return moved.within(there @ moved.pose.inverse())
+        return Estimate.about(guess, _PLACE_M, _PLACE_RAD)
 
     def _near(self, field: ScoreField, points: FloatArray, guess: Pose2) -> Match:
         """The match near a guess, which is searched for when the guess leads to none at once."""
         match = refine(field, points, guess)
         if match.score >= self.config.follow_score:
             return match
-        match = search(field, points, guess, self._window())
-        return refine(field, points, match.pose)
-
-    def _window(self) -> Window:
-        """Where a scan is sought about the pose that the motion since the last one gives."""
-        return Window(
+        window = Window(
             distance_m=self.config.follow_m,
             angle_rad=self.config.follow_rad,
             step_m=_FOLLOW_STEP_M,
             angle_step_rad=_FOLLOW_STEP_RAD,
         )
-
-    def field(self, submap: int) -> ScoreField:
-        """The walls of a submap, in its frame."""
-        if submap not in self._fields:
-            self._fields[submap] = ScoreField.from_grid(self.grids[submap])
-        return self._fields[submap]
-
-
-def _anywhere(field: ScoreField, points: FloatArray, fallback: Match | None) -> Match:
-    """The best refined match anywhere on the field, unless the fallback is as good."""
-    best = fallback or Match(IDENTITY, 0.0)
-    for candidate in search_everywhere(field, points, step=_SEARCH_STEP_M):
-        match = refine(field, points, candidate.pose)
-        if match.score > best.score:
-            best = match
-    return best
+        found = refine(field, points, search(field, points, guess, window).pose)
+        return max(match, found, key=lambda each: each.score)

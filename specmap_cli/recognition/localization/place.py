@@ -8,6 +8,12 @@ from dataclasses import dataclass
 from specmap_cli.core.geometry import Pose2
 
 
+_SAME_M, _SAME_RAD = (
+    0.3,
+    0.1,
+)  # two places so near are one: a match would lead from one to the other
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
     """A scan was found at `pose` in a submap, when the robot's track was at `map_from_base`."""
@@ -23,9 +29,22 @@ class Place:
 
         `frames` are the submaps' frames in the layout; without them only the same submap is known.
         """
-        pose = self.pose @ (self.map_from_base.inverse() @ map_from_base)
+        pose = self.moved(map_from_base).pose
         if submap == self.submap:
             return pose
         if submap not in frames or self.submap not in frames:
             return None
         return frames[submap].inverse() @ frames[self.submap] @ pose
+
+    def moved(self, map_from_base: Pose2) -> Place:
+        """Where the motion since leads in the same submap."""
+        pose = self.pose @ (self.map_from_base.inverse() @ map_from_base)
+        return Place(self.submap, pose, map_from_base)
+
+    def is_same(self, other: Place, frames: Mapping[int, Pose2]) -> bool:
+        """Whether another place is this one, perhaps known in another submap."""
+        there = other.led_to(self.submap, self.map_from_base, frames)
+        if there is None:
+            return False
+        off = self.pose.inverse() @ there
+        return off.distance < _SAME_M and abs(off.theta) < _SAME_RAD

@@ -1,7 +1,8 @@
-"""The pose within a submap: found anywhere in it, followed, and found again."""
+"""The pose within a submap: matched where a place leads, followed, and given only where it fits."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,42 +11,20 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids import matching
-from specmap_cli.recognition.localization import metric
-from specmap_cli.recognition.localization.metric import MetricTracker
+from specmap_cli.grids.matching import ScoreField
+from specmap_cli.recognition.localization.metric import Fix, MetricTracker
+from specmap_cli.recognition.localization.place import Place
 
 CONFIG = LocalizationConfig()
+ROOMS = (1, 2)
 
 
-@pytest.fixture
-def searches(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
-    """How often the tracker searched near a guess, and everywhere."""
-    counts = {"near": 0, "everywhere": 0}
-
-    def near(*arguments: Any) -> Any:
-        counts["near"] += 1
-        return matching.search(*arguments)
-
-    def everywhere(*arguments: Any, **options: Any) -> Any:
-        counts["everywhere"] += 1
-        return matching.search_everywhere(*arguments, **options)
-
-    monkeypatch.setattr(metric, "search", near)
-    monkeypatch.setattr(metric, "search_everywhere", everywhere)
-    return counts
-
-
-def walk(building: Any, room: int, seed: int = 3, steps: int = 6) -> list[PosedScan]:
+def walk(building: Any, room: int, steps: int = 6) -> list[PosedScan]:
     """The first scans of a walk through a room, ten centimetres or so apart."""
-    start, end = (Pose2(*building.path(room, seed)[k].tolist()) for k in (0, 1))
-    turn = end.theta - start.theta if abs(end.theta - start.theta) < 0.5 else 0.1
+    start, end = (Pose2(*building.path(room, 3)[k].tolist()) for k in (0, 1))
+    way = start.inverse() @ end
     along = [
-        Pose2(
-            start.x + (end.x - start.x) * t,
-            start.y + (end.y - start.y) * t,
-            start.theta + turn * t,
-        )
-        for t in np.linspace(0.0, 1.0, steps)
+        start @ Pose2(way.x * t, way.y * t, 0.1 * t) for t in np.linspace(0.0, 1.0, steps).tolist()
     ]
     scans = building.scans(np.array(along))
     return [
@@ -54,144 +33,128 @@ def walk(building: Any, room: int, seed: int = 3, steps: int = 6) -> list[PosedS
     ]
 
 
-def off_by(building: Any, room: int, scan: PosedScan, found: Pose2) -> float:
-    """Metres between a pose found in a room's submap and the true one."""
-    submap = Pose2(*building.path(room, 0)[0].tolist())
-    truth = submap.inverse() @ scan.map_from_base
-    return (truth.inverse() @ found).distance
+def frames_of(building: Any) -> dict[int, Pose2]:
+    return {room: Pose2(*building.path(room, 0)[0].tolist()) for room in ROOMS}
 
 
-def test_a_pose_is_found_anywhere_and_then_followed(
-    building: Any, searches: dict[str, int]
-) -> None:
-    tracker = MetricTracker({2: building.visit(0, 2).grid}, CONFIG)
-    for scan in walk(building, 2):
-        match = tracker.locate(scan, 2)
-        assert off_by(building, 2, scan, match.pose) < 0.1
-        assert match.score > 0.8
-    assert searches == {"near": 0, "everywhere": 1}
+def tracker_of(building: Any, config: LocalizationConfig = CONFIG) -> MetricTracker:
+    fields = {room: ScoreField.from_grid(building.visit(0, room).grid) for room in ROOMS}
+    return MetricTracker(fields.__getitem__, config, frames_of(building))
 
 
-@pytest.mark.parametrize(("score", "near"), [(0.0, 0), (1.0, 5)])
-def test_what_fits_where_the_motion_leads_is_not_sought(
-    building: Any, searches: dict[str, int], score: float, near: int
-) -> None:
-    config = LocalizationConfig(follow_score=score)
-    tracker = MetricTracker({2: building.visit(0, 2).grid}, config)
-    for scan in walk(building, 2):
-        assert off_by(building, 2, scan, tracker.locate(scan, 2).pose) < 0.1
-    assert searches == {"near": near, "everywhere": 1}
+def place_of(building: Any, room: int, scan: PosedScan, off: Pose2 = IDENTITY) -> Place:
+    """Where a scan is in a room's submap, and off by something."""
+    pose = frames_of(building)[room].inverse() @ scan.map_from_base @ off
+    return Place(room, pose, scan.map_from_base)
 
 
-def test_the_layout_says_where_a_robot_comes_into_another_submap(
-    building: Any, searches: dict[str, int]
-) -> None:
-    grids = {room: building.visit(0, room).grid for room in (1, 2)}
-    frames = {room: Pose2(*building.path(room, 0)[0].tolist()) for room in (1, 2)}
-    tracker = MetricTracker(grids, CONFIG, frames)
-    for room in (1, 2, 1):
-        scan = walk(building, room)[0]
-        assert off_by(building, room, scan, tracker.locate(scan, room).pose) < 0.1
-    assert searches == {"near": 0, "everywhere": 1}
+def off_by(building: Any, scan: PosedScan, fix: Fix | None) -> Pose2:
+    """What a pose is off by."""
+    assert fix is not None
+    return place_of(building, fix.submap, scan).pose.inverse() @ fix.pose
 
 
-def test_a_layout_that_leads_astray_is_mended_by_a_search(
-    building: Any, searches: dict[str, int]
-) -> None:
-    grids = {room: building.visit(0, room).grid for room in (1, 2)}
-    tracker = MetricTracker(grids, CONFIG, {1: IDENTITY, 2: Pose2(90.0, 0.0, 2.0)})
-    for room in (1, 2):
-        scan = walk(building, room)[0]
-        assert off_by(building, room, scan, tracker.locate(scan, room).pose) < 0.1
-    assert searches == {"near": 1, "everywhere": 2}
+def test_a_place_is_matched_and_then_followed(building: Any) -> None:
+    tracker = tracker_of(building)
+    scans = walk(building, 2)
+    place = place_of(building, 2, scans[0], Pose2(0.1, -0.1, 0.04))
+    for scan in scans:
+        fix = tracker.locate(scan, place, 2)
+        off = off_by(building, scan, fix)
+        assert off.distance < 0.05
+        assert abs(off.theta) < 0.01
+        assert fix is not None
+        assert fix.score > 0.8
 
 
-def test_a_submap_newly_entered_is_searched_as_a_whole(
-    building: Any, searches: dict[str, int]
-) -> None:
-    grids = {room: building.visit(0, room).grid for room in (1, 2)}
-    tracker = MetricTracker(grids, CONFIG)
-    for room in (1, 2, 1):
-        scan = walk(building, room)[0]
-        assert off_by(building, room, scan, tracker.locate(scan, room).pose) < 0.1
-    assert searches == {"near": 0, "everywhere": 3}
+def test_a_place_of_a_later_scan_tells_of_an_earlier_one(building: Any) -> None:
+    scans = walk(building, 2)
+    fix = tracker_of(building).locate(scans[0], place_of(building, 2, scans[-1]), 2)
+    assert off_by(building, scans[0], fix).distance < 0.05
 
 
-def test_after_a_restart_the_last_pose_is_no_guess(building: Any, searches: dict[str, int]) -> None:
-    tracker = MetricTracker({2: building.visit(0, 2).grid}, CONFIG)
-    first, second = walk(building, 2)[:2]
-    tracker.locate(first, 2)
-    far = Pose2(300.0, -80.0, 1.0)  # registration begins in another frame
-    again = PosedScan(
-        index=1,
-        stamp_ns=1,
-        map_from_base=far,
-        planar=second.planar,
-        base_from_laser=IDENTITY,
-        restarted=True,
-    )
-    assert off_by(building, 2, second, tracker.locate(again, 2).pose) < 0.1
-    assert searches == {"near": 0, "everywhere": 2}
-
-
-def test_a_low_score_leads_to_a_search_everywhere(building: Any, searches: dict[str, int]) -> None:
-    tracker = MetricTracker({2: building.visit(0, 2).grid}, CONFIG)
-    first, second = walk(building, 2)[:2]
-    tracker.locate(first, 2)
-    slipped = second.map_from_base @ Pose2(1.5, 0.0, 0.9)  # odometry that lies
-    match = tracker.locate(
-        PosedScan(
-            index=1,
-            stamp_ns=1,
-            map_from_base=slipped,
-            planar=second.planar,
-            base_from_laser=IDENTITY,
-        ),
-        2,
-    )
-    assert off_by(building, 2, second, match.pose) < 0.1
-    assert searches == {"near": 1, "everywhere": 2}
-
-
-def test_when_a_score_is_too_low_is_a_setting(building: Any, searches: dict[str, int]) -> None:
-    careful = LocalizationConfig(lost_score=1.0)
-    tracker = MetricTracker({2: building.visit(0, 2).grid}, careful)
-    for scan in walk(building, 2)[:3]:
-        tracker.locate(scan, 2)
-    assert searches["everywhere"] == 3
-
-
-def test_how_far_a_pose_is_followed_is_a_setting(building: Any) -> None:
-    grid = {2: building.visit(0, 2).grid}
-    first, second = walk(building, 2)[:2]
-    slipped = second.map_from_base @ Pose2(0.9, 0.0, 0.0)
-    found = []
-    for reach in (0.4, 1.2):
-        tracker = MetricTracker(grid, LocalizationConfig(follow_m=reach, lost_score=0.0))
-        tracker.locate(first, 2)
-        match = tracker.locate(
-            PosedScan(
-                index=1,
-                stamp_ns=1,
-                map_from_base=slipped,
-                planar=second.planar,
-                base_from_laser=IDENTITY,
-            ),
-            2,
-        )
-        found.append(off_by(building, 2, second, match.pose))
-    assert found[1] < 0.1 < found[0]
-
-
-def test_a_scan_without_a_return_has_no_pose_to_speak_of(building: Any) -> None:
-    tracker = MetricTracker({2: building.visit(0, 2).grid}, CONFIG)
+def test_the_layout_says_where_a_place_is_in_another_submap(building: Any) -> None:
     scan = walk(building, 2)[0]
-    blind = PosedScan(
-        index=0,
-        stamp_ns=0,
-        map_from_base=IDENTITY,
-        planar=building.scans(np.array([[1e6, 1e6, 0.0]]))[0],
-        base_from_laser=IDENTITY,
-    )
-    assert tracker.locate(blind, 2).score == 0.0
-    assert off_by(building, 2, scan, tracker.locate(scan, 2).pose) < 0.1
+    elsewhere = frames_of(building)[1].inverse() @ scan.map_from_base
+    fix = tracker_of(building).locate(scan, Place(1, elsewhere, scan.map_from_base), 2)
+    assert off_by(building, scan, fix).distance < 0.05
+    alone = tracker_of(building)
+    alone.frames = {}
+    assert alone.locate(scan, Place(1, elsewhere, scan.map_from_base), 2) is None
+
+
+def test_the_covariance_is_large_along_what_the_walls_do_not_tell(building: Any) -> None:
+    """One straight wall ahead: across it the pose is known, along it only by the motion."""
+    scan = walk(building, 2)[0]
+    ahead = np.abs(scan.planar.bearings) < 0.3
+    ranges = np.where(ahead, 1.0 / np.cos(scan.planar.bearings), np.inf)
+    wall = np.column_stack([np.ones(400), np.linspace(-4.0, 4.0, 400)])
+    tracker = MetricTracker(lambda _: ScoreField.from_points(wall), CONFIG, {})
+    seen = replace(scan, planar=replace(scan.planar, ranges=ranges), map_from_base=IDENTITY)
+    fix = tracker.locate(seen, Place(0, IDENTITY, IDENTITY), 0)
+    assert fix is not None
+    assert fix.covariance[1, 1] > 4.0 * fix.covariance[0, 0]
+    assert np.allclose(fix.covariance, fix.covariance.T)
+    assert (np.linalg.eigvalsh(fix.covariance) > 0.0).all()
+
+
+def test_a_slip_of_the_registration_is_followed(building: Any) -> None:
+    tracker = tracker_of(building)
+    scans = walk(building, 2)
+    place = place_of(building, 2, scans[0])
+    for scan in scans[:3]:
+        tracker.locate(scan, place, 2)
+    slipped = replace(scans[3], map_from_base=scans[3].map_from_base @ Pose2(0.15, 0.0, 0.05))
+    fix = tracker.locate(slipped, place, 2)
+    assert off_by(building, scans[3], fix).distance < 0.05
+
+
+def test_another_place_is_not_drawn_to_the_one_that_was_followed(building: Any) -> None:
+    tracker = tracker_of(building)
+    scans = walk(building, 2)
+    wrong = place_of(building, 2, scans[0], Pose2(1.5, 0.5, 1.5))
+    tracker.locate(scans[0], wrong, 2)
+    fix = tracker.locate(scans[1], place_of(building, 2, scans[1]), 2)
+    assert off_by(building, scans[1], fix).distance < 0.05
+
+
+def test_after_a_restart_nothing_is_followed(building: Any) -> None:
+    tracker = tracker_of(building)
+    first, second = walk(building, 2)[:2]
+    tracker.locate(first, place_of(building, 2, first), 2)
+    far = replace(second, map_from_base=Pose2(300.0, -80.0, 1.0), restarted=True)
+    place = Place(2, place_of(building, 2, second).pose, far.map_from_base)
+    assert tracker.locate(replace(far, planar=first.planar), None, None) is None
+    fix = tracker.locate(far, place, 2)
+    assert off_by(building, second, fix).distance < 0.05
+
+
+@pytest.mark.parametrize("lost_score", [0.0, 1.0])
+def test_what_fits_no_walls_has_no_pose(building: Any, lost_score: float) -> None:
+    tracker = tracker_of(building, LocalizationConfig(lost_score=lost_score))
+    scan = walk(building, 2)[0]
+    assert (tracker.locate(scan, place_of(building, 2, scan), 2) is None) == (lost_score == 1.0)
+
+
+def test_without_a_place_a_label_or_a_return_there_is_no_pose(building: Any) -> None:
+    tracker = tracker_of(building)
+    scan = walk(building, 2)[0]
+    place = place_of(building, 2, scan)
+    blind = replace(scan, planar=building.scans(np.array([[1e6, 1e6, 0.0]]))[0])
+    assert tracker.locate(scan, None, 2) is None
+    assert tracker.locate(scan, place, None) is None
+    assert tracker.locate(replace(scan, lost=True), place, 2) is None
+    assert tracker.locate(blind, place, 2) is None
+
+
+def test_how_far_a_pose_is_sought_is_a_setting(building: Any) -> None:
+    scan = walk(building, 2)[0]
+    place = place_of(building, 2, scan, Pose2(0.9, 0.0, 0.0))
+    found = [
+        tracker_of(building, LocalizationConfig(follow_m=reach, lost_score=0.0)).locate(
+            scan, place, 2
+        )
+        for reach in (0.3, 1.2)
+    ]
+    near, far = (off_by(building, scan, fix).distance for fix in found)
+    assert far < near

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,9 +17,11 @@ from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
-from specmap_cli.grids.matching import ScoreField, search_everywhere
+from specmap_cli.grids.matching import Match, ScoreField, search_everywhere
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, pooled
-from specmap_cli.recognition.localization.walls import Ratio, WallCheck
+from specmap_cli.recognition.localization.surroundings import Surroundings
+from specmap_cli.recognition.localization.wall_fit import Ratio, WallFit
+from specmap_cli.recognition.localization.walls import WallCheck
 
 CONFIG = LocalizationConfig()
 
@@ -45,7 +48,18 @@ class Counted:
 def walls_of(building: Any, **settings: float) -> tuple[WallCheck, Counted]:
     config, field = LocalizationConfig.model_validate(settings), Counted(building)
     grids = dict.fromkeys((7, 8, 9), field.grid)
-    return WallCheck(grids, field, Ratio(None, config), config), field
+    return check(grids, field, config), field
+
+
+def check(
+    grids: Mapping[int, GridMap],
+    field: Callable[[int], ScoreField],
+    config: LocalizationConfig,
+    frames: dict[int, Pose2] | None = None,
+) -> WallCheck:
+    around = Surroundings(grids, {}, {})
+    around.field = around.own = field  # type: ignore[method-assign]
+    return WallCheck(WallFit(grids, around, Ratio(None, config), config, frames), config)
 
 
 @pytest.mark.parametrize("typical", [0.0, 0.06, 0.3])
@@ -155,7 +169,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         made.append(given)
         return search_everywhere(*given, **more)
 
-    module = "specmap_cli.recognition.localization.walls.search_everywhere"
+    module = "specmap_cli.recognition.localization.wall_fit.search_everywhere"
     monkeypatch.setattr(module, counting)
     return made
 
@@ -165,7 +179,7 @@ def rooms_of(building: Any, frames: dict[int, Pose2] | None = None, **settings: 
     config = LocalizationConfig.model_validate(settings)
     grids = {room: building.walk(room, 0, "pairs").grid for room in range(4)}
     fields = {room: ScoreField.from_grid(grid) for room, grid in grids.items()}
-    return WallCheck(grids, fields.__getitem__, Ratio(None, config), config, frames)
+    return check(grids, fields.__getitem__, config, frames)
 
 
 def test_a_standing_robot_has_one_submap_after_the_other_searched(building: Any) -> None:
@@ -249,7 +263,8 @@ def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
     for order in ([wrong, right], [right, wrong]):
         walls, _ = walls_of(building)
         monkeypatch.setattr(
-            "specmap_cli.recognition.localization.walls._anywhere", lambda *_, o=order: o
+            "specmap_cli.recognition.localization.wall_fit._searched",
+            lambda *_, o=order: [Match(pose, 1.0) for pose in o],
         )
         said = walls.unknown(posed(scan, Pose2(*pose[0].tolist())), scan, [7])
         assert said is not None
@@ -266,7 +281,7 @@ def test_returns_where_the_map_saw_nothing_count_less(building: Any) -> None:
         half = GridMap(cells, field.grid.resolution, field.grid.origin)
         field.walls = ScoreField.from_grid(half)
         config = LocalizationConfig(unseen_weight=weight)
-        walls = WallCheck({7: half}, field, Ratio(None, config), config)
+        walls = check({7: half}, field, config)
         pose = building.path(0, 3)[:1]
         scan = building.scans(pose)[0]
         ratios.append(walls.unknown(posed(scan, Pose2(*pose[0].tolist())), scan, [7]))

@@ -1,0 +1,175 @@
+"""Several places followed at once, until one leads: the walls tell look-alikes apart by the way.
+
+Each hypothesis is moved by the robot's motion, matched with the walls, carried into the next submap
+by the layout, and weighed by the walls and by the filter. A submap that was not searched yet counts
+against all of them with the chance that the filter gives it. So it is searched, and only then is a
+place believed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import PosedScan
+from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.recognition.localization.filtering import SMALLEST
+from specmap_cli.recognition.localization.hypotheses import Hypothesis, bounded, worth_following
+from specmap_cli.recognition.localization.leads import Lead
+from specmap_cli.recognition.localization.owners import Owners
+from specmap_cli.recognition.localization.place import Place
+from specmap_cli.recognition.localization.wall_fit import Fitted, View, WallFit
+
+_MOST = 8  # places followed at once: each costs a match a look
+# Power of the filter's odds: it sums views that are nearly the same, and may be sure of a mistake
+# for metres.
+_TEMPER = 0.25
+_MISSED = 0.1  # chance that a search does not find the place: people, and things that were moved
+_LEAST_CHANCE = 0.005  # of a submap that is searched
+_SLACK = 1.0  # log likelihood by which a place may fit worse in the next submap, and cross over
+
+
+class PlaceTracker:
+    """The places where the robot may be, in a map whose submaps are `ids`.
+
+    `lead` is the one that leads, in the last scan: None where none does clearly, or where the walls
+    speak against it.
+    """
+
+    def __init__(
+        self, ids: Sequence[int], fit: WallFit, owners: Owners, config: LocalizationConfig
+    ) -> None:
+        self.ids = list(ids)
+        self.fit = fit
+        self.owners = owners
+        self.config = config
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget every place: the next pose has nothing to do with the last one."""
+        self.lead: Lead | None = None
+        self.hypotheses: list[Hypothesis] = []
+        self._searched: dict[int, float] = {}  # where on the way each submap was
+        self._driven_m, self._new = 0.0, 1.0  # the way, and the share of a view that is new on it
+        self._at: Pose2 | None = None
+
+    def update(
+        self, posed: PosedScan, view: View | None, sought: Sequence[Fitted], belief: FloatArray
+    ) -> FloatArray:
+        """(m,) probabilities of the submaps by the places, given those by the filter, `belief`.
+
+        `view` is what is matched of the scan, None where nothing is; `sought` are places that were
+        found for it. Call for successive scans.
+        """
+        if not posed.lost:
+            self._drive(posed.map_from_base)
+        if view is not None:
+            self._look(view, sought, belief)
+        chances = self._chances(belief)
+        self.lead = None if posed.lost else self._leading(chances)
+        return self._labelled(posed.map_from_base, chances, belief)
+
+    def _drive(self, map_from_base: Pose2) -> None:
+        """Take in where the scan was taken."""
+        if self._at is not None:
+            step = self._at.inverse() @ map_from_base
+            self._driven_m += step.distance
+            self._new += step.distance / self.config.independent_m
+            self._new += abs(step.theta) / self.config.independent_rad
+        self._at = map_from_base
+
+    def _look(self, view: View, sought: Sequence[Fitted], belief: FloatArray) -> None:
+        """Weigh all places by one more view, and search for others while none of them leads.
+
+        Where nothing fits, `sought` is what is searched for.
+        """
+        share, self._new = min(1.0, self._new), 0.0
+        followed = [self._followed(view, each, share) for each in self.hypotheses]
+        self._searched |= {each.place.submap: self._driven_m for each in sought}
+        self._keep(followed, sought, belief)
+        for submap in self._due(belief):
+            unrivalled = self._chances(belief).max(initial=0.0) >= self.config.lead
+            if unrivalled or not any(each.fitted.fits_around for each in self.hypotheses):
+                break
+            self._searched[submap] = self._driven_m
+            self._keep(self.hypotheses, self.fit.anywhere(view, submap), belief)
+
+    def _followed(self, view: View, before: Hypothesis, share: float) -> Hypothesis:
+        """A hypothesis after one more view: in the next submap, where that is entered."""
+        here = self.fit.followed(view, before.place, before.place.submap)
+        assert here is not None  # the same submap
+        owner = self.owners.of(here.place.submap, here.place.pose)
+        if owner == here.place.submap:
+            return before.seen(here, share, None)
+        there = self.fit.followed(view, before.place, owner)
+        if there is None or there.against_around > here.against_around + _SLACK:
+            return before.seen(here, share, owner)
+        return before.seen(there, share, None)
+
+    def _keep(
+        self, known: Sequence[Hypothesis], found: Sequence[Fitted], belief: FloatArray
+    ) -> None:
+        """Go on with the likeliest of the known places and of those found that fit.
+
+        No more is remembered in favour of a place than a leap away from it is unlikely.
+        """
+        born = [Hypothesis.born(fitted) for fitted in found if fitted.fits_around]
+        all_ = bounded([*known, *born], -math.log(self.config.leap))
+        self.hypotheses = worth_following(all_, self.fit.frames)
+        chances = self._chances(belief)
+        best = np.argsort(-chances, kind="stable")[:_MOST]
+        self.hypotheses = [self.hypotheses[k] for k in best.tolist()]
+
+    def _due(self, belief: FloatArray) -> list[int]:
+        """The submaps to search next, the likeliest first; none when all were searched."""
+        prior = self._prior(belief)
+        due = [k for k in np.argsort(-prior, kind="stable").tolist() if prior[k] >= _LEAST_CHANCE]
+        return [self.ids[k] for k in due if not self._is_searched(self.ids[k])][
+            : self.config.fit_submaps
+        ]
+
+    def _is_searched(self, submap: int) -> bool:
+        """Whether a submap was searched for what is seen now."""
+        at = self._searched.get(submap, -math.inf)
+        return self._driven_m - at < self.config.window_m
+
+    def _prior(self, belief: FloatArray) -> FloatArray:
+        """(m,) chances of the submaps by the filter, its odds tempered."""
+        tempered = np.array([max(chance, SMALLEST) ** _TEMPER for chance in belief.tolist()])
+        return np.asarray(tempered / tempered.sum())
+
+    def _chances(self, belief: FloatArray) -> FloatArray:
+        """(n,) probabilities of the hypotheses; what they lack to one is that of all else."""
+        prior = dict(zip(self.ids, self._prior(belief).tolist(), strict=True))
+        heavy = [math.exp(h.weight) * prior[h.place.submap] for h in self.hypotheses]
+        rest = sum(p * (_MISSED if self._is_searched(i) else 1.0) for i, p in prior.items())
+        return np.array(heavy) / (sum(heavy) + rest)
+
+    def _leading(self, chances: FloatArray) -> Lead | None:
+        """The place that leads clearly and fits."""
+        if not len(chances):
+            return None
+        best = int(chances.argmax())
+        leader = self.hypotheses[best]
+        if chances[best] < self.config.lead or not leader.fitted.fits_around:
+            return None
+        return Lead(leader.place, float(chances[best]))
+
+    def _labelled(
+        self, map_from_base: Pose2, chances: FloatArray, belief: FloatArray
+    ) -> FloatArray:
+        """(m,) probabilities of the submaps: of the places, and of the filter for all else."""
+        known = float(belief.sum())
+        mixed = (1.0 - float(chances.sum())) * belief
+        for each, chance in zip(self.hypotheses, chances.tolist(), strict=True):
+            owner = self.owner(each.place.moved(map_from_base))
+            owner = each.place.submap if owner == each.refused else owner
+            mixed[self.ids.index(owner)] += chance * known
+        return np.asarray(mixed)
+
+    def owner(self, place: Place) -> int:
+        """The submap that a place belongs to."""
+        return self.owners.of(place.submap, place.pose)

@@ -1,0 +1,181 @@
+"""How well a view fits the walls of a submap: where motion leads, and anywhere.
+
+In its own place nearly all of its returns lie on walls, elsewhere hardly ever.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.grids.gridmap import UNKNOWN, GridMap
+from specmap_cli.grids.matching import Match, ScoreField, refine, search_everywhere
+from specmap_cli.recognition.learning.misfit import HeldOutMisfit, near_returns, pooled
+from specmap_cli.recognition.localization.place import Place
+from specmap_cli.recognition.localization.sight import Sightlines
+from specmap_cli.recognition.localization.surroundings import Surroundings
+
+_LEAST_POINTS = 10  # fewer fit anywhere
+_OFF = 0.95  # a point that much off is a quarter of a metre from walls: behind none by noise
+# Of the search, coarse: what it finds within 0.3 m and a few degrees is mended by the refinement.
+_STEP_M, _STEP_RAD, _PLACES = 0.3, math.radians(5.0), 4
+
+
+class Ratio:
+    """Log likelihood of unknown over known, by the misfit of a scan; never past `fit_most`.
+
+    Misfits in known places are exponential, of the mean that the map's own views had; in other
+    places, where they fit best, they are normal. What fits worse than those on average is no more
+    of a known place for it.
+    """
+
+    def __init__(self, held_out: HeldOutMisfit | None, config: LocalizationConfig) -> None:
+        self.known = pooled(held_out, config)
+        self.config = config
+
+    def of(self, misfit: float) -> float:
+        """The log likelihood at a misfit in [0, 1]; it never falls with it."""
+        foreign, spread = self.config.foreign_misfit, self.config.foreign_misfit_spread
+        off = (min(misfit, foreign) - foreign) / spread
+        unknown = -0.5 * off**2 - math.log(spread * math.sqrt(2.0 * math.pi))
+        known = -misfit / self.known - math.log(self.known)
+        return min(max(unknown - known, -self.config.fit_most), self.config.fit_most)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What is matched of a scan: `points` (N, 2) of all that was seen, `own` (N, 2) of it alone.
+
+    Both are in the base frame, as far as `fit_range_m`.
+    """
+
+    posed: PosedScan
+    points: FloatArray
+    own: FloatArray
+
+    @classmethod
+    def of(cls, posed: PosedScan, seen: PlanarScan, reach_m: float) -> View | None:
+        """The view of a scan, of which all that was `seen` of late; None if it shows too little."""
+        laser = posed.base_from_laser
+        points, own = (laser.apply(near_returns(each, reach_m)) for each in (seen, posed.planar))
+        return None if posed.lost or len(points) < _LEAST_POINTS else cls(posed, points, own)
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A place where a view may be from, and what walls say there.
+
+    `against` is the log likelihood of unknown over known, by the walls that the submap saw itself,
+    `against_around` with those of its neighbours. Below nought, the view fits. The first tells best
+    whether a view is from the map at all, the second from where.
+    """
+
+    place: Place
+    against: float
+    against_around: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether the place is more likely than none of the map."""
+        return self.against < 0.0
+
+    @property
+    def fits_around(self) -> bool:
+        """Whether it is so by all walls."""
+        return self.against_around < 0.0
+
+
+class WallFit:
+    """Fits views to the walls of submaps, of which `grids` hold what was seen from them.
+
+    `frames` are the frames of the grids in the layout, where it is known.
+    """
+
+    def __init__(
+        self,
+        grids: Mapping[int, GridMap],
+        around: Surroundings,
+        ratio: Ratio,
+        config: LocalizationConfig,
+        frames: Mapping[int, Pose2] | None = None,
+    ) -> None:
+        self.around = around
+        self.ratio = ratio
+        self.config = config
+        self.frames = frames or {}
+        self._sight = Sightlines(grids, config.fit_range_m)
+        self._view: View | None = None
+        self._followed: dict[tuple[Place, int], Fitted | None] = {}
+
+    def followed(self, view: View, before: Place, submap: int) -> Fitted | None:
+        """Where a view is in a submap to which motion leads from a place; None: it is not known.
+
+        It is worked out once a view, whoever asks.
+        """
+        if view is not self._view:
+            self._view, self._followed = view, {}
+        key = before, submap
+        if key not in self._followed:
+            guess = before.led_to(submap, view.posed.map_from_base, self.frames)
+            self._followed[key] = None if guess is None else self._near(view, submap, guess)
+        return self._followed[key]
+
+    def anywhere(self, view: View, submap: int) -> list[Fitted]:
+        """The places in a submap that fit best, the best first; at least one.
+
+        The best by the field alone may be wrong: it does not know where the map saw nothing.
+        """
+        guesses = [match.pose for match in _searched(self.around.field(submap), view.points)] or [
+            IDENTITY
+        ]
+        found = [self._refined(view, view.points, submap, guess) for guess in guesses]
+        return sorted(found, key=attrgetter("against"))
+
+    def _near(self, view: View, submap: int, guess: Pose2) -> Fitted:
+        """The place near a guess.
+
+        Where all that was seen of late does not fit, the scan alone may: legs of chairs and tables,
+        which hide behind each other, are in the one and hardly in the map.
+        """
+        fitted = self._refined(view, view.points, submap, guess)
+        if fitted.fits or len(view.own) < _LEAST_POINTS:
+            return fitted
+        alone = self._refined(view, view.own, submap, guess)
+        return min(fitted, alone, key=attrgetter("against"))
+
+    def _refined(self, view: View, points: FloatArray, submap: int, guess: Pose2) -> Fitted:
+        """The place near a guess where points (N, 2) fit best."""
+        around = self.around.field(submap)
+        match = refine(around, points, guess)
+        place = Place(submap, match.pose, view.posed.map_from_base)
+        behind = self._behind(view.posed, place)
+        own, all_ = (
+            self.ratio.of(1.0 - self._on_walls(field, points, place) * (1.0 - behind))
+            for field in (self.around.own(submap), around)
+        )
+        return Fitted(place, own, all_)
+
+    def _on_walls(self, field: ScoreField, points: FloatArray, place: Place) -> float:
+        """Share of points (N, 2) on walls; those where the map saw nothing count less."""
+        placed = place.pose.apply(points)
+        off = 1.0 - np.asarray(field.at(placed), dtype=np.float64)
+        unseen = (self._sight.grids[place.submap].values_at(placed) == UNKNOWN) & (off > _OFF)
+        return 1.0 - float(np.mean(np.where(unseen, self.config.unseen_weight, 1.0) * off))
+
+    def _behind(self, posed: PosedScan, place: Place) -> float:
+        """Share of a scan behind walls, beyond what doors, people and moved things explain."""
+        usual = self.config.behind_usual
+        behind = self._sight.behind(place.submap, posed, place.pose) - usual
+        return max(0.0, behind) / (1.0 - usual)
+
+
+def _searched(field: ScoreField, points: FloatArray) -> list[Match]:
+    """Where points (N, 2) may lie anywhere on a field."""
+    return search_everywhere(field, points, count=_PLACES, step=_STEP_M, angle_step=_STEP_RAD)

@@ -1,0 +1,224 @@
+"""Several places at once: look-alikes are told apart by the way, and a carried robot is found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.ray_casting import cast_rays
+from specmap_cli.recognition.learning.misfit import HeldOutMisfit
+from specmap_cli.recognition.localization.owners import Owners
+from specmap_cli.recognition.localization.surroundings import Surroundings
+from specmap_cli.recognition.localization.tracking import PlaceTracker
+from specmap_cli.recognition.localization.wall_fit import Ratio, View, WallFit
+
+CONFIG = LocalizationConfig()
+CELL_M = 0.05
+IDS = (0, 1, 2)
+FRAMES = {0: Pose2(0.0, 0.0, 0.0), 1: Pose2(6.0, 0.0, 0.0), 2: Pose2(12.0, 0.0, 0.0)}
+EVEN = np.full(3, 1.0 / 3.0)
+BOX = np.array([0.2, 0.2, 0.6])
+
+
+def room(niche: bool, box: bool) -> GridMap:
+    """A room of 4 m by 5 m whose frame is in its middle; a niche and a box tell it from others."""
+    cells = np.full((112, 92), UNKNOWN, dtype=np.uint8)
+    cells[4:108, 4:88] = OCCUPIED
+    cells[6:106, 6:86] = FREE
+    if niche:
+        cells[70:95, 86:90] = FREE
+        cells[68:97, 90:92] = OCCUPIED
+    if box:
+        cells[6:18, 20:40] = OCCUPIED
+    return GridMap(cells, CELL_M, (-2.3, -2.8))
+
+
+class Home:
+    """Rooms 0 and 1 differ by a niche that only a way past it shows; room 2 has a box."""
+
+    def __init__(self, niches: tuple[bool, bool, bool] = (False, True, False)) -> None:
+        self.grids = {k: room(niche, k == 2) for k, niche in enumerate(niches)}
+        self.walls = {k: grid.obstacle_distance() for k, grid in self.grids.items()}
+        around = Surroundings(self.grids, {}, FRAMES)
+        self.fit = WallFit(
+            self.grids, around, Ratio(HeldOutMisfit(0.02, 60), CONFIG), CONFIG, FRAMES
+        )
+
+    def tracker(self) -> PlaceTracker:
+        return PlaceTracker(IDS, self.fit, Owners({}, FRAMES, self.grids), CONFIG)
+
+    def scan(self, number: int, pose: Pose2, track: Pose2 | None = None) -> PosedScan:
+        """What half a circle sees at a pose in a room; `track` is where registration puts it."""
+        bearings = np.radians(np.arange(-90.0, 90.0))
+        origins = np.tile([pose.x, pose.y], (len(bearings), 1))
+        grid = self.grids[number]
+        ranges = cast_rays(self.walls[number], grid, origins, bearings + pose.theta, 20.0)
+        planar = PlanarScan(0, bearings, ranges, 20.0, full_circle=False)
+        return PosedScan(
+            index=0,
+            stamp_ns=0,
+            map_from_base=pose if track is None else track,
+            planar=planar,
+            base_from_laser=IDENTITY,
+        )
+
+    def see(self, tracker: PlaceTracker, scan: PosedScan, belief: FloatArray = EVEN) -> FloatArray:
+        """Show a scan to a tracker; where nothing fits, it is sought in all rooms."""
+        view = View.of(scan, scan.planar, 8.0)
+        assert view is not None
+        known = tracker.hypotheses
+        followed = [self.fit.followed(view, each.place, each.place.submap) for each in known]
+        fits = any(each is not None and each.fits for each in followed)
+        sought = [] if fits else [each for k in IDS for each in self.fit.anywhere(view, k)]
+        return tracker.update(scan, view, sought, belief)
+
+
+def north(step: int) -> Pose2:
+    """Along the wall with the niche, looking at it from two metres south of it on."""
+    return Pose2(0.5, -1.8 + 0.25 * step, 0.3)
+
+
+def test_a_place_that_no_other_looks_like_leads_at_once() -> None:
+    home = Home()
+    tracker = home.tracker()
+    pose = Pose2(0.3, 0.4, -1.2)
+    belief = home.see(tracker, home.scan(2, pose))
+    assert tracker.lead is not None
+    assert tracker.lead.place.submap == 2
+    assert (pose.inverse() @ tracker.lead.place.pose).distance < 0.1
+    assert belief.argmax() == 2
+    assert belief.sum() == pytest.approx(1.0)
+
+
+def test_none_of_two_look_alikes_leads() -> None:
+    home = Home(niches=(False, False, False))
+    tracker = home.tracker()
+    for step in range(12):
+        belief = home.see(tracker, home.scan(0, north(step)))
+        assert tracker.lead is None
+        assert belief[0] == pytest.approx(belief[1], rel=0.2)
+
+
+def test_the_way_tells_look_alikes_apart_even_against_the_classifiers() -> None:
+    home = Home()
+    tracker = home.tracker()
+    mistaken = np.array([0.998, 0.001, 0.001])
+    leads, labels = [], []
+    for step in range(14):
+        labels.append(int(home.see(tracker, home.scan(1, north(step)), mistaken).argmax()))
+        leads.append(tracker.lead)
+    assert all(lead is None or lead.place.submap == 1 for lead in leads)
+    assert leads[-1] is not None
+    assert labels[-1] == 1
+
+
+def test_a_robot_that_is_carried_away_has_no_pose_and_then_the_right_one() -> None:
+    home = Home()
+    tracker = home.tracker()
+    for step in range(8):
+        home.see(tracker, home.scan(1, north(step)))
+    assert tracker.lead is not None
+    wheels, given = north(8), []
+    for step in range(16):
+        pose = Pose2(-0.8 + 0.2 * step * 0.4, 1.5 - 0.2 * step, -1.4)
+        track = wheels @ (Pose2(-0.8, 1.5, -1.4).inverse() @ pose)
+        belief = home.see(tracker, home.scan(2, pose, track))
+        given.append(None if tracker.lead is None else tracker.lead.place)
+        if given[-1] is not None:
+            assert given[-1].submap == 2
+            assert (pose.inverse() @ given[-1].pose).distance < 0.15
+    assert given[0] is None
+    assert given[-1] is not None
+    assert belief.argmax() == 2
+
+
+def test_a_restart_forgets_all_places() -> None:
+    home = Home()
+    tracker = home.tracker()
+    home.see(tracker, home.scan(2, Pose2(0.3, 0.4, -1.2)), BOX)
+    assert tracker.lead is not None
+    tracker.restart()
+    assert tracker.lead is None
+    assert not tracker.hypotheses
+    assert tracker.update(home.scan(2, IDENTITY), None, [], EVEN).tolist() == EVEN.tolist()
+
+
+def test_a_lost_scan_has_no_place_but_the_next_one_has() -> None:
+    home = Home()
+    tracker = home.tracker()
+    pose = Pose2(0.3, 0.4, -1.2)
+    home.see(tracker, home.scan(2, pose), BOX)
+    lost = replace(home.scan(2, pose, Pose2(50.0, 0.0, 0.0)), lost=True)
+    tracker.update(lost, None, [], EVEN)
+    assert tracker.lead is None
+    home.see(tracker, home.scan(2, pose), BOX)
+    assert tracker.lead is not None
+
+
+def test_what_walls_said_is_remembered_no_longer_than_a_leap_is_unlikely() -> None:
+    home = Home()
+    tracker = home.tracker()
+    for step in range(40):
+        home.see(tracker, home.scan(2, Pose2(0.3, 0.4, 0.2 * step)))
+    assert tracker.hypotheses[0].weight == pytest.approx(-math.log(CONFIG.leap))
+
+
+def test_a_place_goes_over_into_the_submap_of_the_keyframes_around_it() -> None:
+    """Two submaps of one hall that both saw all of it."""
+    hall = room(niche=True, box=True)
+    frames = {0: Pose2(0.0, 0.0, 0.0), 1: Pose2(0.0, 1.0, 0.0)}
+    moved = GridMap(hall.cells, CELL_M, (hall.origin[0], hall.origin[1] - 1.0))
+    grids = {0: hall, 1: moved}
+    tracks = {0: np.array([[0.0, -1.0]]), 1: np.array([[0.0, 1.0]])}
+    around = Surroundings(grids, {0: [1], 1: [0]}, frames)
+    fit = WallFit(grids, around, Ratio(HeldOutMisfit(0.02, 60), CONFIG), CONFIG, frames)
+    tracker = PlaceTracker((0, 1), fit, Owners(tracks, frames, grids), CONFIG)
+    home, labels = Home(), list[int]()
+    home.grids[0], home.walls[0] = hall, hall.obstacle_distance()
+    for step in range(12):
+        pose = Pose2(0.0, -1.2 + 0.2 * step, 1.0)
+        scan = home.scan(0, pose)
+        belief = np.array([0.6, 0.4])
+        view = View.of(scan, scan.planar, 8.0)
+        belief = tracker.update(scan, view, [] if labels else fit.anywhere(view, 0), belief)
+        labels.append(int(belief.argmax()))
+    assert labels == [0] * 6 + [1] * 6 or labels == [0] * 7 + [1] * 5
+    assert tracker.lead is not None
+    assert tracker.lead.place.submap == 1
+    assert (frames[1] @ tracker.lead.place.pose)[:2] == pytest.approx(pose[:2], abs=0.05)
+
+
+def test_a_wall_between_keeps_a_place_in_its_submap() -> None:
+    cells = np.full((40, 60), FREE, dtype=np.uint8)
+    cells[:, 30:32] = OCCUPIED
+    grids = {0: GridMap(cells, 0.1), 1: GridMap(cells, 0.1)}
+    frames = {0: IDENTITY, 1: IDENTITY}
+    tracks = {0: np.array([[1.0, 2.0]]), 1: np.array([[3.4, 2.0]])}
+    behind = Owners(tracks, frames, grids)
+    assert behind.of(0, Pose2(2.8, 2.0, 0.0)) == 0
+    cells[15:25] = FREE
+    assert behind.of(0, Pose2(2.8, 2.0, 0.0)) == 1
+    assert behind.of(0, Pose2(2.0, 2.0, 0.0)) == 0
+    assert Owners({}, frames, grids).of(0, Pose2(2.8, 2.0, 0.0)) == 0
+    assert Owners(tracks, {}, grids).of(0, Pose2(2.8, 2.0, 0.0)) == 0
+
+
+def test_a_submap_is_surrounded_by_the_walls_of_its_neighbours() -> None:
+    """Only where it saw nothing itself, and only by those that it is joined to."""
+    own = GridMap(np.array([[FREE, UNKNOWN, UNKNOWN]], dtype=np.uint8), 1.0)
+    other = GridMap(np.array([[OCCUPIED, UNKNOWN, OCCUPIED]], dtype=np.uint8), 1.0)
+    grids, frames = {0: own, 1: other}, {0: IDENTITY, 1: IDENTITY}
+    points = np.array([[0.5, 0.5], [1.5, 0.5], [2.5, 0.5]])
+    joined = Surroundings(grids, {0: [1], 1: [0]}, frames).field(0)
+    assert joined.at(points).tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-3)
+    for adjacency, known in (({}, frames), ({0: [1]}, {})):
+        alone: Any = Surroundings(grids, adjacency, known).field(0)
+        assert alone.at(points).max() < 1e-3
