@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.data import log_file, plan, rooms_of
+from benchmarks.data import plan, rooms_of
 from benchmarks.recognition import localizer_of_tour, tour_of, tour_options
 from specmap_cli.core.config import load_config
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config
 from specmap_cli.core.tracks import path_length

@@ -49,9 +49,10 @@ def localize_log(
     """Label every scan of a recording with a submap of a stored map.
 
     `map_` is a map directory, or one that was read. Without `config` the settings are those the map
-    was built with. `offline` smooths over the whole log instead of filtering; `metric` gives the pose
-    in the filtered submap, of scans whose place is clear. Raises LogError for a recording without a usable
-    scan, InputError when its laser cannot stand in for the map's, MapError for a damaged map.
+    was built with. `offline` smooths over the whole log instead of filtering; `metric` gives poses
+    in the filtered submaps, of scans whose place is clear. Raises LogError for a recording without
+    a usable scan, InputError when its laser cannot stand in for the map's, MapError for a damaged
+    map.
     """
     progress = progress or Silent()
     given = paths_of(logs, "logs")

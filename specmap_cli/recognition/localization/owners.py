@@ -45,7 +45,7 @@ class Owners:
                 break
             keyframe = first + int((squares[first:] == nearest[k]).argmax())
             if self._is_in_sight(submap, pose, self._places[keyframe]):
-                return owner
+                return int(owner)
         return submap
 
     def _is_in_sight(self, submap: int, pose: Pose2, place: FloatArray) -> bool:

@@ -7,11 +7,7 @@ from dataclasses import dataclass
 
 from specmap_cli.core.geometry import Pose2
 
-
-_SAME_M, _SAME_RAD = (
-    0.3,
-    0.1,
-)  # two places so near are one: a match would lead from one to the other
+_SAME_M, _SAME_RAD = 0.3, 0.1  # two places so near are one
 
 
 @dataclass(frozen=True, slots=True)

@@ -146,7 +146,7 @@ class PlaceTracker:
         prior = dict(zip(self.ids, self._prior(belief).tolist(), strict=True))
         heavy = [math.exp(h.weight) * prior[h.place.submap] for h in self.hypotheses]
         rest = sum(p * (_MISSED if self._is_searched(i) else 1.0) for i, p in prior.items())
-        return np.array(heavy) / (sum(heavy) + rest)
+        return np.asarray(np.array(heavy) / (sum(heavy) + rest), dtype=np.float64)
 
     def _leading(self, chances: FloatArray) -> Lead | None:
         """The place that leads clearly and fits."""
