@@ -358,7 +358,8 @@ def test_a_robot_that_stands_in_its_room_is_found_however_long(
     assert labels[-1].filtered_probability == pytest.approx(
         labels[0].filtered_probability, abs=0.15
     )
-    assert len({round(label.filtered_probability, 6) for label in guide.smoothed()}) == 1
+    smoothed = [label.filtered_probability for label in guide.smoothed()]
+    assert max(smoothed) - min(smoothed) < 1e-3
 
 
 def test_identical_scans_leave_the_belief_as_it_was(
