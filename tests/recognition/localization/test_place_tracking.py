@@ -188,6 +188,7 @@ def test_a_place_goes_over_into_the_submap_of_the_keyframes_around_it() -> None:
         scan = home.scan(0, pose)
         belief = np.array([0.6, 0.4])
         view = View.of(scan, scan.planar, 8.0)
+        assert view is not None
         belief = tracker.update(scan, view, [] if labels else fit.anywhere(view, 0), belief)
         labels.append(int(belief.argmax()))
     assert labels == [0] * 6 + [1] * 6 or labels == [0] * 7 + [1] * 5

@@ -58,7 +58,8 @@ def check(
     frames: dict[int, Pose2] | None = None,
 ) -> WallCheck:
     around = Surroundings(grids, {}, {})
-    around.field = around.own = field  # type: ignore[method-assign]
+    for name in ("field", "own"):
+        setattr(around, name, field)
     return WallCheck(WallFit(grids, around, Ratio(None, config), config, frames), config)
 
 
