@@ -140,13 +140,14 @@ def _classifiers_alone(
 
 def _localizer(built: Built) -> Localizer:
     finished = built.finished
-    submaps = finished.topology.submaps
+    submaps, kept = finished.topology.submaps, finished.labels
     return Localizer(
         finished.classifiers,
         neighbours(finished.classifiers.ids, finished.topology.joined),
         {i: submap.grid for i, submap in submaps.items()},
         built.config.localization,
         {i: submap.map_from_submap for i, submap in submaps.items()},
+        {i: kept.poses[kept.submaps == i] for i in submaps},
     )
 
 

@@ -145,7 +145,7 @@ class Localizer:
 
     def _led(self, belief: FloatArray, lead: Lead | None) -> FloatArray:
         """(m + 1,) belief with what a lead says of the submap."""
-        if lead is None:
+        if lead is None or not self.places.owners.known:
             return belief
         led = (1.0 - lead.probability) * belief
         owner = self.filter.ids.index(self.places.owner(lead.place))

@@ -15,7 +15,8 @@ class Owners:
     """Divides a map among its submaps, of which `grids` are in the `frames` of the layout.
 
     `tracks` (n, 2 or more) are the places of the keyframes of each submap, in the map. Without
-    them, or without a frame, a place stays in the submap that it was found in.
+    them, or without a frame, a place stays in the submap that it was found in: `known` is false
+    when that is so of all.
     """
 
     def __init__(
@@ -30,6 +31,11 @@ class Owners:
         places = [tracks[i][:, :2] for i in self._ids]
         self._places = np.vstack(places) if places else np.zeros((0, 2))
         self._starts = np.cumsum([0] + [len(part) for part in places[:-1]])
+
+    @property
+    def known(self) -> bool:
+        """Whether it is known at all which places belong to which submap."""
+        return bool(self._ids) and bool(self.frames)
 
     def of(self, submap: int, pose: Pose2) -> int:
         """The submap that a pose in one belongs to."""

@@ -162,6 +162,8 @@ class PlaceTracker:
         self, map_from_base: Pose2, chances: FloatArray, belief: FloatArray
     ) -> FloatArray:
         """(m,) probabilities of the submaps: of the places, and of the filter for all else."""
+        if not self.owners.known:
+            return belief
         known = float(belief.sum())
         mixed = (1.0 - float(chances.sum())) * belief
         for each, chance in zip(self.hypotheses, chances.tolist(), strict=True):

@@ -53,7 +53,8 @@ class Home:
         )
 
     def tracker(self) -> PlaceTracker:
-        return PlaceTracker(IDS, self.fit, Owners({}, FRAMES, self.grids), CONFIG)
+        tracks = {k: np.array([[frame.x, frame.y]]) for k, frame in FRAMES.items()}
+        return PlaceTracker(IDS, self.fit, Owners(tracks, FRAMES, self.grids), CONFIG)
 
     def scan(self, number: int, pose: Pose2, track: Pose2 | None = None) -> PosedScan:
         """What half a circle sees at a pose in a room; `track` is where registration puts it."""
@@ -195,6 +196,14 @@ def test_a_place_goes_over_into_the_submap_of_the_keyframes_around_it() -> None:
     assert tracker.lead is not None
     assert tracker.lead.place.submap == 1
     assert (frames[1] @ tracker.lead.place.pose)[:2] == pytest.approx(pose[:2], abs=0.05)
+
+
+def test_where_submaps_end_is_not_known_without_tracks_and_labels_stay_the_filter_s() -> None:
+    home, belief = Home(), np.array([0.1, 0.6, 0.3])
+    tracker = PlaceTracker(IDS, home.fit, Owners({}, FRAMES, home.grids), CONFIG)
+    after = home.see(tracker, home.scan(2, Pose2(0.3, 0.4, -1.2)), belief)
+    assert tracker.lead is not None
+    np.testing.assert_array_equal(after, belief)
 
 
 def test_a_wall_between_keeps_a_place_in_its_submap() -> None:
