@@ -32,15 +32,15 @@ class Hypothesis:
     @classmethod
     def born(cls, fitted: Fitted) -> Hypothesis:
         """A place that a search found, by its first view."""
-        return cls(fitted, -fitted.against_around)
+        return cls(fitted, -fitted.against)
 
     def seen(self, fitted: Fitted, share: float, refused: int | None) -> Hypothesis:
         """After one more view, of which a `share` is new.
 
         All of it is, when the place begins to fit or no longer does.
         """
-        share = share if fitted.fits_around == self.fitted.fits_around else 1.0
-        return Hypothesis(fitted, self.weight - share * fitted.against_around, refused)
+        share = share if fitted.fits == self.fitted.fits else 1.0
+        return Hypothesis(fitted, self.weight - share * fitted.against, refused)
 
 
 def bounded(hypotheses: Sequence[Hypothesis], most: float) -> list[Hypothesis]:

@@ -75,10 +75,13 @@ class Localizer:
         frames = frames or {}
         around = Surroundings(grids, adjacency, frames)
         self.tracker = MetricTracker(around.field, config, frames)
-        fit = WallFit(grids, around, Ratio(classifiers.misfit, config), config, frames)
+        ratio = Ratio(classifiers.misfit, config)
+        fit = WallFit(grids, around, ratio, config, frames)
         owners = Owners(tracks or {}, frames, grids)
         self.places = PlaceTracker(self.filter.ids, fit, owners, config)
-        self.walls = WallCheck(fit, config)
+        # Whether a view is of the map at all is told best by the walls that each submap saw itself.
+        alone = WallFit(grids, Surroundings(grids, {}, frames), ratio, config, frames)
+        self.walls = WallCheck(alone, config)
         self._uses_walls = metric or config.unknown
         self._doubt = Doubt(self.walls, config)
         self._views = ViewGrouping(config)
@@ -121,10 +124,7 @@ class Localizer:
 
     def _placed(self, posed: PosedScan, belief: FloatArray) -> FloatArray:
         """(m + 1,) belief of the filter with what the places say that are followed."""
-        walls = self.walls
-        known = self.places.update(posed, walls.view, walls.sought, belief[:-1])
-        if self.places.lead is not None:
-            walls.follow(self.places.lead.place)
+        known = self.places.update(posed, self.walls.view, belief[:-1])
         return np.append(known, belief[-1])
 
     def smoothed(self) -> list[Label]:

@@ -30,14 +30,7 @@ class Surroundings:
         self.grids = grids
         self.adjacency = adjacency
         self.frames = frames
-        self._own: dict[int, ScoreField] = {}
         self._fields: dict[int, ScoreField] = {}
-
-    def own(self, submap: int) -> ScoreField:
-        """The walls that a submap saw itself."""
-        if submap not in self._own:
-            self._own[submap] = ScoreField.from_grid(self.grids[submap])
-        return self._own[submap]
 
     def field(self, submap: int) -> ScoreField:
         """The walls in and around a submap, as far as its grid reaches."""

@@ -56,18 +56,15 @@ class PlaceTracker:
         self._driven_m, self._new = 0.0, 1.0  # the way, and the share of a view that is new on it
         self._at: Pose2 | None = None
 
-    def update(
-        self, posed: PosedScan, view: View | None, sought: Sequence[Fitted], belief: FloatArray
-    ) -> FloatArray:
+    def update(self, posed: PosedScan, view: View | None, belief: FloatArray) -> FloatArray:
         """(m,) probabilities of the submaps by the places, given those by the filter, `belief`.
 
-        `view` is what is matched of the scan, None where nothing is; `sought` are places that were
-        found for it. Call for successive scans.
+        `view` is what is matched of the scan, None where nothing is. Call for successive scans.
         """
         if not posed.lost:
             self._drive(posed.map_from_base)
         if view is not None:
-            self._look(view, sought, belief)
+            self._look(view, belief)
         chances = self._chances(belief)
         self.lead = None if posed.lost else self._leading(chances)
         return self._labelled(posed.map_from_base, chances, belief)
@@ -81,18 +78,13 @@ class PlaceTracker:
             self._new += abs(step.theta) / self.config.independent_rad
         self._at = map_from_base
 
-    def _look(self, view: View, sought: Sequence[Fitted], belief: FloatArray) -> None:
-        """Weigh all places by one more view, and search for others while none of them leads.
-
-        Where nothing fits, `sought` is what is searched for.
-        """
+    def _look(self, view: View, belief: FloatArray) -> None:
+        """Weigh all places by one more view, and search for others while none of them leads."""
         share, self._new = min(1.0, self._new), 0.0
         followed = [self._followed(view, each, share) for each in self.hypotheses]
-        self._searched |= {each.place.submap: self._driven_m for each in sought}
-        self._keep(followed, sought, belief)
+        self._keep(followed, [], belief)
         for submap in self._due(belief):
-            unrivalled = self._chances(belief).max(initial=0.0) >= self.config.lead
-            if unrivalled or not any(each.fitted.fits_around for each in self.hypotheses):
+            if self._chances(belief).max(initial=0.0) >= self.config.lead:
                 break
             self._searched[submap] = self._driven_m
             self._keep(self.hypotheses, self.fit.anywhere(view, submap), belief)
@@ -105,7 +97,7 @@ class PlaceTracker:
         if owner == here.place.submap:
             return before.seen(here, share, None)
         there = self.fit.followed(view, before.place, owner)
-        if there is None or there.against_around > here.against_around + _SLACK:
+        if there is None or there.against > here.against + _SLACK:
             return before.seen(here, share, owner)
         return before.seen(there, share, None)
 
@@ -116,7 +108,7 @@ class PlaceTracker:
 
         No more is remembered in favour of a place than a leap away from it is unlikely.
         """
-        born = [Hypothesis.born(fitted) for fitted in found if fitted.fits_around]
+        born = [Hypothesis.born(fitted) for fitted in found if fitted.fits]
         all_ = bounded([*known, *born], -math.log(self.config.leap))
         self.hypotheses = worth_following(all_, self.fit.frames)
         chances = self._chances(belief)
@@ -132,9 +124,10 @@ class PlaceTracker:
         ]
 
     def _is_searched(self, submap: int) -> bool:
-        """Whether a submap was searched for what is seen now."""
-        at = self._searched.get(submap, -math.inf)
-        return self._driven_m - at < self.config.window_m
+        """Whether a submap was searched for what is seen now: the sooner again if nothing fits."""
+        fits = any(each.fitted.fits for each in self.hypotheses)
+        reach_m = self.config.window_m if fits else self.config.fit_search_m
+        return self._driven_m - self._searched.get(submap, -math.inf) < reach_m
 
     def _prior(self, belief: FloatArray) -> FloatArray:
         """(m,) chances of the submaps by the filter, its odds tempered."""
@@ -154,7 +147,7 @@ class PlaceTracker:
             return None
         best = int(chances.argmax())
         leader = self.hypotheses[best]
-        if chances[best] < self.config.lead or not leader.fitted.fits_around:
+        if chances[best] < self.config.lead or not leader.fitted.fits:
             return None
         return Lead(leader.place, float(chances[best]))
 

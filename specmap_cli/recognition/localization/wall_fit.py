@@ -72,24 +72,16 @@ class View:
 class Fitted:
     """A place where a view may be from, and what walls say there.
 
-    `against` is the log likelihood of unknown over known, by the walls that the submap saw itself,
-    `against_around` with those of its neighbours. Below nought, the view fits. The first tells best
-    whether a view is from the map at all, the second from where.
+    `against` is the log likelihood of unknown over known. Below nought, the view fits.
     """
 
     place: Place
     against: float
-    against_around: float
 
     @property
     def fits(self) -> bool:
         """Whether the place is more likely than none of the map."""
         return self.against < 0.0
-
-    @property
-    def fits_around(self) -> bool:
-        """Whether it is so by all walls."""
-        return self.against_around < 0.0
 
 
 class WallFit:
@@ -152,15 +144,11 @@ class WallFit:
 
     def _refined(self, view: View, points: FloatArray, submap: int, guess: Pose2) -> Fitted:
         """The place near a guess where points (N, 2) fit best."""
-        around = self.around.field(submap)
-        match = refine(around, points, guess)
-        place = Place(submap, match.pose, view.posed.map_from_base)
+        field = self.around.field(submap)
+        place = Place(submap, refine(field, points, guess).pose, view.posed.map_from_base)
         behind = self._behind(view.posed, place)
-        own, all_ = (
-            self.ratio.of(1.0 - self._on_walls(field, points, place) * (1.0 - behind))
-            for field in (self.around.own(submap), around)
-        )
-        return Fitted(place, own, all_)
+        misfit = 1.0 - self._on_walls(field, points, place) * (1.0 - behind)
+        return Fitted(place, self.ratio.of(misfit))
 
     def _on_walls(self, field: ScoreField, points: FloatArray, place: Place) -> float:
         """Share of points (N, 2) on walls; those where the map saw nothing count less."""

@@ -20,7 +20,7 @@ class WallCheck:
     """How well successive scans fit the walls of submaps.
 
     `found` tells whether the last scan was found by a search, `view` what was matched of it (None
-    where it was not looked at), `sought` the places that a search found for it.
+    where it was not looked at).
     """
 
     def __init__(self, fit: WallFit, config: LocalizationConfig) -> None:
@@ -28,7 +28,6 @@ class WallCheck:
         self.config = config
         self.found = False
         self.view: View | None = None
-        self.sought: list[Fitted] = []
         self._place: Place | None = None
         self._patience = _Patience(config)
 
@@ -36,11 +35,6 @@ class WallCheck:
         """Forget the place: the next pose has nothing to do with the last one."""
         self._place = None
         self._patience = _Patience(self.config)
-
-    def follow(self, place: Place) -> None:
-        """Follow a place from now on if it is the same, as known in the submap newly entered."""
-        if self._place is not None and place.is_same(self._place, self.fit.frames):
-            self._place = place
 
     def unknown(self, posed: PosedScan, seen: PlanarScan, likely: Sequence[int]) -> float | None:
         """Log likelihood of unknown over `likely` submaps, in their order; None: nothing is known.
@@ -50,7 +44,7 @@ class WallCheck:
         some motion. All else is sought, in one submap after the other until it fits, but not at
         every scan: a search takes longer than the rest.
         """
-        self.found, self.view, self.sought = False, None, []
+        self.found, self.view = False, None
         self._patience.drive(posed.map_from_base)
         before = self._place
         if before is not None and self._drives_on(before, posed.map_from_base):
@@ -86,9 +80,7 @@ class WallCheck:
             if before is not None and submap != before.submap:
                 said = self.fit.followed(view, before, submap)
             if said is None or not said.fits:
-                found = self.fit.anywhere(view, submap)
-                self.sought += found
-                said = found[0]
+                said = self.fit.anywhere(view, submap)[0]
             if best is None or said.against < best.against:
                 best = said
             if said.fits:

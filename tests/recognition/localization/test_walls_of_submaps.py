@@ -58,8 +58,7 @@ def check(
     frames: dict[int, Pose2] | None = None,
 ) -> WallCheck:
     around = Surroundings(grids, {}, {})
-    for name in ("field", "own"):
-        setattr(around, name, field)
+    around.field = field  # type: ignore[method-assign, assignment]
     return WallCheck(WallFit(grids, around, Ratio(None, config), config, frames), config)
 
 
