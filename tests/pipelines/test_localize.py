@@ -146,16 +146,21 @@ def test_classifiers_of_other_submaps_are_refused(
         localize_log(flat_log.log, StoredMap(stored.path, fewer))
 
 
+def without(stored: StoredMap, part: str, folder: Path) -> Path:
+    """A copy of a map as a version made it that did not keep this part of the classifiers yet."""
+    older = folder / "older"
+    shutil.copytree(stored.path, older)
+    data = json.loads((older / CLASSIFIERS).read_text())
+    assert data.pop(part)["views"] > 20
+    (older / CLASSIFIERS).write_text(json.dumps(data))
+    return older
+
+
 def test_a_map_without_the_misfit_of_its_own_scans_is_used_and_noted(
     flat_log: SimulationResult, stored: StoredMap, tmp_path: Path
 ) -> None:
     """Maps made before it was kept: what is missing is said in one line."""
-    older = tmp_path / "older"
-    shutil.copytree(stored.path, older)
-    data = json.loads((older / CLASSIFIERS).read_text())
-    assert data["misfit"]["views"] > 20
-    del data["misfit"]
-    (older / CLASSIFIERS).write_text(json.dumps(data))
+    older = without(stored, "misfit", tmp_path)
     progress = Notes()
     old = StoredMap(older, stored.record, note="it lacks keyframes")
     report = localize_log(flat_log.log, old, progress=progress)
@@ -170,12 +175,7 @@ def test_a_map_without_the_misfit_of_its_own_scans_is_used_and_noted(
 def test_a_map_that_does_not_say_how_sure_its_classifiers_are_is_used_and_told_of(
     flat_log: SimulationResult, stored: StoredMap, metric: LocalizationReport, tmp_path: Path
 ) -> None:
-    older = tmp_path / "older"
-    shutil.copytree(stored.path, older)
-    data = json.loads((older / CLASSIFIERS).read_text())
-    assert data["calibration"]["views"] > 20
-    del data["calibration"]
-    (older / CLASSIFIERS).write_text(json.dumps(data))
+    older = without(stored, "calibration", tmp_path)
     report = localize_log(flat_log.log, StoredMap(older, stored.record))
     told = [warning for warning in report.as_dict()["warnings"] if "how sure" in warning]
     assert told == [

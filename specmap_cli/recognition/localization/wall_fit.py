@@ -103,21 +103,11 @@ class WallFit:
         self.config = config
         self.frames = frames or {}
         self._sight = Sightlines(grids, config.fit_range_m)
-        self._view: View | None = None
-        self._followed: dict[tuple[Place, int], Fitted | None] = {}
 
     def followed(self, view: View, before: Place, submap: int) -> Fitted | None:
-        """Where a view is in a submap to which motion leads from a place; None: it is not known.
-
-        It is worked out once a view, whoever asks.
-        """
-        if view is not self._view:
-            self._view, self._followed = view, {}
-        key = before, submap
-        if key not in self._followed:
-            guess = before.led_to(submap, view.posed.map_from_base, self.frames)
-            self._followed[key] = None if guess is None else self._near(view, submap, guess)
-        return self._followed[key]
+        """Where a view is in a submap to which motion leads from a place; None: it is not known."""
+        guess = before.led_to(submap, view.posed.map_from_base, self.frames)
+        return None if guess is None else self._near(view, submap, guess)
 
     def anywhere(self, view: View, submap: int) -> list[Fitted]:
         """The places in a submap that fit best, the best first; at least one.
