@@ -9,7 +9,7 @@ from typing import Any
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.config import load_config, with_overrides
-from specmap_cli.core.errors import LogError, MapError
+from specmap_cli.core.errors import SETTING, LogError, MapError, UsageError
 from specmap_cli.core.labels import neighbours
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PosedScan
@@ -52,7 +52,7 @@ def localize_log(
     was built with. `offline` smooths over the whole log instead of filtering; `metric` gives poses
     in the filtered submaps, of scans whose place is clear. Raises LogError for a recording without
     a usable scan, InputError when its laser cannot stand in for the map's, MapError for a damaged
-    map.
+    map, UsageError when `metric` is wanted of settings that leave the walls out.
     """
     progress = progress or Silent()
     given = paths_of(logs, "logs")
@@ -61,6 +61,7 @@ def localize_log(
     stored = _opened(map_, config, progress)
     config = settings_for(stored, {}) if config is None else config
     check_feature_sets(config)
+    _check_walls(config, metric)
     localizer = localizer_of(stored, config, metric=metric)
     if config.localization.unknown and localizer.classifiers.misfit is None:
         progress.note(f"{stored.path}: {_NO_MISFIT}")
@@ -81,6 +82,16 @@ def localize_log(
             progress.warn(warning)
         name = legible(Path(log.name).name)
         return LocalizationReport(log=name, scans=scans, warnings=warnings, names=stored.names)
+
+
+def _check_walls(config: Config, metric: bool) -> None:
+    """Raise UsageError when poses are wanted, but no walls to find them by."""
+    if metric and not config.localization.fit_submaps:
+        raise UsageError(
+            "localization.fit_submaps: 0 leaves out the walls, by which poses are found: "
+            "raise it, or leave out --metric",
+            code=SETTING,
+        )
 
 
 def _opened(map_: StoredMap | Path | str, config: Config | None, progress: Progress) -> StoredMap:

@@ -132,6 +132,13 @@ def test_the_settings_are_the_map_s_but_topics_are_the_log_s(stored: StoredMap) 
     assert config.log == LogConfig()
 
 
+def test_poses_without_walls_are_refused(flat_log: SimulationResult, stored: StoredMap) -> None:
+    """Poses are found by the walls: none would be given, without a word why."""
+    config = settings_for(stored, {"localization": {"fit_submaps": 0}})
+    with pytest.raises(UsageError, match=r"localization\.fit_submaps: 0 .*--metric"):
+        localize_log(flat_log.log, stored, config, metric=True)
+
+
 def test_a_log_without_a_usable_scan_is_refused(stored: StoredMap, tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no such file"):
         localize_log(tmp_path / "gone.mcap", stored)
