@@ -23,7 +23,8 @@ class ExpectedMotion:
     `motion` is odometry's when it was `measured`, else `carried`: the motion before carried on.
     `during` is the motion to de-skew with. `jumped` tells of an odometry increment too large to be
     a motion, `shortened` of a motion before that was too large to be carried on as it was. `hole`:
-    much more time went by than between other sweeps.
+    much more time went by than between other sweeps. `unheard_of`: odometry reports a turn that is
+    larger than those that walls have confirmed.
     """
 
     motion: Pose2
@@ -34,6 +35,7 @@ class ExpectedMotion:
     jumped: bool
     shortened: bool
     hole: bool = False
+    unheard_of: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +98,7 @@ class MotionModel:
             shortened=(not measured and carried != self._last)
             or (timed and during != self._steady()),
             hole=hole,
+            unheard_of=increment is not None and abs(increment.theta) > self._limits().theta,
         )
 
     def conclude(self, motion: Pose2, *, confirmed: bool = False) -> None:
@@ -139,10 +142,14 @@ class MotionModel:
 
         The settings limit it until walls have confirmed larger motions.
         """
+        limits = self._limits()
+        return Pose2(*(max(-m, min(m, v)) for v, m in zip(motion, limits, strict=True)))
+
+    def _limits(self) -> Pose2:
+        """The longest motion that may be carried on, in each direction; none is negative."""
         config, largest = self._config, self._largest
-        limits = (
+        return Pose2(
             max(config.carried_forward_m, _FASTER * largest.forward_m[1]),
             max(config.carried_sideways_m, _FASTER * largest.sideways_m[1]),
             max(config.carried_rad, _FASTER * largest.turn_rad[1]),
         )
-        return Pose2(*(max(-m, min(m, v)) for v, m in zip(motion, limits, strict=True)))

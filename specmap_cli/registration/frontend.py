@@ -28,7 +28,12 @@ from specmap_cli.registration.judgement import Verdict, judge
 from specmap_cli.registration.local_map import LocalMap
 from specmap_cli.registration.locating import locate
 from specmap_cli.registration.methods import aligner_factory
-from specmap_cli.registration.prospect import Prospect, best_guess, reversed_guess
+from specmap_cli.registration.prospect import (
+    Prospect,
+    best_guess,
+    reversed_guess,
+    unturned_guess,
+)
 from specmap_cli.registration.reliance import Reliance
 from specmap_cli.registration.scene import Fit, Scene
 from specmap_cli.registration.sweep_view import SweepView, view_of
@@ -130,6 +135,7 @@ class FrontEnd:
             by_motion=track.by_motion if expected.measured else track.carried_on,
             reliance=track.reliance,
             reverse=reversed_guess(before, expected),
+            unturned=unturned_guess(before, expected),
         )
         located = locate(scene, prospect)
         verdict = judge(located, prospect.guess, self.config, measured=expected.measured)

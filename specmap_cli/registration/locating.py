@@ -60,6 +60,7 @@ def locate(scene: Scene, prospect: Prospect) -> Located:
         found = scene.search(guess, window, kernels, bounds)
         fit = _better(scene, prospect, fit, found, guess)
         fit = _backed_up(scene, prospect, fit)
+        fit = _unturned(scene, prospect, fit)
     wide = doubted and _calls_for_wide_search(scene, prospect, fit)
     if wide:
         wider = (_WIDER * kernels[0], *kernels)
@@ -175,7 +176,7 @@ def _better(scene: Scene, prospect: Prospect, fit: Fit, found: Fit, place: Float
     that does not agree: new walls that lie on old ones somewhere else do not prove it. Where hardly
     any wall is new, it is given up for a place that fits better by so much that odometry errs so.
     """
-    if not (prospect.trusted and prospect.agrees(fit) and not prospect.agrees(found)):
+    if not (prospect.agrees(fit) and prospect.denies(found)):
         return fit.or_better(found)
     support = scene.support(fit.planar)
     if support.share < _NEARLY_ALL:
@@ -206,6 +207,19 @@ def _backed_up(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
         if found.score >= BEYOND_DOUBT:
             fit = _better(scene, prospect, fit, found, place)
     return fit
+
+
+def _unturned(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
+    """A poor result, or the place without odometry's turn, if most walls there are known and fit.
+
+    Where odometry's turn is right, walls come into sight that are new at the other place.
+    """
+    if prospect.unturned is None or fit.score >= scene.config.poor_score:
+        return fit
+    found = scene.align(prospect.unturned, scene.config.kernel_voxels)
+    support = scene.support(found.planar)
+    certain = support.share >= MOST and support.score > scene.config.good_score
+    return fit.or_better(found) if certain else replace(fit, refused=fit.refused + found.refused)
 
 
 def _calls_for_wide_search(scene: Scene, prospect: Prospect, fit: Fit) -> bool:

@@ -20,7 +20,8 @@ class Prospect:
     """Where a sweep is expected: at `guess` (4, 4), with what is known of the motion there.
 
     `by_motion` is the place that the expected motions since the last keyframe lead to. `reverse`
-    (4, 4) is where the sweep was taken if odometry reports backing up as driving forward.
+    (4, 4) is where the sweep was taken if odometry reports backing up as driving forward, and
+    `unturned` (4, 4) if it reports a turn that the robot did not make; None if neither can be.
     """
 
     guess: FloatArray
@@ -28,6 +29,7 @@ class Prospect:
     by_motion: Pose2
     reliance: Reliance = UNKNOWN
     reverse: FloatArray | None = None
+    unturned: FloatArray | None = None
 
     @property
     def trusted(self) -> bool:
@@ -38,6 +40,16 @@ class Prospect:
         """Whether a result agrees with the motion expected, to within so many slacks."""
         guess = Pose2.from_matrix(self.guess)
         return agrees(guess, fit.planar, self.expected, self.reliance, slacks)
+
+    def denies(self, fit: Fit) -> bool:
+        """Whether odometry that is worth its name, or at least its way, speaks against a result."""
+        if not self.expected.measured:
+            return False
+        away = Pose2.from_matrix(self.guess).inverse() @ fit.planar
+        elsewhere = self.reliance.place_slacks(self.expected.motion, away) >= 1.0
+        if self.reliance.trusted_place and elsewhere:
+            return True
+        return self.reliance.trusted and not self.agrees(fit)
 
     def slacks(self, place: Pose2, fit: Fit) -> float:
         """How many slacks of odometry a result is away from a place."""
@@ -76,3 +88,13 @@ def reversed_guess(before: FloatArray, expected: ExpectedMotion) -> FloatArray |
         return None
     x, y, theta = expected.motion
     return product(before, Pose2(-x, -y, theta).matrix())
+
+
+def unturned_guess(before: FloatArray, expected: ExpectedMotion) -> FloatArray | None:
+    """The pose (4, 4) after the motion before, carried on, where odometry's turn is unheard of.
+
+    None otherwise. The heading of some odometry jumps, when it is corrected or begins anew.
+    """
+    if not (expected.measured and expected.unheard_of):
+        return None
+    return product(before, expected.carried.matrix())

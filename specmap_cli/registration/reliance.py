@@ -53,8 +53,12 @@ class Reliance:
     @property
     def trusted(self) -> bool:
         """Whether odometry is worth what is supposed of an unknown one, or more."""
-        limits = self.limits
-        return max(limits.along_m, limits.across_m, limits.turn_rad) < _WORTHLESS
+        return self.trusted_place and self.limits.turn_rad < _WORTHLESS
+
+    @property
+    def trusted_place(self) -> bool:
+        """The same of its way alone: wheels may measure that well and turns badly."""
+        return max(self.limits.along_m, self.limits.across_m) < _WORTHLESS
 
     def slack(self, motion: Pose2) -> Slack:
         """How far the truth can be from a motion that odometry measured."""
@@ -74,9 +78,13 @@ class Reliance:
 
     def slacks(self, motion: Pose2, away: Pose2) -> float:
         """How many slacks a result so far `away` from odometry's place is off, place or turn."""
+        turn = abs(away.theta) / self.slack(motion).turn_rad
+        return max(self.place_slacks(motion, away), turn)
+
+    def place_slacks(self, motion: Pose2, away: Pose2) -> float:
+        """How many slacks it is off in its place alone."""
         slack, (along, across) = self.slack(motion), _parts(motion, away)
-        off = math.hypot(along / slack.along_m, across / slack.across_m)
-        return max(off, abs(away.theta) / slack.turn_rad)
+        return math.hypot(along / slack.along_m, across / slack.across_m)
 
     def after(self, motion: Pose2, away: Pose2, fixed: tuple[bool, bool]) -> Reliance:
         """The reliance after a certain registration, so far `away` from the motion measured.

@@ -121,6 +121,25 @@ def test_wrong_heading_increments_in_a_turn_are_survived(world: GridMap) -> None
     assert front_end.counts["lost"] == 0
 
 
+@pytest.mark.parametrize("jump_rad", [1.4, -1.8])
+def test_a_heading_of_odometry_that_jumps_is_no_turn(world: GridMap, jump_rad: float) -> None:
+    """A laser of 180 degrees sees mostly new space where such a turn would have led."""
+    truth = path()[:60]
+    items = sweeps(world, truth, np.pi, 181)
+    before = items[29].odom_from_base
+    assert before is not None
+    for k in range(30, 60):
+        odom = items[k].odom_from_base
+        assert odom is not None
+        jumped = before @ Pose2(0.0, 0.0, jump_rad) @ before.inverse() @ odom
+        items[k] = dataclasses.replace(items[k], odom_from_base=jumped)
+    front_end, scans = run(items)
+    metres, radians = worst(scans, truth)
+    assert metres < 0.08
+    assert radians < 0.03
+    assert front_end.counts["lost"] == 0
+
+
 def test_stamps_in_bursts_and_backwards_do_not_matter(world: GridMap) -> None:
     truth = path()[:50]
     items = sweeps(world, truth, odometry=False)

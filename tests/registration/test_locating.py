@@ -15,9 +15,14 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration.expected_motion import ExpectedMotion
 from specmap_cli.registration.locating import Located
 from specmap_cli.registration.locating import locate as located_by
-from specmap_cli.registration.prospect import Prospect, best_guess, reversed_guess
+from specmap_cli.registration.prospect import (
+    Prospect,
+    best_guess,
+    reversed_guess,
+    unturned_guess,
+)
 from specmap_cli.registration.reliance import UNKNOWN, Reliance
-from specmap_cli.registration.scene import Scene
+from specmap_cli.registration.scene import Fit, Scene
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import scene_in, scene_of, turned
 
@@ -226,6 +231,42 @@ def test_a_short_step_is_not_looked_for_backwards() -> None:
         locate(scene, np.eye(4), step, IDENTITY, reverse=Pose2(-2.0 * step_m, 0.0, 0.0).matrix())
         asked.append(len(kernels_m(scene)))
     assert asked[1] - asked[0] == 2 * 4  # two searches, four kernels each
+
+
+def test_odometry_denies_by_what_it_is_worth_of_way_and_of_turn() -> None:
+    """Wheels whose turns are bad: they still know that the robot did not come half a metre on."""
+    step = Pose2(0.5, 0.0, 0.0)
+    bad_turns = Reliance((0.1,) * 60, (0.1,) * 60, (9.0,) * 60)
+    worthless = Reliance((9.0,) * 60, (9.0,) * 60, (9.0,) * 60)
+    ahead = Fit(pose=turned(0.5, 0.0, 0.0), score=0.9)
+    askew = Fit(pose=turned(0.0, 1.5, 0.0), score=0.9)
+    denied = {
+        (name, where): Prospect(
+            guess=np.eye(4), expected=expecting(step), by_motion=IDENTITY, reliance=reliance
+        ).denies(fit)
+        for name, reliance in (("all", UNKNOWN), ("way", bad_turns), ("none", worthless))
+        for where, fit in (("ahead", ahead), ("askew", askew))
+    }
+    assert [key for key, value in denied.items() if value] == [
+        ("all", "ahead"),
+        ("all", "askew"),
+        ("way", "ahead"),
+    ]
+    unmeasured = Prospect(
+        guess=np.eye(4), expected=expecting(step, measured=False), by_motion=IDENTITY
+    )
+    assert not unmeasured.denies(ahead)
+
+
+def test_the_motion_before_is_tried_only_where_odometry_s_turn_is_unheard_of() -> None:
+    before, carried = Pose2(1.0, 2.0, np.pi / 2), Pose2(0.5, 0.1, 0.3)
+    turning = expecting(Pose2(0.5, 0.1, 1.5), carried)
+    assert unturned_guess(before.matrix(), turning) is None
+    found = unturned_guess(before.matrix(), dataclasses.replace(turning, unheard_of=True))
+    assert found is not None
+    assert Pose2.from_matrix(found) == pytest.approx(before @ carried)
+    unmeasured = dataclasses.replace(turning, unheard_of=True, measured=False)
+    assert unturned_guess(before.matrix(), unmeasured) is None
 
 
 def box(turn: float) -> FloatArray:

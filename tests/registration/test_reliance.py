@@ -159,3 +159,12 @@ def test_slacks_count_how_far_a_result_is_off_by_place_or_turn() -> None:
     assert UNKNOWN.slacks(step, Pose2(0.4, 0.0, 0.0)) == pytest.approx(2.0)
     assert UNKNOWN.slacks(step, Pose2(0.3, 0.4, 0.0)) == pytest.approx(2.5)
     assert UNKNOWN.slacks(step, Pose2(0.4, 0.0, -0.2100)) == pytest.approx(4.0)
+
+
+def test_a_way_may_be_trusted_where_turns_are_not() -> None:
+    step = Pose2(0.5, 0.0, 0.0)
+    turning_badly = learnt(step, Pose2(0.0, 0.0, 0.2), 60)
+    assert turning_badly.trusted_place
+    assert not turning_badly.trusted
+    assert not learnt(step, Pose2(0.3, 0.0, 0.0), 60).trusted_place
+    assert turning_badly.place_slacks(step, Pose2(0.15, 0.0, 2.0)) == pytest.approx(2.0)
