@@ -71,6 +71,7 @@ def _along_rows(
 ) -> tuple[BoolArray, BoolArray]:
     """What narrows the openings (H, W) of walls along the rows, and the posts (H, W) in them."""
     opened = free | small
+    _, piece = cv2.connectedComponents(small.astype(np.uint8), connectivity=8)
     posts, panels = _posts(small, widths)
     lines = Runs.of(opened)  # from wall to wall, past what small things stand there
     inside = (lines.first >= ends.straight) & (lines.last < free.shape[1] - ends.straight)
@@ -78,23 +79,25 @@ def _along_rows(
     lines = lines.those(between_ends(opened, lines, panels, ends))
     doors, kept = _openings(lines, posts > 0, widths)
     in_line = kept.painted(free.shape, np.ones(len(kept.row), dtype=np.bool_))
-    standing = np.zeros(int(posts.max(initial=0)) + 1, dtype=np.bool_)
-    standing[posts[in_line]] = True
-    standing[0] = False
-    return _jambs(doors, widths.door, free.shape), standing[posts]
+    standing = np.zeros(int(piece.max(initial=0)) + 1, dtype=np.bool_)
+    standing[piece[in_line & (posts > 0)]] = True
+    return _jambs(doors, widths.door, free.shape), standing[piece]
 
 
 def _posts(small: BoolArray, widths: _Widths) -> tuple[LabelArray, BoolArray]:
-    """The number (H, W) of the small piece that is thin across the rows, 0: none; the panels."""
-    count, piece, stats, _ = cv2.connectedComponentsWithStats(
-        small.astype(np.uint8), connectivity=8
-    )
+    """The number (H, W) of the part of a small piece that is thin across the rows; the panels.
+
+    It is 0 where there is none. The wall from which another one goes off has two such parts.
+    """
+    across_rows = Runs.of(small.T)
+    thin = across_rows.painted(small.T.shape, across_rows.lengths <= widths.post_thick).T
+    count, part, stats, _ = cv2.connectedComponentsWithStats(thin.astype(np.uint8), connectivity=8)
     along, across = stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]
     post = (along >= widths.post) & (across <= widths.post_thick)
     post[0] = False
     panel = post & (along >= widths.panel) & (along >= _SLENDER * across)
     names = np.where(post, np.arange(count), 0).astype(np.int32)
-    return names[piece], np.asarray(panel[piece])
+    return names[part], np.asarray(panel[part])
 
 
 def _openings(lines: Runs, posts: BoolArray, widths: _Widths) -> tuple[Runs, Runs]:

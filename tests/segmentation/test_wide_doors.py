@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import BoolArray, GridMap
+from specmap_cli.segmentation.clutter import small_obstacles
 from specmap_cli.segmentation.division import segment
 from specmap_cli.segmentation.runs import Runs
 from specmap_cli.segmentation.wide_doors import with_narrow_doors
@@ -79,6 +80,17 @@ def test_a_post_in_the_line_of_a_wall_is_no_furniture(
     free = building.free & ~small
     opened, _ = with_narrow_doors(free, small, CELL_M, 2.5)
     assert (opened & small).any() != kept
+
+
+def test_a_wall_between_three_doors_is_no_furniture(plan: PlanBuilder) -> None:
+    """Two doors to a corridor and one from room to room leave a T of thick walls by itself."""
+    rooms = (0.3, 2.5, 4.0, 6.3), (4.4, 2.5, 6.8, 6.3)
+    doors = (2.3, 2.1, 3.1, 2.5), (4.7, 2.1, 5.5, 2.5), (4.0, 3.3, 4.4, 4.1)
+    building = plan(7.1, 6.6, (0.3, 0.3, 6.8, 2.1), *rooms, *doors)
+    free = building.free
+    small = small_obstacles(free, *(metres / CELL_M for metres in (1.5, 2.5, 0.4)))
+    assert small[45, 80]  # by its size alone it is furniture
+    np.testing.assert_array_equal(with_narrow_doors(free, small, CELL_M, 2.5)[0], free)
 
 
 @given(seed=st.integers(0, 10_000))
