@@ -1,0 +1,97 @@
+"""Floor plans drawn at random, which no setting was chosen on, divided into their rooms.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.random_plans [--plans 20] [--only KIND ...]
+
+Offices along a corridor, corridors around a core, halls with side rooms, and flats: sizes, walls,
+doors and furniture are drawn at random, the same for the same number of the plan. Scores are those
+of benchmarks.rooms; `joined` counts the rooms that share their region with another room, `of` all.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass
+
+import cv2
+import numpy as np
+
+from benchmarks.random_plans.buildings import BUILDINGS
+from benchmarks.random_plans.drawing import Drawing
+from specmap_cli.core.settings import Config
+from specmap_cli.evaluation.scores import room_scores
+from specmap_cli.segmentation.division import segment
+from specmap_cli.segmentation.kmeans import LabelArray
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Scores of one plan."""
+
+    recall: float
+    precision: float
+    iou: float
+    segments_per_room: float
+    joined: int
+    rooms: int
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--plans", type=int, default=20, help="of each kind")
+    parser.add_argument("--only", nargs="+", choices=BUILDINGS, default=tuple(BUILDINGS))
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    print("kind    furniture  recall  prec.    IoU  segm./room  joined    of  lowest IoU")
+    for kind in arguments.only:
+        for furnished in (False, True):
+            rows = [measured(plan) for plan in plans(kind, arguments.plans, furnished)]
+            print(line(kind, furnished, rows), flush=True)
+
+
+def plans(kind: str, count: int, furnished: bool) -> Iterator[Drawing]:
+    """The first plans of a kind, with the same rooms when they are furnished."""
+    for number in range(count):
+        plan = BUILDINGS[kind](np.random.default_rng([number, 0]))
+        if furnished:
+            plan.furnish(np.random.default_rng([number, 1]))
+        yield plan
+
+
+def measured(plan: Drawing) -> Row:
+    """Divide a plan and compare it with its rooms."""
+    labels = segment(plan.grid(), Config().segmentation).labels
+    scores = room_scores(plan.labels, labels)
+    return Row(
+        scores.recall,
+        scores.precision,
+        scores.iou,
+        scores.segments_per_room,
+        joined_rooms(plan.labels, labels),
+        len(plan.rooms),
+    )
+
+
+def joined_rooms(rooms: LabelArray, labels: LabelArray) -> int:
+    """How many rooms lie mostly in a region that another room lies mostly in."""
+    regions = [
+        np.bincount(labels[(rooms == room) & (labels >= 0)], minlength=1).argmax()
+        for room in range(int(rooms.max()) + 1)
+    ]
+    _, counts = np.unique(regions, return_counts=True)
+    return int(counts[counts > 1].sum())
+
+
+def line(kind: str, furnished: bool, rows: list[Row]) -> str:
+    """Means and sums over the plans of a kind."""
+    table = np.array([astuple(row) for row in rows])
+    means, (joined, rooms) = table[:, :4].mean(axis=0), table[:, 4:].sum(axis=0).astype(int)
+    recall, precision, iou, segments = means.tolist()
+    return (
+        f"{kind:7} {'yes' if furnished else 'no':9} {recall:7.3f} {precision:6.3f} {iou:6.3f}"
+        f" {segments:11.2f} {joined:7} {rooms:5} {table[:, 2].min():11.3f}"
+    )
+
+
+if __name__ == "__main__":
+    main()
