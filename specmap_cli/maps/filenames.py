@@ -4,6 +4,7 @@ from __future__ import annotations
 
 TOPOLOGY = "topology.json"
 CLASSIFIERS = "classifiers.json"
+FEATURES = "features.npz"
 RUN = "run.json"
 LABELS = "labels.csv"
 KEYFRAMES = "keyframes.mcap"
@@ -19,6 +20,7 @@ OF_A_MAP = frozenset(
     {
         TOPOLOGY,
         CLASSIFIERS,
+        FEATURES,
         RUN,
         LABELS,
         KEYFRAMES,

@@ -25,6 +25,7 @@ from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps import filenames
 from specmap_cli.maps.conversion import from_record
 from specmap_cli.maps.edit_conversion import fences_in
+from specmap_cli.maps.features_file import Arrays, read_features
 from specmap_cli.maps.graph_conversion import log_of
 from specmap_cli.maps.json_files import first_finding, map_json, map_text
 from specmap_cli.maps.schema import TopologyRecord
@@ -157,6 +158,14 @@ class StoredMap:
                 "localising needs one that `specmap build` made of a recording"
             )
         return map_text(path, self.limits)
+
+    @property
+    def features(self) -> Arrays | None:
+        """The features that the classifiers learned from; None where they were not kept."""
+        path = self.path / filenames.FEATURES
+        if not path.exists():
+            return None
+        return read_features(path, len(self.labels.stamps_ns), self.limits)
 
     @cached_property
     def run(self) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import write_grid, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.conversion import image_stem, to_record
+from specmap_cli.maps.features_file import Arrays, write_features
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.tables import labels_text
 from specmap_cli.maps.tum import trajectory_text
@@ -38,7 +39,8 @@ class MapResult:
     `labels` are all keyframes, row i being keyframe number i, and `logs` the recordings that they
     came from, in order; `classifiers` is JSON text; `run` the contents of run.json; `quality` what
     is thought of the map; `pose_graph` text in g2o's format;
-    `overview` a BGR picture (H, W, 3); `edits` the text of edits.toml, empty for no such file.
+    `overview` a BGR picture (H, W, 3); `edits` the text of edits.toml, empty for no such file;
+    `features` what the classifiers learned from, as arrays by name, if they are kept.
     """
 
     topology: TopologicalMap
@@ -53,6 +55,7 @@ class MapResult:
     quality: Quality = UNDOUBTED
     frame: str = "map"
     edits: str = ""
+    features: Arrays | None = None
 
 
 def write_map(
@@ -83,6 +86,8 @@ def write_map(
         (filenames.RUN, to_json(dict(result.run))),
     ):
         (directory / name).write_text(text, encoding="utf-8")
+    if result.features is not None:
+        write_features(directory / filenames.FEATURES, result.features)
     if result.edits:
         (directory / filenames.EDITS).write_text(result.edits, encoding="utf-8")
 

@@ -17,7 +17,9 @@ from specmap_cli.drawing.overview import render_overview
 from specmap_cli.layout.g2o import write_g2o
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.maps.writing import MapResult, PictureArray
+from specmap_cli.pipelines.stored_lessons import arrays_of
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.learning.lessons import Lessons
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 
@@ -26,7 +28,8 @@ from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 class FinishedMap:
     """A map ready to be written: row i of `labels` is keyframe number i of the store.
 
-    `regions` divide the grid of the whole map. `counts` are of messages and scans. `limits`
+    `regions` divide the grid of the whole map. `lessons` are what the classifiers learned from.
+    `counts` are of messages and scans. `limits`
     say how often a setting of that name cut the work short. `quality` is what is thought of the
     map, `seconds` are those of each stage, `wall_s` those from the first to the last. `starts` are
     the rows of the trajectory with which further recordings begin, `driven_m` how far the robot
@@ -39,6 +42,7 @@ class FinishedMap:
     trajectory: Trajectory
     regions: Regions
     classifiers: ClassifierSet
+    lessons: Lessons
     layout: Layout
     counts: Mapping[str, int]
     limits: Mapping[str, int]
@@ -74,6 +78,7 @@ class FinishedMap:
             trajectory=self.trajectory,
             labels=self.labels,
             classifiers=self.classifiers.to_json(),
+            features=arrays_of(self.lessons),
             logs=logs,
             run=run,
             quality=self.quality,

@@ -12,7 +12,7 @@ from specmap_cli.pipelines.assessment import assess
 from specmap_cli.pipelines.exploration import Explored
 from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.pipelines.laying_out import lay_out
-from specmap_cli.pipelines.learning import divide, learn, linked, whole_grid
+from specmap_cli.pipelines.learning import Known, divide, learn, linked, whole_grid
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.topology.navigation import with_ways
@@ -36,21 +36,21 @@ def finish(
         submaps = divide(whole, layout, explored.regions, closures, config)
     with clock.stage("audit"):
         quality = assess(store, explored, laid, beyond, tracking.warnings, config)
-    grids, classifiers = learn(
-        store, explored.features, submaps, layout.poses, config, progress, clock
-    )
+    known = Known(explored.features)
+    learned = learn(store, known, submaps, layout.poses, config, progress, clock)
     stamps = np.array(store.stamps_ns, dtype=np.int64)
     labels = Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps)
     with clock.stage("ways"):
         regions = divide_cells(whole, labels)
-        joined = linked(labels, explored.regions, explored.breaks, closures, grids)
+        joined = linked(labels, explored.regions, explored.breaks, closures, learned.grids)
         topology = with_ways(joined, regions, config.ways, layout.poses)
     return FinishedMap(
         topology=topology,
         labels=labels,
         trajectory=laid.trajectory,
         regions=regions,
-        classifiers=classifiers,
+        classifiers=learned.classifiers,
+        lessons=learned.lessons,
         layout=layout,
         counts=tracking.counts,
         limits={**layout.limits, "max_extent_m": beyond},

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Generator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.labels import order_of_appearance
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import Closure, IntArray, Labels
-from specmap_cli.core.settings import Config
+from specmap_cli.core.settings import Config, LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.motion_edges import Bridge
@@ -20,23 +22,20 @@ from specmap_cli.pipelines.exploration import Regions, online_labels
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures
-from specmap_cli.recognition.learning.calibration import HeldOutMargins, calibrated
+from specmap_cli.recognition.learning.calibration import Calibration, HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.holding_out import Samples
+from specmap_cli.recognition.learning.lessons import NO_LESSONS, Lessons
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
-from specmap_cli.recognition.learning.training import (
-    cast_samples,
-    sensor_of,
-    track_samples,
-    train_raw,
-    train_virtual,
-)
+from specmap_cli.recognition.learning.revisits import Revisits
+from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
+from specmap_cli.recognition.learning.training import sensor_of, train_raw, train_virtual
 from specmap_cli.segmentation.refinement import regions_of
 from specmap_cli.topology.graph import build_topology, settle_labels, stays_of
 from specmap_cli.topology.topological_map import Break, TopologicalMap
 
 Submaps = Mapping[int, Sequence[int]]
-OfTrack = Mapping[int, Samples]
+OfSubmaps = Mapping[int, Samples]
 
 
 def whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[GridMap, int]:
@@ -116,60 +115,130 @@ def linked(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """The grid of each submap in the frame of its first keyframe, and the classifiers of all.
+
+    `lessons` are what these were learned from.
+    """
+
+    grids: Mapping[int, GridMap]
+    classifiers: ClassifierSet
+    lessons: Lessons
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What is known before a map is learned.
+
+    `features` of its keyframes, and the `lessons` that hold for it still. Its recordings after the
+    first one begin at `starts`. `before` are the classifiers that it had before the last of them.
+    """
+
+    features: KeyframeFeatures
+    lessons: Lessons = NO_LESSONS
+    starts: tuple[int, ...] = ()
+    before: ClassifierSet | None = None
+
+    def revisits(
+        self, labels: IntArray, poses: FloatArray, config: LocalizationConfig
+    ) -> Revisits | None:
+        """How the classifiers before the last recording tell its scans, where there are any."""
+        if self.before is None:
+            return None
+        return Revisits(self.before, self.starts[-1], poses, labels, config.held_out_reach_m)
+
+
 def learn(
     store: KeyframeStore,
-    features: KeyframeFeatures,
+    known: Known,
     labels: IntArray,
     poses: FloatArray,
     config: Config,
     progress: Progress,
     clock: Stopwatch,
-) -> tuple[dict[int, GridMap], ClassifierSet]:
-    """The grid of each submap in the frame of its first keyframe, and the classifiers of all.
+) -> Learned:
+    """What can be learned of the submaps (n,) of keyframes at `poses` (n, 3).
 
     What needs no grids is done beside the drawing of these, and beside what needs them.
     """
-    submaps = submaps_of(labels)
+    submaps, revisits = submaps_of(labels), known.revisits(labels, poses, config.localization)
     raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
-    with ahead(lambda: _without_grids(store, features, submaps, poses, config, raw_rng)) as beside:
+    with ahead(
+        lambda: _without_grids(store, known, submaps, poses, config, raw_rng, revisits)
+    ) as beside:
         progress.start("grids", len(store))
         with clock.stage("grids"):
             grids = submap_grids(store, submaps, poses, config, progress)
         progress.start("training", None)
         with clock.stage("training"):
             virtual = of_virtual = None
+            along: OfSubmaps = {}
+            cast: OfSubmaps = {}
             if config.localization.virtual:
-                cast = cast_samples(submaps, poses, grids, config.localization, virtual_rng)
+                cast = cast_samples(
+                    submaps, poses, grids, config.localization, virtual_rng, known.lessons.cast
+                )
                 along = next(beside)
-                virtual, of_virtual = train_virtual(along, cast, poses, config, virtual_rng)
-            raw, of_raw, misfit = beside.result
+                virtual, of_virtual = train_virtual(
+                    along, cast, poses, config, virtual_rng, revisits
+                )
+            taught = beside.result
             classifiers = ClassifierSet(
                 sensor=sensor_of(store, submaps),
-                raw=raw,
+                raw=taught.raw,
                 virtual=virtual,
-                misfit=misfit,
-                calibration=calibrated(of_raw, of_virtual),
+                misfit=taught.misfit,
+                calibration=_calibrated(taught.held_out, of_virtual, known.before),
             )
-    return grids, classifiers
+    return Learned(grids, classifiers, Lessons.of(taught.samples, along, cast))
+
+
+def _calibrated(
+    of_raw: HeldOutMargins, of_virtual: HeldOutMargins | None, before: ClassifierSet | None
+) -> Calibration:
+    """How sure the classifiers are; as those before, where the last recording tells nothing."""
+    if before is not None and before.calibration is not None and not len(of_raw.column):
+        return before.calibration
+    return calibrated(of_raw, of_virtual, another_log=before is not None)
+
+
+class _Taught(NamedTuple):
+    """What raw scans taught, which these were, how held-out ones are told, and the misfit."""
+
+    raw: Recogniser
+    samples: OfSubmaps
+    held_out: HeldOutMargins
+    misfit: HeldOutMisfit
 
 
 def _without_grids(
     store: KeyframeStore,
-    features: KeyframeFeatures,
+    known: Known,
     submaps: Submaps,
     poses: FloatArray,
     config: Config,
     rng: np.random.Generator,
-) -> Generator[OfTrack, None, tuple[Recogniser, HeldOutMargins, HeldOutMisfit]]:
-    """The virtual scans along the track, if wanted; then what raw scans teach, and the misfit."""
+    revisits: Revisits | None,
+) -> Generator[OfSubmaps, None, _Taught]:
+    """The virtual scans along the track, if wanted; then what raw scans teach."""
     if config.localization.virtual:
-        along = track_samples(store, submaps, poses, config.localization)
-        # they are of single precision: so they fit into the pipe, and nothing waits for it
-        yield {
-            i: Samples(own.features.astype(np.float32), own.keyframes) for i, own in along.items()
-        }
-    raw, held_out = train_raw(store, submaps, poses, config, rng, features)
-    return raw, held_out, held_out_misfit(store, submaps, poses, config.localization)
+        yield _single(
+            track_samples(
+                store, submaps, poses, config.localization, known.lessons.along, known.starts
+            )
+        )
+    samples = raw_samples(store, submaps, config, known.features, known.starts)
+    raw, held_out = train_raw(samples, poses, config, rng, revisits)
+    misfit = held_out_misfit(store, submaps, poses, config.localization)
+    return _Taught(raw, _single(samples), held_out, misfit)
+
+
+def _single(samples: OfSubmaps) -> OfSubmaps:
+    """Samples in single precision, which they are of: so they fit into the pipe."""
+    return {
+        i: Samples(own.features.astype(np.float32), own.keyframes) for i, own in samples.items()
+    }
 
 
 def submap_grids(

@@ -21,6 +21,7 @@ from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, seen_of_stored
+from specmap_cli.pipelines.learning import Known
 from specmap_cli.pipelines.map_joining import Joined, inherit, moved_finding
 from specmap_cli.pipelines.remaking import remade
 from specmap_cli.pipelines.run_record import BuildReport, run_record
@@ -69,7 +70,7 @@ def build_like(
             )
         joined = alike(old, surveyed, alignment.old_from_new, config)
         counts = surveyed.tracking.counts
-        finished = remade(store, joined, config, progress, clock, counts, surveyed.features)
+        finished = remade(store, joined, config, progress, clock, counts, Known(surveyed.features))
         overview = finished.overview(joined.kept.logs)
         run = {
             **run_record(log.given, stream.selection, config, finished),

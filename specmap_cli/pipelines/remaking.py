@@ -14,7 +14,7 @@ from specmap_cli.maps.edits_text import written
 from specmap_cli.pipelines.edited import drawn, named, tell_unapplied
 from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.pipelines.kept_map import KeptMap
-from specmap_cli.pipelines.learning import learn, linked, whole_grid
+from specmap_cli.pipelines.learning import Known, learn, linked, whole_grid
 from specmap_cli.pipelines.map_joining import Joined
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.quality.evidence import Evidence
@@ -34,14 +34,15 @@ def remade(
     progress: Progress,
     clock: Stopwatch,
     counts: Mapping[str, int],
-    features: KeyframeFeatures | None = None,
+    known: Known | None = None,
 ) -> FinishedMap:
     """The finished map of keyframes whose layout and submaps are known, with a person's edits.
 
-    `counts` are of the messages and scans that were read for it, `features` those known by now.
+    `counts` are of the messages and scans that were read for it, `known` is what
+    is known by now.
     """
     judge = judge_of(joined, config.quality)
-    finished = divided_anew(store, joined.kept, judge, config, progress, clock, counts, features)
+    finished = divided_anew(store, joined.kept, judge, config, progress, clock, counts, known)
     tell_unapplied(finished.unapplied, progress)
     return finished
 
@@ -73,25 +74,25 @@ def divided_anew(
     progress: Progress,
     clock: Stopwatch,
     counts: Mapping[str, int],
-    features: KeyframeFeatures | None = None,
-    known: tuple[GridMap, int] | None = None,
+    known: Known | None = None,
+    drawn_before: tuple[GridMap, int] | None = None,
 ) -> FinishedMap:
     """The finished map of keyframes, with the borders, names and forbidden links of the edits.
 
-    `judge` tells what is thought of a map that so many keyframes did not fit into. `known` is the
-    whole grid, where it was drawn before.
+    `judge` tells what is thought of a map that so many keyframes did not fit into. `known` is what
+    is known of it, `drawn_before` its whole grid, if that is.
     """
     with clock.stage("grids"):
-        whole, beyond = known or whole_grid(store, kept.layout, config)
+        whole, beyond = drawn_before or whole_grid(store, kept.layout, config)
     edited = drawn(whole, kept.labels, kept.borders, kept.edits, kept.next_id)
     labels = replace(kept.labels, submaps=edited.submaps)
-    features = features or KeyframeFeatures(store, config.recognition.feature_set)
-    grids, classifiers = learn(
-        store, features, edited.submaps, kept.layout.poses, config, progress, clock
+    known = known or Known(
+        KeyframeFeatures(store, config.recognition.feature_set), starts=kept.starts
     )
+    learned = learn(store, known, edited.submaps, kept.layout.poses, config, progress, clock)
     with clock.stage("ways"):
         regions = divide(whole, labels, fences_of(edited.borders))
-        bare = linked(labels, kept.stays, kept.breaks, kept.closures, grids, kept.starts)
+        bare = linked(labels, kept.stays, kept.breaks, kept.closures, learned.grids, kept.starts)
         bordered = replace(bare, borders=edited.borders, next_id=edited.next_id)
         linked_up = with_ways(bordered, regions, config.ways, kept.layout.poses)
     topology, skipped = named(linked_up, regions, edited.edits, edited.skipped)
@@ -100,7 +101,8 @@ def divided_anew(
         labels=labels,
         trajectory=kept.trajectory,
         regions=regions,
-        classifiers=classifiers,
+        classifiers=learned.classifiers,
+        lessons=learned.lessons,
         layout=kept.layout,
         counts=counts,
         limits={**kept.layout.limits, "max_extent_m": beyond},

@@ -27,19 +27,20 @@ from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
 from specmap_cli.pipelines.edited import tell_unapplied
 from specmap_cli.pipelines.finished_map import FinishedMap
-from specmap_cli.pipelines.kept_map import Seen, seen_of_stored
-from specmap_cli.pipelines.learning import whole_grid
+from specmap_cli.pipelines.kept_map import KeptMap, Seen, seen_of_stored
+from specmap_cli.pipelines.learning import Known, whole_grid
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
 from specmap_cli.pipelines.redivision import redivided
 from specmap_cli.pipelines.remaking import added, divided_anew, judge_of
 from specmap_cli.pipelines.run_record import run_record
 from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.stored_lessons import comparable, lessons_left, lessons_of_stored
 from specmap_cli.pipelines.survey import survey
 from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.pipelines.update_report import UpdateReport
 from specmap_cli.recognition.closure.alignment import Alignment, align
-from specmap_cli.recognition.features.sets import check_feature_sets
+from specmap_cli.recognition.features.sets import KeyframeFeatures, check_feature_sets
 from specmap_cli.topology.border_changes import border_changes
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
@@ -140,13 +141,30 @@ def _updated(
     with clock.stage("segmentation"):
         kept = redivided(old, joined.kept, fewer, whole, config)
     counts = added(stored.counts, surveyed.tracking.counts)
-    known = surveyed.features.among(store, fewer.old)
+    features = surveyed.features.among(store, fewer.old)
+    known = _known(stored, old, kept, fewer, features, config)
     judge = judge_of(joined, config.quality)
     finished = divided_anew(
         store, kept, judge, config, progress, clock, counts, known, (whole, beyond)
     )
     tell_unapplied(finished.unapplied, progress)
     return _Updated(finished, fewer, alignment)
+
+
+def _known(
+    stored: StoredMap,
+    old: Seen,
+    kept: KeptMap,
+    fewer: Thinned,
+    own: KeyframeFeatures,
+    config: Config,
+) -> Known:
+    """What is known of the map: the features of the recording's `own` scans, and the map's."""
+    left = fewer.left[: fewer.old]
+    lessons = lessons_of_stored(stored, config)
+    lessons = lessons_left(lessons, stored.labels, kept.labels, left, config.grid.resolution_m)
+    features = own.knowing(lessons.raw.keyframes, lessons.raw.features)
+    return Known(features, lessons, kept.starts, comparable(old.known.classifiers, stored, config))
 
 
 def _refuse_known(old: Seen, new: Seen, store: KeyframeStore, own: KeyframeStore) -> None:

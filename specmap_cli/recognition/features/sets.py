@@ -136,6 +136,13 @@ class KeyframeFeatures:
         moved._rows = {number + first: row for number, row in self._rows.items()}
         return moved
 
+    def knowing(self, numbers: NDArray[np.intp], features: NDArray[Any]) -> KeyframeFeatures:
+        """What is known, with the features (k, F) of other keyframes (k,) of the store besides."""
+        more = KeyframeFeatures(self.store, self.feature_set, self.most)
+        more._rows = dict(zip(numbers.tolist(), features.astype(np.float32), strict=True))
+        more._rows.update(self._rows)
+        return more
+
     def known(self, numbers: Sequence[int]) -> list[int]:
         """Those of some keyframes whose features were computed already, in their order."""
         return [number for number in numbers if number in self._rows]

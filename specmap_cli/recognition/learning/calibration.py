@@ -23,7 +23,7 @@ from specmap_cli.core.sampling import evenly
 from specmap_cli.recognition.learning.json_fields import number, refuse
 
 _BLUNDERS = 0.01  # share of scans that say nothing: people all around, a door shut before the laser
-_MOST_VIEWS = 400  # held out, of either kind
+MOST_VIEWS = 400  # held out, of either kind
 _LEAST_RATIO, _MOST_RATIO = 1.0 / 32.0, 32.0  # of a fit
 _STEPS_AN_OCTAVE = 16  # of the search, which is over a grid: the same on every processor
 _DECIMALS = 6  # of what is compared there
@@ -54,7 +54,7 @@ RAW_ALONE, VIRTUAL_ALONE = Claim(0.284, 3.49), Claim(0.217, 4.71)
 RAW, VIRTUAL = Claim(0.247, 0.41), Claim(0.202, 3.0)
 # Scans that are held out of a map together with the pieces of the way around them are surer by
 # these factors than those of another log: so much more do they lack.
-_HELD_OUT_RAW, _HELD_OUT_VIRTUAL = 0.48, 0.59
+_HELD_OUT, _ANOTHER_LOG = (0.48, 0.59), (1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,21 +96,27 @@ class Calibration:
         """What `to_dict` described; MapError names what makes no sense."""
         raw, virtual, views = (number(data, key, "calibration") for key in cls.__slots__)
         bounded = all(_LEAST_RATIO <= ratio <= _MOST_RATIO for ratio in (raw, virtual))
-        if not bounded or not 0.0 <= views <= 2 * _MOST_VIEWS or views % 1.0:
+        if not bounded or not 0.0 <= views <= 2 * MOST_VIEWS or views % 1.0:
             raise refuse("calibration", "a ratio or the number of views is out of bounds")
         return cls(raw, virtual, int(views))
 
 
-def calibrated(raw: HeldOutMargins, virtual: HeldOutMargins | None) -> Calibration:
-    """What margins of held-out scans say of a map's classifiers; as usual where there are none."""
-    views = min(len(raw.column), _MOST_VIEWS)
-    of_raw = _ratio(raw, RAW_ALONE, _HELD_OUT_RAW)
+def calibrated(
+    raw: HeldOutMargins, virtual: HeldOutMargins | None, *, another_log: bool = False
+) -> Calibration:
+    """What margins of held-out scans say of a map's classifiers; as usual where there are none.
+
+    With `another_log` they are not of pieces that were held out, but of another recording.
+    """
+    views = min(len(raw.column), MOST_VIEWS)
+    held_out_raw, held_out_virtual = _ANOTHER_LOG if another_log else _HELD_OUT
+    of_raw = _ratio(raw, RAW_ALONE, held_out_raw)
     if virtual is None:
         return Calibration(raw=of_raw, views=views)
     return Calibration(
         raw=of_raw,
-        virtual=_ratio(virtual, VIRTUAL_ALONE, _HELD_OUT_VIRTUAL),
-        views=views + min(len(virtual.column), _MOST_VIEWS),
+        virtual=_ratio(virtual, VIRTUAL_ALONE, held_out_virtual),
+        views=views + min(len(virtual.column), MOST_VIEWS),
     )
 
 
@@ -125,7 +131,7 @@ def steadiness(log_probabilities: NDArray[Any]) -> float:
 
 def _ratio(held_out: HeldOutMargins, claim: Claim, usual: float) -> float:
     """The gain that makes the truth likeliest, over the `usual` one of held-out scans."""
-    rows = evenly(np.arange(len(held_out.column)), _MOST_VIEWS)
+    rows = evenly(np.arange(len(held_out.column)), MOST_VIEWS)
     margins, column = held_out.margins[rows], held_out.column[rows]
     octaves = math.log2(_MOST_RATIO)
     tried = 2.0 ** np.linspace(-octaves, octaves, 2 * round(octaves) * _STEPS_AN_OCTAVE + 1)

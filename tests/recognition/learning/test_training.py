@@ -22,14 +22,13 @@ from specmap_cli.recognition.features.sets import (
     scans_features,
 )
 from specmap_cli.recognition.features.virtual import cast_circles
-from specmap_cli.recognition.learning import training
+from specmap_cli.recognition.learning import sampling, training
 from specmap_cli.recognition.learning.calibration import calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.misfit import held_out_misfit
+from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
 from specmap_cli.recognition.learning.training import (
-    cast_samples,
     sensor_of,
-    track_samples,
     train_localizer,
     train_raw,
     train_virtual,
@@ -99,10 +98,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
 def test_a_submap_seen_very_often_is_learned_from_some_of_its_scans(
     store: KeyframeStore, asked: list[list[int]]
 ) -> None:
-    recognition = RecognitionConfig(rounds=2, positives=10)
-    train_raw(
-        store, SUBMAPS, store.poses, Config(recognition=recognition), np.random.default_rng(0)
-    )
+    raw_samples(store, SUBMAPS, Config(recognition=RecognitionConfig(positives=10)))
     assert [len(numbers) for numbers in asked] == [min(10, len(n)) for n in SUBMAPS.values()]
     assert all(numbers[-1] == n[-1] for numbers, n in zip(asked, SUBMAPS.values(), strict=True))
 
@@ -110,11 +106,11 @@ def test_a_submap_seen_very_often_is_learned_from_some_of_its_scans(
 def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
     store: KeyframeStore, asked: list[list[int]]
 ) -> None:
-    config = Config(recognition=RecognitionConfig(rounds=2, positives=12))
+    config = Config(recognition=RecognitionConfig(positives=12))
     features = KeyframeFeatures(store, "full")
     features.of([*range(5, 35), 50, 51])
     asked.clear()
-    train_raw(store, SUBMAPS, store.poses, config, np.random.default_rng(0), features)
+    raw_samples(store, SUBMAPS, config, features)
     enough, few = asked
     assert (len(enough), enough[0], enough[-1]) == (12, 5, 34)
     assert set(enough) <= set(range(5, 35))
@@ -135,8 +131,11 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
     assert learned.to_dict() == again.to_dict()
     known = KeyframeFeatures(store, "table1")
     known.of(range(50))
-    shared, _ = train_raw(store, SUBMAPS, store.poses, config, np.random.default_rng(0), known)
-    assert shared.to_dict() == learned.to_dict()
+    shared = raw_samples(store, SUBMAPS, config, known)
+    assert (
+        train_raw(shared, store.poses, config, np.random.default_rng(0))[0].to_dict()
+        == learned.to_dict()
+    )
 
 
 def test_the_two_kinds_are_learned_apart_or_together_alike(
@@ -148,7 +147,7 @@ def test_the_two_kinds_are_learned_apart_or_together_alike(
     cast = cast_samples(SUBMAPS, store.poses, grids, config.localization, virtual_rng)
     along = track_samples(store, SUBMAPS, store.poses, config.localization)
     virtual, of_virtual = train_virtual(along, cast, store.poses, config, virtual_rng)
-    raw, of_raw = train_raw(store, SUBMAPS, store.poses, config, raw_rng)
+    raw, of_raw = train_raw(raw_samples(store, SUBMAPS, config), store.poses, config, raw_rng)
     apart = ClassifierSet(
         sensor=sensor_of(store, SUBMAPS),
         raw=raw,
@@ -178,7 +177,7 @@ class Cast:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.origins: list[tuple[GridMap, FloatArray]] = []
-        monkeypatch.setattr(training, "cast_circles", self)
+        monkeypatch.setattr(sampling, "cast_circles", self)
 
     def __call__(self, grid: GridMap, origins: FloatArray, beams: int, reach: float) -> Any:
         self.origins.append((grid, origins))
@@ -187,7 +186,8 @@ class Cast:
 
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
     """What raw scans teach."""
-    return train_raw(store, SUBMAPS, store.poses, config, np.random.default_rng(0))[0]
+    samples = raw_samples(store, SUBMAPS, config)
+    return train_raw(samples, store.poses, config, np.random.default_rng(0))[0]
 
 
 def samples_of(

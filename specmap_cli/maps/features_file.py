@@ -1,0 +1,93 @@
+"""features.npz: the features of the scans that the classifiers of a map learned from.
+
+Arrays of NumPy in a zip file, three kinds of scans: `raw`, `along` and `cast` (F, n), features in
+half precision, a column a scan, and with `_keyframes` behind the name (n,) their keyframes.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.errors import TOO_LARGE, MapError
+from specmap_cli.core.files import read_bytes
+from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.shortage import reason
+
+KINDS = ("raw", "along", "cast")
+KEYFRAMES_OF = "_keyframes"
+_VERSION = (1, 0)  # of NumPy's format
+_MOST_MB = "limits.keyframes_max_mb"
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+def write_features(path: Path, arrays: Arrays) -> None:
+    """Write the features of all kinds of scans and their keyframes, by name."""
+    with zipfile.ZipFile(path, "w") as packed:
+        for name in sorted(arrays):
+            data = io.BytesIO()
+            np.lib.format.write_array(data, arrays[name], version=_VERSION, allow_pickle=False)
+            info = zipfile.ZipInfo(f"{name}.npy")  # of no time: the same bytes whenever it is made
+            packed.writestr(info, data.getvalue(), zipfile.ZIP_DEFLATED)
+
+
+def read_features(path: Path, keyframes: int, limits: LimitsConfig) -> Arrays:
+    """The arrays of a file, those of a map of so many keyframes.
+
+    Raises MapError for a file that is damaged, or beyond its limits.
+    """
+    try:
+        data = read_bytes(path, limits.keyframes_max_mb, _MOST_MB)
+        arrays = _unpacked(data, path, limits)
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read: {reason(error)}") from None
+    except (ValueError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error):
+        raise _damaged(path, "is no zip file of arrays") from None
+    for kind in KINDS:
+        _check(path, arrays[kind], arrays[kind + KEYFRAMES_OF], keyframes)
+    return arrays
+
+
+def _unpacked(data: bytes, path: Path, limits: LimitsConfig) -> dict[str, NDArray[Any]]:
+    names = {name for kind in KINDS for name in (kind, kind + KEYFRAMES_OF)}
+    with zipfile.ZipFile(io.BytesIO(data)) as packed:
+        infos = packed.infolist()
+        if sorted(info.filename for info in infos) != sorted(f"{name}.npy" for name in names):
+            raise _damaged(path, "holds other arrays than those of a map")
+        if sum(info.file_size for info in infos) > limits.keyframes_max_mb * 1e6:
+            raise MapError(f"{path}: unpacked larger than {_MOST_MB}", code=TOO_LARGE)
+        return {name: _array(packed.read(f"{name}.npy")) for name in names}
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    """An array of a file in NumPy's format, which runs no code; ValueError for any other."""
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    if version != _VERSION:
+        raise ValueError(version)
+    shape, column_first, kind = np.lib.format.read_array_header_1_0(file)
+    if kind.hasobject or column_first:
+        raise ValueError(kind)
+    return np.frombuffer(data, dtype=kind, offset=file.tell()).reshape(shape)
+
+
+def _check(path: Path, features: NDArray[Any], own: NDArray[Any], keyframes: int) -> None:
+    """Refuse features that are none, or of keyframes that are none."""
+    if features.dtype != np.float16 or features.ndim != 2 or own.dtype != np.int32 or own.ndim != 1:
+        raise _damaged(path, "holds arrays of another kind")
+    if features.shape[1] != len(own) or not np.isfinite(features).all():
+        raise _damaged(path, "holds features that are none")
+    if len(own) and not 0 <= own.min() <= own.max() < keyframes:
+        raise _damaged(path, "names keyframes that the map does not have")
+
+
+def _damaged(path: Path, what: str) -> MapError:
+    return MapError(f"{path}: {what}: delete it, or build the map again")

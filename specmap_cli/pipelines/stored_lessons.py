@@ -1,0 +1,114 @@
+"""What the classifiers of a map learned from, as its directory keeps it, and as it holds later."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli import __version__
+from specmap_cli.core.geometry import FloatArray, compose, nearest_motion
+from specmap_cli.core.records import BoolArray, IntArray, Labels
+from specmap_cli.core.settings import Config
+from specmap_cli.maps.features_file import KEYFRAMES_OF, KINDS
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.recognition.features.sets import feature_names
+from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.learning.holding_out import Samples
+from specmap_cli.recognition.learning.lessons import NO_LESSONS, Lessons
+
+_MOST = float(np.finfo(np.float16).max)
+
+
+def arrays_of(lessons: Lessons) -> dict[str, NDArray[Any]]:
+    """Lessons as the arrays of a file: in half precision, which moves few of them to another bin.
+
+    A column a scan: one feature of all scans after the other takes less room.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    for kind in KINDS:
+        samples: Samples = getattr(lessons, kind)
+        features = np.clip(samples.features.T, -_MOST, _MOST).astype(np.float16)
+        arrays[kind] = np.ascontiguousarray(features)
+        arrays[kind + KEYFRAMES_OF] = samples.keyframes.astype(np.int32)
+    return arrays
+
+
+def lessons_of_stored(stored: StoredMap, config: Config) -> Lessons:
+    """The lessons of a map directory; none where they would not be the same by these settings.
+
+    Nor are there any of another version, which may find other features. Raises MapError for a
+    damaged file.
+    """
+    arrays, before = stored.features, stored.config
+    same = before.recognition.feature_set == config.recognition.feature_set
+    same &= before.localization == config.localization
+    if arrays is None or not same or _version(stored) != __version__:
+        return NO_LESSONS
+    columns = len(feature_names(config.recognition.feature_set))
+    virtual = len(feature_names(config.localization.feature_set))
+    raw, along, cast = (_samples(arrays, kind) for kind in KINDS)
+    if raw.features.shape[1] != columns or {along.features.shape[1], cast.features.shape[1]} != {
+        virtual
+    }:
+        return NO_LESSONS
+    return Lessons(raw, along, cast)
+
+
+def comparable(
+    classifiers: ClassifierSet | None, stored: StoredMap, config: Config
+) -> ClassifierSet | None:
+    """The classifiers of a map where they are of the kind that these settings make, else None."""
+    if classifiers is None or stored.config.recognition != config.recognition:
+        return None
+    virtual = classifiers.virtual is not None
+    same = stored.config.localization.feature_set == config.localization.feature_set
+    return classifiers if same and virtual == config.localization.virtual else None
+
+
+def lessons_left(
+    lessons: Lessons, before: Labels, now: Labels, left: IntArray, apart_m: float
+) -> Lessons:
+    """What of the lessons of a map holds for one that it became.
+
+    `left` (k,) are the keyframes of the map that are the first ones of `now`. What was cast in the
+    grid of a submap holds where the submap has the keyframes that it had, and where these lie to
+    each other as they did, to `apart_m`.
+    """
+    kept = lessons.left(left)
+    return kept.cast_near(_unchanged(before, now, left, apart_m))
+
+
+def _unchanged(before: Labels, now: Labels, left: IntArray, apart_m: float) -> BoolArray:
+    """(k,) the keyframes of submaps that are as they were."""
+    unchanged = np.zeros(len(left), dtype=bool)
+    submaps = now.submaps[: len(left)]
+    for submap in np.unique(submaps).tolist():
+        own = submaps == submap
+        count = int(own.sum())
+        alone = count == np.count_nonzero(now.submaps == submap)
+        whole = count == np.count_nonzero(before.submaps == submap)
+        was, is_ = before.poses[left[own]], now.poses[: len(left)][own]
+        unchanged[own] = alone and whole and _bent_m(was, is_) <= apart_m
+    return unchanged
+
+
+def _bent_m(was: FloatArray, is_: FloatArray) -> float:
+    """How far places (n, 3) moved besides a motion that they made together."""
+    motion = nearest_motion(was[:, :2], is_[:, :2])
+    away = compose(np.array(motion), was)[:, :2] - is_[:, :2]
+    return float(np.hypot(away[:, 0], away[:, 1]).max())
+
+
+def _samples(arrays: Mapping[str, NDArray[Any]], kind: str) -> Samples:
+    features = np.ascontiguousarray(arrays[kind].T, dtype=np.float32)
+    return Samples(features, arrays[kind + KEYFRAMES_OF].astype(np.intp))
+
+
+def _version(stored: StoredMap) -> str | None:
+    """The version of specmap that made the map, as far as it says so."""
+    versions = stored.run.get("versions")
+    version = versions.get("specmap") if isinstance(versions, dict) else None
+    return version if isinstance(version, str) else None

@@ -1,0 +1,69 @@
+"""What the classifiers of a map were learned from: features of scans, by keyframe.
+
+A map that is made anew, with more scans or with other borders, learns from them again. The features
+of a scan stay what they are, so they are not found again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.recognition.learning.holding_out import Samples
+
+
+@dataclass(frozen=True, slots=True)
+class Lessons:
+    """Samples of all submaps: `raw` scans, virtual ones `along` the track, and those `cast`.
+
+    Of scans cast in a grid the keyframes are the nearest ones. Without virtual scans there are none
+    of the last two.
+    """
+
+    raw: Samples
+    along: Samples
+    cast: Samples
+
+    @classmethod
+    def of(
+        cls, raw: Mapping[int, Samples], along: Mapping[int, Samples], cast: Mapping[int, Samples]
+    ) -> Lessons:
+        """Those of every submap."""
+        return cls(together(raw), together(along), together(cast))
+
+    def left(self, numbers: IntArray) -> Lessons:
+        """Those of the keyframes `numbers` (k,), ascending, which are 0, 1, ... from now on."""
+        return Lessons(*(_left(own, numbers) for own in (self.raw, self.along, self.cast)))
+
+    def cast_near(self, keyframes: BoolArray) -> Lessons:
+        """Without the scans that were cast near other keyframes than some (n,)."""
+        return replace(self, cast=self.cast.rows(keyframes[self.cast.keyframes]))
+
+
+NO_SAMPLES = Samples(np.zeros((0, 0)), np.zeros(0, dtype=np.intp))
+NO_LESSONS = Lessons(NO_SAMPLES, NO_SAMPLES, NO_SAMPLES)
+
+
+def together(samples: Mapping[int, Samples]) -> Samples:
+    """The samples of all submaps, one after the other."""
+    if not samples:
+        return NO_SAMPLES
+    ordered = [samples[i] for i in sorted(samples)]
+    return Samples(
+        np.vstack([own.features for own in ordered]),
+        np.concatenate([own.keyframes for own in ordered]),
+    )
+
+
+def of_keyframes(samples: Samples, keyframes: Collection[int]) -> Samples:
+    """The samples of some keyframes."""
+    return samples.rows(np.isin(samples.keyframes, np.fromiter(keyframes, dtype=np.intp)))
+
+
+def _left(samples: Samples, numbers: IntArray) -> Samples:
+    """Samples of the keyframes `numbers`, with their new numbers."""
+    kept = samples.rows(np.isin(samples.keyframes, numbers))
+    return replace(kept, keyframes=np.searchsorted(numbers, kept.keyframes).astype(np.intp))

@@ -1,0 +1,198 @@
+"""Which scans the classifiers of a map learn from: single ones, and virtual ones of full circle."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import NO_SUBMAP, PlanarScan
+from specmap_cli.core.sampling import evenly
+from specmap_cli.core.settings import Config, LocalizationConfig
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.recognition.features.sets import KeyframeFeatures, scans_features
+from specmap_cli.recognition.features.virtual import RecentScans, cast_circles
+from specmap_cli.recognition.learning.holding_out import Samples
+from specmap_cli.recognition.learning.lessons import NO_SAMPLES, of_keyframes, together
+
+# Of the window: 1, 2, 5 and 10 m by default, as it has to work while it fills.
+_WINDOW_SHARES = (0.1, 0.2, 0.5, 1.0)
+_DRAWS = 6  # free cells drawn for one that is wanted: most lie too far from the track
+_ALIKE_SHARE = 0.5  # of the cast samples is dealt out evenly, the rest by area
+
+
+def raw_samples(
+    store: KeyframeStore,
+    submaps: Mapping[int, Sequence[int]],
+    config: Config,
+    features: KeyframeFeatures | None = None,
+    starts: Sequence[int] = (),
+) -> dict[int, Samples]:
+    """The raw scans of every submap that are learned from.
+
+    `features` are those known so far. A submap that was seen often is learned from some of its
+    scans, evenly spread over the recordings, which after the first one begin at `starts`; first of
+    all from those whose features are known, which were chosen evenly, too.
+    """
+    feature_set, most = config.recognition.feature_set, config.recognition.positives
+    features = features or KeyframeFeatures(store, feature_set)
+    samples = {}
+    for i, numbers in submaps.items():
+        chosen = _chosen(np.asarray(numbers, dtype=np.intp), features, most, starts)
+        samples[i] = Samples(features.of(chosen), np.array(chosen, dtype=np.intp))
+    return samples
+
+
+def _chosen(
+    numbers: NDArray[np.intp], features: KeyframeFeatures, most: int, starts: Sequence[int]
+) -> list[int]:
+    """At most `most` of a submap's keyframes, ascending.
+
+    Of each recording its share: those with known features, then others.
+    """
+    wanted = _by_recording(evenly(numbers, most), starts)
+    chosen: list[int] = []
+    for own, share in zip(_by_recording(numbers, starts), wanted, strict=True):
+        known = evenly(np.array(features.known(own.tolist()), dtype=np.intp), len(share))
+        others = evenly(np.setdiff1d(own, known), len(share) - len(known))
+        chosen += sorted([*known.tolist(), *others.tolist()])
+    return chosen
+
+
+def _by_recording(numbers: NDArray[np.intp], starts: Sequence[int]) -> list[NDArray[np.intp]]:
+    """Keyframes (n,), ascending, by recording; those after the first one begin at `starts`."""
+    return np.split(numbers, np.searchsorted(numbers, np.asarray(starts, dtype=np.intp)))
+
+
+def track_samples(
+    store: KeyframeStore,
+    submaps: Mapping[int, Sequence[int]],
+    poses: FloatArray,
+    localization: LocalizationConfig,
+    known: Samples = NO_SAMPLES,
+    starts: Sequence[int] = (),
+) -> dict[int, Samples]:
+    """Virtual scans of every submap, of what was seen of late along the track.
+
+    They need no grids. Recordings of which some are `known` are not looked at again; recordings
+    after the first one begin at `starts`.
+    """
+    owner = _owners(submaps, len(poses))
+    numbers = np.flatnonzero(owner != NO_SUBMAP)
+    wanted = _by_recording(evenly(numbers, localization.track_samples), starts)
+    found: list[Samples] = []
+    for own, share in zip(_by_recording(numbers, starts), wanted, strict=True):
+        before = of_keyframes(known, own.tolist())
+        if len(before.keyframes):
+            found.append(_some(before, len(share)))
+        elif len(share):
+            found.append(_along_the_track(store, own, share, poses, localization))
+    every = together(dict(enumerate(found)))
+    return {i: every.rows(owner[every.keyframes] == i) for i in sorted(submaps)}
+
+
+def _some(samples: Samples, most: int) -> Samples:
+    """At most so many of the samples; not every other one, as these are of equal windows."""
+    order = np.random.default_rng(len(samples.keyframes)).permutation(len(samples.keyframes))
+    return samples.rows(np.sort(order[:most]))
+
+
+def cast_samples(
+    submaps: Mapping[int, Sequence[int]],
+    poses: FloatArray,
+    grids: Mapping[int, GridMap],
+    localization: LocalizationConfig,
+    rng: np.random.Generator,
+    known: Samples = NO_SAMPLES,
+) -> dict[int, Samples]:
+    """Virtual scans of every submap, cast from free cells near its track.
+
+    In submaps of which some are `known` none are cast again.
+    """
+    owner = _owners(submaps, len(poses))
+    samples = {}
+    counts = _share_out(localization.augmentation, {i: g.free_area_m2 for i, g in grids.items()})
+    tracked = np.flatnonzero(owner != NO_SUBMAP)
+    tree = cKDTree(poses[tracked, :2])
+    for i in sorted(submaps):
+        before = known.rows(owner[known.keyframes] == i)
+        if len(before.keyframes):
+            samples[i] = before.rows(np.arange(min(counts[i], len(before.keyframes))))
+            continue
+        drawn = _free_places(grids[i], localization.augmentation_clearance_m, counts[i], rng)
+        map_from_submap = Pose2(*poses[submaps[i][0]].tolist())
+        distance, nearest = tree.query(map_from_submap.apply(drawn))
+        near = (distance < localization.augmentation_reach_m) & (owner[tracked][nearest] == i)
+        beams, reach = localization.virtual_beams, localization.virtual_range_m
+        scans = cast_circles(grids[i], drawn[near][: counts[i]], beams, reach)
+        features = scans_features(scans, localization.feature_set)
+        samples[i] = Samples(features, tracked[nearest[near][: counts[i]]])
+    return samples
+
+
+def _owners(submaps: Mapping[int, Sequence[int]], count: int) -> NDArray[np.intp]:
+    """(count,) submap of every keyframe, NO_SUBMAP for none."""
+    owner = np.full(count, NO_SUBMAP, dtype=np.intp)
+    for i, numbers in submaps.items():
+        owner[np.asarray(numbers, dtype=np.intp)] = i
+    return owner
+
+
+def _along_the_track(
+    store: KeyframeStore,
+    numbers: NDArray[np.intp],
+    sampled: NDArray[np.intp],
+    poses: FloatArray,
+    localization: LocalizationConfig,
+) -> Samples:
+    """What the window showed at the keyframes `sampled`, of several lengths.
+
+    It moves over the keyframes `numbers` of a recording, in turn.
+    """
+    scans = _in_windows(store, numbers, set(sampled.tolist()), poses, localization)
+    return Samples(scans_features(scans, localization.feature_set), sampled)
+
+
+def _in_windows(
+    store: KeyframeStore,
+    numbers: NDArray[np.intp],
+    sampled: Collection[int],
+    poses: FloatArray,
+    localization: LocalizationConfig,
+) -> Iterator[PlanarScan]:
+    """The virtual scan of each of the keyframes `sampled`."""
+    window = RecentScans(localization)
+    turn = 0
+    for number in numbers.tolist():
+        pose, mounting = Pose2(*poses[number].tolist()), store.base_from_laser(number)
+        if window.moves_on(pose):
+            window.keep(store.scan(number).hits(localization.virtual_range_m), pose, mounting)
+        if number in sampled:
+            share = _WINDOW_SHARES[turn % len(_WINDOW_SHARES)]
+            yield window.scan(0, pose @ mounting, share)
+            turn += 1
+
+
+def _share_out(total: int, areas: Mapping[int, float]) -> dict[int, int]:
+    """How many of `total` samples each submap gets: half alike, half by its area."""
+    whole = sum(areas.values())
+    even = _ALIKE_SHARE / max(1, len(areas))
+    by_area = 1.0 - _ALIKE_SHARE
+    return {
+        i: round(total * (even + (by_area * area / whole if whole > 0.0 else even)))
+        for i, area in sorted(areas.items())
+    }
+
+
+def _free_places(
+    grid: GridMap, clearance_m: float, count: int, rng: np.random.Generator
+) -> FloatArray:
+    """(n, 2) places drawn from the free cells that lie farther than this from all others."""
+    cells = np.argwhere(grid.clearance() > clearance_m)
+    if not len(cells) or not count:
+        return np.zeros((0, 2))
+    return grid.centres_of(cells[rng.integers(len(cells), size=_DRAWS * count)])

@@ -1,0 +1,128 @@
+"""Lessons in a map directory: kept, taken up by what comes after, and let go where they err."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from specmap_cli import build_map, read_map
+from specmap_cli.core.config import load_config
+from specmap_cli.core.records import IntArray, Labels
+from specmap_cli.core.settings import Config
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.pipelines.localize import classifiers_of
+from specmap_cli.pipelines.simulate import SimulationResult
+from specmap_cli.pipelines.stored_lessons import (
+    arrays_of,
+    comparable,
+    lessons_left,
+    lessons_of_stored,
+)
+from specmap_cli.recognition.learning.holding_out import Samples
+from specmap_cli.recognition.learning.lessons import Lessons
+
+QUICK = load_config(
+    None, None, {"recognition": {"rounds": 2}, "localization": {"augmentation": 20}}
+)
+
+
+@pytest.fixture(scope="module")
+def house(flat_log: SimulationResult, tmp_path_factory: pytest.TempPathFactory) -> StoredMap:
+    """The map of the flat, which keeps its lessons."""
+    out = tmp_path_factory.mktemp("lessons") / "map"
+    build_map(flat_log.log, out, QUICK)
+    return read_map(out)
+
+
+def samples(*keyframes: int) -> Samples:
+    numbers = np.array(keyframes, dtype=np.intp)
+    return Samples(np.ones((len(numbers), 2)), numbers)
+
+
+def test_features_survive_the_file_in_half_precision() -> None:
+    large = Samples(np.array([[1.0 / 3.0, 1e9], [-1e9, 0.0]]), np.array([2, 5], dtype=np.intp))
+    arrays = arrays_of(Lessons(large, samples(), samples()))
+    assert arrays["raw"].T.tolist() == [[0.333251953125, 65504.0], [-65504.0, 0.0]]
+    assert arrays["raw_keyframes"].tolist() == [2, 5]
+    assert arrays["raw"].dtype == np.float16
+
+
+def test_a_map_keeps_what_its_classifiers_learned_from(house: StoredMap) -> None:
+    lessons = lessons_of_stored(house, house.config)
+    for kept in (lessons.raw, lessons.along, lessons.cast):
+        assert len(kept.features) == len(kept.keyframes) > 0
+    assert len(np.unique(lessons.raw.keyframes)) == len(lessons.raw.keyframes)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"recognition": {"feature_set": "table1"}},
+        {"localization": {"virtual_range_m": 5.0}},
+    ],
+)
+def test_other_settings_learn_anew(house: StoredMap, changed: dict[str, Any]) -> None:
+    values = house.config.model_dump()
+    for section, settings in changed.items():
+        values[section] |= settings
+    config = Config.model_validate(values)
+    assert len(lessons_of_stored(house, config).raw.keyframes) == 0
+
+
+def test_another_version_and_a_map_without_the_file_learn_anew(
+    house: StoredMap, tmp_path: Path
+) -> None:
+    shutil.copytree(house.path, tmp_path / "other")
+    run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
+    run["versions"]["specmap"] = "0.0.1"
+    (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
+    other = read_map(tmp_path / "other")
+    assert len(lessons_of_stored(other, house.config).raw.keyframes) == 0
+    shutil.copyfile(house.path / "run.json", tmp_path / "other" / "run.json")
+    (tmp_path / "other" / "features.npz").unlink()
+    assert len(lessons_of_stored(read_map(tmp_path / "other"), house.config).raw.keyframes) == 0
+
+
+def test_classifiers_of_other_settings_are_no_test(house: StoredMap) -> None:
+    classifiers = classifiers_of(house)
+    assert comparable(classifiers, house, house.config) is classifiers
+    values = house.config.model_dump()
+    values["recognition"] |= {"rounds": 1 + house.config.recognition.rounds}
+    assert comparable(classifiers, house, Config.model_validate(values)) is None
+    assert comparable(None, house, house.config) is None
+
+
+def labels(poses: list[tuple[float, float, float]], submaps: list[int]) -> Labels:
+    stamps: IntArray = np.arange(len(submaps), dtype=np.int64)
+    return Labels(stamps_ns=stamps, poses=np.array(poses), submaps=np.array(submaps))
+
+
+ROW = [(float(x), 0.0, 0.0) for x in range(6)]
+BEFORE = labels(ROW, [0, 0, 0, 1, 1, 1])
+
+
+@pytest.mark.parametrize(
+    ("left", "now", "cast"),
+    [
+        ([0, 1, 2, 3, 4, 5], labels([*ROW, (7.0, 0.0, 0.0)], [0, 0, 0, 1, 1, 1, 1]), [0, 2]),
+        ([0, 2, 3, 4, 5], labels([ROW[k] for k in (0, 2, 3, 4, 5)], [0, 0, 1, 1, 1]), [2, 4]),
+        (
+            [*range(6)],
+            labels([(y, x, 0.0) for x, y, _ in ROW], BEFORE.submaps.tolist()),
+            [0, 2, 3, 5],
+        ),
+        ([*range(6)], labels([*ROW[:5], (5.0, 0.5, 0.0)], BEFORE.submaps.tolist()), [0, 2]),
+    ],
+    ids=["visited again", "a keyframe is gone", "moved as a whole", "bent"],
+)
+def test_scans_cast_in_a_grid_hold_while_the_submap_is_as_it_was(
+    left: list[int], now: Labels, cast: list[int]
+) -> None:
+    lessons = Lessons(samples(0, 5), samples(1), samples(0, 2, 3, 5))
+    found = lessons_left(lessons, BEFORE, now, np.array(left), 0.05)
+    assert found.cast.keyframes.tolist() == cast
