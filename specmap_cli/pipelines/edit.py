@@ -37,11 +37,14 @@ from specmap_cli.pipelines.edited import (
 )
 from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.pipelines.kept_map import kept_of_stored
+from specmap_cli.pipelines.learning import known_of
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.relabelling import carry_over, quality_of_stored, write_relabelled
 from specmap_cli.pipelines.remaking import divided_anew
 from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.stored_lessons import lessons_left, lessons_of_stored
 from specmap_cli.pipelines.wishes import Wishes, with_wishes
+from specmap_cli.recognition.learning.lessons import Lessons
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
 
@@ -207,12 +210,27 @@ def _made_anew(
     kept = replace(before, edits=found.edits)
     with stored.keyframes() as store:
         finished = divided_anew(
-            store, kept, lambda _: quality_of_stored(stored), config, progress, clock, stored.counts
+            store,
+            kept,
+            lambda _: quality_of_stored(stored),
+            config,
+            progress,
+            clock,
+            stored.counts,
+            known_of(store, _lessons(stored, found, config), kept.starts, config),
         )
         overview = finished.overview(kept.logs)
         write_map(directory, finished.result(kept.logs, _run(stored, finished), overview), store)
     carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
     return _Edited(finished.topology, finished.unapplied)
+
+
+def _lessons(stored: StoredMap, found: Drawn, config: Config) -> Lessons:
+    """What the classifiers learned from that holds with other borders."""
+    labels = stored.labels
+    now, everything = replace(labels, submaps=found.submaps), np.arange(len(labels.stamps_ns))
+    lessons = lessons_of_stored(stored, config)
+    return lessons_left(lessons, labels, now, everything, config.grid.resolution_m)
 
 
 def _run(stored: StoredMap, finished: FinishedMap) -> dict[str, Any]:

@@ -149,6 +149,15 @@ class Known:
         return Revisits(self.before, self.starts[-1], poses, labels, config.held_out_reach_m)
 
 
+def known_of(
+    store: KeyframeStore, lessons: Lessons, starts: tuple[int, ...], config: Config
+) -> Known:
+    """What is known of a map's keyframes by the lessons that hold for them, and nothing else."""
+    features = KeyframeFeatures(store, config.recognition.feature_set)
+    raw = lessons.raw
+    return Known(features.knowing(raw.keyframes, raw.features), lessons, starts)
+
+
 def learn(
     store: KeyframeStore,
     known: Known,

@@ -31,7 +31,7 @@ from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.assessment import tell
 from specmap_cli.pipelines.edited import drawn
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, seen_of_stored
-from specmap_cli.pipelines.learning import whole_grid
+from specmap_cli.pipelines.learning import Known, known_of, whole_grid
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
 from specmap_cli.pipelines.meetings import Meetings, Spread, meetings_of, parts_of, steps_of
@@ -39,7 +39,9 @@ from specmap_cli.pipelines.merge_report import MergeReport
 from specmap_cli.pipelines.remaking import remade
 from specmap_cli.pipelines.run_record import OF_THE_MAP, run_record
 from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.stored_lessons import lessons_left, lessons_of_stored
 from specmap_cli.recognition.features.sets import check_feature_sets
+from specmap_cli.recognition.learning.lessons import Lessons
 from specmap_cli.topology.borders import fences_of
 from specmap_cli.topology.regions import divide
 
@@ -78,7 +80,8 @@ def merge_maps(
         with clock.stage("layout"):
             merging = _merged(ordered, seen, meetings, store, config)
         counts = _counts(ordered)
-        finished = remade(store, merging.joined, config, progress, clock, counts)
+        known = _known(ordered, merging, store, config)
+        finished = remade(store, merging.joined, config, progress, clock, counts, known)
         overview = finished.overview(merging.joined.kept.logs)
         run = run_record([stored.path.resolve() for stored in ordered], None, config, finished)
         tell(finished.quality, progress)
@@ -167,6 +170,20 @@ class _Merging:
         first, _ = self.firsts[number]
         own = kept.labels.poses[:, :2]
         return nearest_motion(own, self.joined.kept.layout.poses[first : first + len(own), :2])
+
+
+def _known(
+    maps: Sequence[StoredMap], merging: _Merging, store: KeyframeStore, config: Config
+) -> Known:
+    """What the maps keep of what their classifiers learned from, as it holds for all of them."""
+    joint, cell_m = merging.joined.kept, config.grid.resolution_m
+    parts = []
+    for number, stored in enumerate(maps):
+        before, (first, _) = stored.labels, merging.firsts[number]
+        everything = np.arange(len(before.stamps_ns))
+        lessons = lessons_of_stored(stored, config)
+        parts.append(lessons_left(lessons, before, joint.labels, everything, cell_m, first))
+    return known_of(store, Lessons.joined(parts), joint.starts, config)
 
 
 def _merged(

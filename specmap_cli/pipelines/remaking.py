@@ -14,12 +14,12 @@ from specmap_cli.maps.edits_text import written
 from specmap_cli.pipelines.edited import drawn, named, tell_unapplied
 from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.pipelines.kept_map import KeptMap
-from specmap_cli.pipelines.learning import Known, learn, linked, whole_grid
+from specmap_cli.pipelines.learning import Known, known_of, learn, linked, whole_grid
 from specmap_cli.pipelines.map_joining import Joined
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.verdict import of_layout, quality_of
-from specmap_cli.recognition.features.sets import KeyframeFeatures
+from specmap_cli.recognition.learning.lessons import NO_LESSONS
 from specmap_cli.topology.borders import fences_of
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import divide
@@ -86,9 +86,7 @@ def divided_anew(
         whole, beyond = drawn_before or whole_grid(store, kept.layout, config)
     edited = drawn(whole, kept.labels, kept.borders, kept.edits, kept.next_id)
     labels = replace(kept.labels, submaps=edited.submaps)
-    known = known or Known(
-        KeyframeFeatures(store, config.recognition.feature_set), starts=kept.starts
-    )
+    known = known or known_of(store, NO_LESSONS, kept.starts, config)
     learned = learn(store, known, edited.submaps, kept.layout.poses, config, progress, clock)
     with clock.stage("ways"):
         regions = divide(whole, labels, fences_of(edited.borders))

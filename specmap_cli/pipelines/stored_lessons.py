@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from specmap_cli import __version__
 from specmap_cli.core.geometry import FloatArray, compose, nearest_motion
-from specmap_cli.core.records import BoolArray, IntArray, Labels
+from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.maps.features_file import KEYFRAMES_OF, KINDS
 from specmap_cli.maps.store import StoredMap
@@ -69,30 +69,25 @@ def comparable(
 
 
 def lessons_left(
-    lessons: Lessons, before: Labels, now: Labels, left: IntArray, apart_m: float
+    lessons: Lessons, before: Labels, now: Labels, left: IntArray, apart_m: float, first: int = 0
 ) -> Lessons:
     """What of the lessons of a map holds for one that it became.
 
-    `left` (k,) are the keyframes of the map that are the first ones of `now`. What was cast in the
-    grid of a submap holds where the submap has the keyframes that it had, and where these lie to
-    each other as they did, to `apart_m`.
+    `left` (k,) are the keyframes of the map that are those from number `first` on of `now`. What
+    was cast in the grid of a submap holds where the submap has the keyframes that it had, and where
+    these lie to each other as they did, to `apart_m`.
     """
-    kept = lessons.left(left)
-    return kept.cast_near(_unchanged(before, now, left, apart_m))
-
-
-def _unchanged(before: Labels, now: Labels, left: IntArray, apart_m: float) -> BoolArray:
-    """(k,) the keyframes of submaps that are as they were."""
+    own = slice(first, first + len(left))
     unchanged = np.zeros(len(left), dtype=bool)
-    submaps = now.submaps[: len(left)]
-    for submap in np.unique(submaps).tolist():
-        own = submaps == submap
-        count = int(own.sum())
-        alone = count == np.count_nonzero(now.submaps == submap)
-        whole = count == np.count_nonzero(before.submaps == submap)
-        was, is_ = before.poses[left[own]], now.poses[: len(left)][own]
-        unchanged[own] = alone and whole and _bent_m(was, is_) <= apart_m
-    return unchanged
+    for submap in np.unique(now.submaps[own]).tolist():
+        rows = np.flatnonzero(now.submaps[own] == submap)
+        was, is_ = before.poses[left[rows]], now.poses[own][rows]
+        there = {np.count_nonzero(now.submaps == submap)}
+        there |= {
+            np.count_nonzero(before.submaps == id_) for id_ in set(before.submaps[left[rows]])
+        }
+        unchanged[rows] = there == {len(rows)} and _bent_m(was, is_) <= apart_m
+    return lessons.left(left).cast_near(unchanged).numbered_from(first)
 
 
 def _bent_m(was: FloatArray, is_: FloatArray) -> float:

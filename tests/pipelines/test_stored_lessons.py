@@ -126,3 +126,19 @@ def test_scans_cast_in_a_grid_hold_while_the_submap_is_as_it_was(
     lessons = Lessons(samples(0, 5), samples(1), samples(0, 2, 3, 5))
     found = lessons_left(lessons, BEFORE, now, np.array(left), 0.05)
     assert found.cast.keyframes.tolist() == cast
+
+
+def test_lessons_of_a_map_behind_another_are_numbered_behind_it() -> None:
+    lessons = Lessons(samples(0, 5), samples(1), samples(0, 5))
+    now = labels([*ROW, *ROW], [7, 7, 7, 0, 0, 0, 0, 0, 0, 1, 1, 1])
+    found = lessons_left(lessons, BEFORE, now, np.arange(6), 0.05, first=6)
+    assert found.raw.keyframes.tolist() == [6, 11]
+    assert found.along.keyframes.tolist() == [7]
+    assert found.cast.keyframes.tolist() == [11]  # the first submap has keyframes of both maps
+
+
+def test_scans_cast_in_two_submaps_that_are_one_now_do_not_hold() -> None:
+    lessons = Lessons(samples(), samples(), samples(0, 5))
+    now = labels(ROW, [0] * 6)
+    found = lessons_left(lessons, BEFORE, now, np.arange(6), 0.05)
+    assert found.cast.keyframes.tolist() == []

@@ -6,7 +6,7 @@ of a scan stay what they are, so they are not found again.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +38,25 @@ class Lessons:
         """Those of the keyframes `numbers` (k,), ascending, which are 0, 1, ... from now on."""
         return Lessons(*(_left(own, numbers) for own in (self.raw, self.along, self.cast)))
 
+    @classmethod
+    def joined(cls, parts: Sequence[Lessons]) -> Lessons:
+        """Those of several maps in one."""
+        return cls(
+            *(
+                together({k: getattr(part, kind) for k, part in enumerate(parts)})
+                for kind in ("raw", "along", "cast")
+            )
+        )
+
+    def numbered_from(self, first: int) -> Lessons:
+        """Those of the same keyframes, which are numbered from `first` on instead of from 0."""
+        return Lessons(
+            *(
+                replace(own, keyframes=own.keyframes + first)
+                for own in (self.raw, self.along, self.cast)
+            )
+        )
+
     def cast_near(self, keyframes: BoolArray) -> Lessons:
         """Without the scans that were cast near other keyframes than some (n,)."""
         return replace(self, cast=self.cast.rows(keyframes[self.cast.keyframes]))
@@ -49,9 +68,9 @@ NO_LESSONS = Lessons(NO_SAMPLES, NO_SAMPLES, NO_SAMPLES)
 
 def together(samples: Mapping[int, Samples]) -> Samples:
     """The samples of all submaps, one after the other."""
-    if not samples:
+    ordered = [samples[i] for i in sorted(samples) if len(samples[i].keyframes)]
+    if not ordered:
         return NO_SAMPLES
-    ordered = [samples[i] for i in sorted(samples)]
     return Samples(
         np.vstack([own.features for own in ordered]),
         np.concatenate([own.keyframes for own in ordered]),

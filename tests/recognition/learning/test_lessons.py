@@ -82,6 +82,16 @@ def test_samples_are_put_together_by_submap() -> None:
     assert len(together({}).keyframes) == 0
 
 
+def test_lessons_of_several_maps_are_one() -> None:
+    one = Lessons(numbered(0, 1), numbered(1), numbered())
+    other = one.numbered_from(10)
+    both = Lessons.joined([one, NO_LESSONS, other])
+    assert both.raw.keyframes.tolist() == [0, 1, 10, 11]
+    assert both.raw.features.ravel().tolist() == [100.0, 101.0, 100.0, 101.0]
+    assert both.along.keyframes.tolist() == [1, 11]
+    assert len(both.cast.keyframes) == 0
+
+
 def test_each_recording_gives_its_share_of_raw_scans_the_known_ones_first(
     store: KeyframeStore,
 ) -> None:
