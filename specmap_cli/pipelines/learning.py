@@ -181,26 +181,35 @@ def learn(
             grids = submap_grids(store, submaps, poses, config, progress)
         progress.start("training", None)
         with clock.stage("training"):
-            virtual = of_virtual = None
-            along: OfSubmaps = {}
-            cast: OfSubmaps = {}
+            virtual = _NO_VIRTUAL
             if config.localization.virtual:
                 cast = cast_samples(
                     submaps, poses, grids, config.localization, virtual_rng, known.lessons.cast
                 )
                 along = next(beside)
-                virtual, of_virtual = train_virtual(
-                    along, cast, poses, config, virtual_rng, revisits
-                )
+                learned = train_virtual(along, cast, poses, config, virtual_rng, revisits)
+                virtual = _Virtual(along, cast, *learned)
             taught = beside.result
             classifiers = ClassifierSet(
                 sensor=sensor_of(store, submaps),
                 raw=taught.raw,
-                virtual=virtual,
+                virtual=virtual.learned,
                 misfit=taught.misfit,
-                calibration=_calibrated(taught.held_out, of_virtual, known.before),
+                calibration=_calibrated(taught.held_out, virtual.held_out, known.before),
             )
-    return Learned(grids, classifiers, Lessons.of(taught.samples, along, cast))
+    return Learned(grids, classifiers, Lessons.of(taught.samples, virtual.along, virtual.cast))
+
+
+class _Virtual(NamedTuple):
+    """The virtual scans of submaps, what they taught, and how held-out ones are told."""
+
+    along: OfSubmaps
+    cast: OfSubmaps
+    learned: Recogniser | None
+    held_out: HeldOutMargins | None
+
+
+_NO_VIRTUAL = _Virtual({}, {}, None, None)
 
 
 def _calibrated(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import UpdateConfig
 from specmap_cli.evaluation.trajectories import read_tum, reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.maps.features_file import write_features
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.pipelines.update import update_map
@@ -111,6 +113,32 @@ def test_visits_stays_and_closures_of_the_old_recording_are_as_they_were(kept: K
         assert (now.submap, now.start_ns, now.end_ns) == (stay.submap, stay.start_ns, stay.end_ns)
     count = len(kept.old.topology.closures)
     assert kept.new.topology.closures[:count] == kept.old.topology.closures
+
+
+def test_scans_that_were_learned_from_are_learned_from_again(kept: Kept, tmp_path: Path) -> None:
+    shutil.copytree(kept.old.path, tmp_path / "old")
+    arrays = {name: values.copy() for name, values in (kept.old.features or {}).items()}
+    for kind in ("raw", "along"):
+        arrays[kind][:] = 1.0
+    write_features(tmp_path / "old" / "features.npz", arrays)
+    update_map(tmp_path / "old", kept.second.log, tmp_path / "new", QUICK)
+    found = read_map(tmp_path / "new").features
+    assert found is not None
+    for kind in ("raw", "along"):
+        old = found[kind + "_keyframes"] < kept.first_new
+        assert 0 < np.count_nonzero(old) < len(old)
+        assert ((found[kind] == 1.0).all(axis=0) == old).all()
+
+
+def test_the_new_recording_tells_how_sure_the_classifiers_are(kept: Kept, tmp_path: Path) -> None:
+    calibration = json.loads(kept.new.classifiers)["calibration"]
+    assert calibration["views"] > 0
+    apart = QUICK.model_copy(
+        update={"recognition": QUICK.recognition.model_copy(update={"rounds": 5})}
+    )
+    update_map(kept.old, kept.second.log, tmp_path / "held", apart)
+    held_out = json.loads(read_map(tmp_path / "held").classifiers)["calibration"]
+    assert held_out["views"] != calibration["views"]  # other settings: pieces are held out again
 
 
 def test_with_a_setting_every_keyframe_stays(kept: Kept, tmp_path: Path) -> None:
