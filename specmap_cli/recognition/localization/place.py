@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from specmap_cli.core.geometry import Pose2
 
 _SAME_M, _SAME_RAD = 0.3, 0.1  # two places so near are one
+_BESIDE_M, _BESIDE_RAD = 1.0, 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +40,17 @@ class Place:
 
     def is_same(self, other: Place, frames: Mapping[int, Pose2]) -> bool:
         """Whether another place is this one, perhaps known in another submap."""
+        return self._is_within(other, frames, _SAME_M, _SAME_RAD)
+
+    def is_beside(self, other: Place, frames: Mapping[int, Pose2]) -> bool:
+        """Whether another place is so near that much the same is seen there."""
+        return self._is_within(other, frames, _BESIDE_M, _BESIDE_RAD)
+
+    def _is_within(
+        self, other: Place, frames: Mapping[int, Pose2], reach_m: float, reach_rad: float
+    ) -> bool:
         there = other.led_to(self.submap, self.map_from_base, frames)
         if there is None:
             return False
         off = self.pose.inverse() @ there
-        return off.distance < _SAME_M and abs(off.theta) < _SAME_RAD
+        return off.distance < reach_m and abs(off.theta) < reach_rad

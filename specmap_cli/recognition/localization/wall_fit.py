@@ -6,8 +6,8 @@ In its own place nearly all of its returns lie on walls, elsewhere hardly ever.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.matching import Match, ScoreField, refine, search_everywhere
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, near_returns, pooled
 from specmap_cli.recognition.localization.place import Place
@@ -26,6 +26,9 @@ _LEAST_POINTS = 10  # fewer fit anywhere
 _OFF = 0.95  # a point that much off is a quarter of a metre from walls: behind none by noise
 # Of the search, coarse: what it finds within 0.3 m and a few degrees is mended by the refinement.
 _STEP_M, _STEP_RAD, _PLACES = 0.3, math.radians(5.0), 4
+# By how much the place that fits best is better than the next one, on average: of scans from
+# elsewhere, which fit by chance, and of the map's own.
+_FOREIGN_GAP, _OWN_GAP = 0.06, 0.15
 
 
 class Ratio:
@@ -40,13 +43,26 @@ class Ratio:
         self.known = pooled(held_out, config)
         self.config = config
 
-    def of(self, misfit: float) -> float:
-        """The log likelihood at a misfit in [0, 1]; it never falls with it."""
+    def of(self, misfit: float, gap: float = 0.0) -> float:
+        """The log likelihood at a misfit in [0, 1]; it never falls with it.
+
+        The next best place's misfit is more by `gap`. What fits by chance fits nearly as well in
+        several places. So a place that stands out may be the right one where the map saw little of
+        what is seen there. Places that are alike say nothing: a map has such.
+        """
         foreign, spread = self.config.foreign_misfit, self.config.foreign_misfit_spread
         off = (min(misfit, foreign) - foreign) / spread
         unknown = -0.5 * off**2 - math.log(spread * math.sqrt(2.0 * math.pi))
         known = -misfit / self.known - math.log(self.known)
-        return min(max(unknown - known, -self.config.fit_most), self.config.fit_most)
+        said = unknown - known + _by_chance(gap)
+        return min(max(said, -self.config.fit_most), self.config.fit_most)
+
+
+def _by_chance(gap: float) -> float:
+    """Log likelihood of a gap elsewhere over that in the map, where it speaks for the map."""
+    elsewhere = -gap / _FOREIGN_GAP - math.log(_FOREIGN_GAP)
+    own = -gap / _OWN_GAP - math.log(_OWN_GAP)
+    return min(0.0, elsewhere - own)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,12 +86,13 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A place where a view may be from, and what walls say there.
+    """A place where a view may be from, its misfit in [0, 1], and what walls say there.
 
     `against` is the log likelihood of unknown over known. Below nought, the view fits.
     """
 
     place: Place
+    misfit: float
     against: float
 
     @property
@@ -109,6 +126,17 @@ class WallFit:
         guess = before.led_to(submap, view.posed.map_from_base, self.frames)
         return None if guess is None else self._near(view, submap, guess)
 
+    def led(self, view: View, before: Place) -> list[Fitted]:
+        """Where a view is in the other submaps that saw the place to which motion leads."""
+        found = []
+        for submap, grid in sorted(self._sight.grids.items()):
+            guess = before.led_to(submap, view.posed.map_from_base, self.frames)
+            if submap == before.submap or guess is None:
+                continue
+            if grid.values_at(np.array([[guess.x, guess.y]]))[0] == FREE:
+                found.append(self._near(view, submap, guess))
+        return found
+
     def anywhere(self, view: View, submap: int) -> list[Fitted]:
         """The places in a submap that fit best, the best first; at least one.
 
@@ -118,7 +146,18 @@ class WallFit:
             IDENTITY
         ]
         found = [self._refined(view, view.points, submap, guess) for guess in guesses]
-        return sorted(found, key=attrgetter("against"))
+        return sorted(found, key=attrgetter("misfit"))
+
+    def best(self, found: Sequence[Fitted]) -> Fitted:
+        """The place of those found that fits best, the better if it stands out among them."""
+        best = min(found, key=attrgetter("misfit"))
+        if best.fits:
+            return best
+        others = [f.misfit for f in found if not best.place.is_beside(f.place, self.frames)]
+        if not others:
+            return best
+        gap = min(others) - best.misfit
+        return replace(best, against=self.ratio.of(best.misfit, gap))
 
     def _near(self, view: View, submap: int, guess: Pose2) -> Fitted:
         """The place near a guess.
@@ -130,7 +169,7 @@ class WallFit:
         if fitted.fits or len(view.own) < _LEAST_POINTS:
             return fitted
         alone = self._refined(view, view.own, submap, guess)
-        return min(fitted, alone, key=attrgetter("against"))
+        return min(fitted, alone, key=attrgetter("misfit"))
 
     def _refined(self, view: View, points: FloatArray, submap: int, guess: Pose2) -> Fitted:
         """The place near a guess where points (N, 2) fit best."""
@@ -138,7 +177,7 @@ class WallFit:
         place = Place(submap, refine(field, points, guess).pose, view.posed.map_from_base)
         behind = self._behind(view.posed, place)
         misfit = 1.0 - self._on_walls(field, points, place) * (1.0 - behind)
-        return Fitted(place, self.ratio.of(misfit))
+        return Fitted(place, misfit, self.ratio.of(misfit))
 
     def _on_walls(self, field: ScoreField, points: FloatArray, place: Place) -> float:
         """Share of points (N, 2) on walls; those where the map saw nothing count less."""

@@ -7,6 +7,7 @@ robot's motion.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import attrgetter
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
@@ -72,26 +73,35 @@ class WallCheck:
         return left and not moved(before, map_from_base, config.fit_step_m, config.fit_step_rad)
 
     def _sought(
-        self, view: View, likely: Sequence[int], before: Place | None, best: Fitted | None
+        self, view: View, likely: Sequence[int], before: Place | None, followed: Fitted | None
     ) -> float | None:
-        """What the best place in the likely submaps says, which is followed if it fits."""
-        for submap in likely:
-            said = None
-            if before is not None and submap != before.submap:
-                said = self.fit.followed(view, before, submap)
-            if said is None or not said.fits:
-                said = self.fit.anywhere(view, submap)[0]
-            if best is None or said.against < best.against:
-                best = said
-            if said.fits:
-                break
-        if best is None:
+        """What the best place says, where motion leads or in the likely submaps; None: nothing.
+
+        It is followed if it fits.
+        """
+        found = [] if followed is None else [followed]
+        if before is not None:
+            found += self.fit.led(view, before)
+        if not any(each.fits for each in found):
+            found += self._anywhere(view, likely)
+            found = [self.fit.best(found)] if found else []
+        if not found:
             return None
+        best = min(found, key=attrgetter("misfit"))
         self.found = best.fits
         self._place = best.place if self.found else None
         again = self._patience.goes_on and not self.found  # the likeliest said it already
         self._patience.searched(self.found)
         return None if again else best.against
+
+    def _anywhere(self, view: View, likely: Sequence[int]) -> list[Fitted]:
+        """Places in the likely submaps, in their order, up to one where the view fits."""
+        found: list[Fitted] = []
+        for submap in likely:
+            found += self.fit.anywhere(view, submap)
+            if any(each.fits for each in found):
+                break
+        return found
 
 
 class _Patience:

@@ -19,8 +19,9 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.matching import Match, ScoreField, search_everywhere
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, pooled
+from specmap_cli.recognition.localization.place import Place
 from specmap_cli.recognition.localization.surroundings import Surroundings
-from specmap_cli.recognition.localization.wall_fit import Ratio, WallFit
+from specmap_cli.recognition.localization.wall_fit import Fitted, Ratio, WallFit
 from specmap_cli.recognition.localization.walls import WallCheck
 
 CONFIG = LocalizationConfig()
@@ -79,6 +80,15 @@ def test_more_misfit_never_speaks_for_the_map(
     ratio = Ratio(HeldOutMisfit(typical, views), CONFIG)
     low, high = sorted((one, other))
     assert ratio.of(low) <= ratio.of(high) + 1e-12
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_place_that_stands_out_speaks_for_the_map_and_look_alikes_say_nothing(
+    misfit: float, gap: float
+) -> None:
+    ratio = Ratio(None, CONFIG)
+    assert ratio.of(misfit, gap) <= ratio.of(misfit)
+    assert ratio.of(misfit, 0.05) == ratio.of(misfit)
 
 
 def test_few_views_widen_what_is_taken_for_known() -> None:
@@ -233,6 +243,37 @@ def test_the_layout_leads_from_one_submap_into_another(
         assert said is not None
         assert said < 0.0
     assert len(searches) == (1 if known else 2)
+
+
+def test_the_layout_leads_into_a_submap_that_nobody_thinks_of(
+    building: Any, searches: list[Any]
+) -> None:
+    frames = {room: Pose2(*building.path(room, 0)[0].tolist()) for room in range(4)}
+    walls = rooms_of(building, frames)
+    for room, likely in ((0, [0]), (2, [3, 1])):
+        pose = building.path(room, 3)[:1]
+        scan = building.scans(pose)[0]
+        said = walls.unknown(posed(scan, Pose2(*pose[0].tolist())), scan, likely)
+        assert said is not None
+        assert said < 0.0
+    assert len(searches) == 1
+
+
+def test_a_place_stands_out_if_none_elsewhere_fits_nearly_as_well(building: Any) -> None:
+    fit = rooms_of(building).fit
+
+    def fitted(x: float, misfit: float) -> Fitted:
+        return Fitted(Place(0, Pose2(x, 0.0, 0.0), IDENTITY), misfit, fit.ratio.of(misfit))
+
+    best, beside, far, near = fitted(0, 0.22), fitted(0.8, 0.23), fitted(3, 0.45), fitted(5, 0.25)
+    assert best.against > 0.0
+    assert fit.best([beside, best]) == best, "no other place is known to be worse"
+    assert fit.best([far, beside, best, near]) == best, "another one is nearly as good"
+    stands_out = fit.best([far, beside, best])
+    assert stands_out.place == best.place
+    assert stands_out.fits
+    sure = fitted(0, 0.02)
+    assert fit.best([far, sure]) == sure, "what fits by itself is no better for it"
 
 
 def test_what_is_seen_behind_walls_speaks_for_unknown(building: Any) -> None:
