@@ -127,13 +127,11 @@ class WallFit:
         return None if guess is None else self._near(view, submap, guess)
 
     def led(self, view: View, before: Place) -> list[Fitted]:
-        """Where a view is in the other submaps that saw the place to which motion leads."""
+        """Where a view is to which motion leads: in each submap that saw the place."""
         found = []
         for submap, grid in sorted(self._sight.grids.items()):
             guess = before.led_to(submap, view.posed.map_from_base, self.frames)
-            if submap == before.submap or guess is None:
-                continue
-            if grid.values_at(np.array([[guess.x, guess.y]]))[0] == FREE:
+            if guess is not None and grid.values_at(np.array([[guess.x, guess.y]]))[0] == FREE:
                 found.append(self._near(view, submap, guess))
         return found
 

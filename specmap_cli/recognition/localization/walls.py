@@ -16,6 +16,8 @@ from specmap_cli.core.tracks import moved
 from specmap_cli.recognition.localization.place import Place
 from specmap_cli.recognition.localization.wall_fit import Fitted, View, WallFit
 
+_BACK_M = 3.0  # so near to the last place that fitted, motion is asked first for the next one
+
 
 class WallCheck:
     """How well successive scans fit the walls of submaps.
@@ -29,12 +31,13 @@ class WallCheck:
         self.config = config
         self.found = False
         self.view: View | None = None
-        self._place: Place | None = None
+        self._place: Place | None = None  # the last that fitted
+        self._fits = False
         self._patience = _Patience(config)
 
     def restart(self) -> None:
         """Forget the place: the next pose has nothing to do with the last one."""
-        self._place = None
+        self._place, self._fits = None, False
         self._patience = _Patience(self.config)
 
     def unknown(self, posed: PosedScan, seen: PlanarScan, likely: Sequence[int]) -> float | None:
@@ -47,21 +50,22 @@ class WallCheck:
         """
         self.found, self.view = False, None
         self._patience.drive(posed.map_from_base)
-        before = self._place
+        before = self._place if self._fits else None
         if before is not None and self._drives_on(before, posed.map_from_base):
             return None
         view = self.view = View.of(posed, seen, self.config.fit_range_m)
         if view is None:
             return None
-        followed = None
         if before is not None:
             followed = self.fit.followed(view, before, before.submap)
             if followed is not None and followed.fits:
                 self._place = followed.place
                 return followed.against
-        self._place = None
+        elif self._place is not None and self._is_far(self._place, posed.map_from_base):
+            self._place = None
+        self._fits = False
         due = self._patience.due(likely, at_once=before is not None)
-        return self._sought(view, due, before, followed) if due else None
+        return self._sought(view, due) if due else None
 
     def _drives_on(self, place: Place, map_from_base: Pose2) -> bool:
         """Whether the robot left a place where a scan fitted, but is not yet at the next to look.
@@ -72,24 +76,27 @@ class WallCheck:
         left = moved(before, map_from_base, config.view_m, config.view_rad)
         return left and not moved(before, map_from_base, config.fit_step_m, config.fit_step_rad)
 
-    def _sought(
-        self, view: View, likely: Sequence[int], before: Place | None, followed: Fitted | None
-    ) -> float | None:
+    def _is_far(self, place: Place, map_from_base: Pose2) -> bool:
+        """Whether the robot is farther from the last place that fitted than a few metres.
+
+        Nearer than that, a robot that comes back from where the map saw little is known again.
+        """
+        return (place.map_from_base.inverse() @ map_from_base).distance > _BACK_M
+
+    def _sought(self, view: View, likely: Sequence[int]) -> float | None:
         """What the best place says, where motion leads or in the likely submaps; None: nothing.
 
         It is followed if it fits.
         """
-        found = [] if followed is None else [followed]
-        if before is not None:
-            found += self.fit.led(view, before)
+        found = [] if self._place is None else self.fit.led(view, self._place)
         if not any(each.fits for each in found):
             found += self._anywhere(view, likely)
             found = [self.fit.best(found)] if found else []
         if not found:
             return None
         best = min(found, key=attrgetter("misfit"))
-        self.found = best.fits
-        self._place = best.place if self.found else None
+        self.found = self._fits = best.fits
+        self._place = best.place if best.fits else self._place
         again = self._patience.goes_on and not self.found  # the likeliest said it already
         self._patience.searched(self.found)
         return None if again else best.against

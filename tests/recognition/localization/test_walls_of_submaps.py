@@ -259,6 +259,25 @@ def test_the_layout_leads_into_a_submap_that_nobody_thinks_of(
     assert len(searches) == 1
 
 
+@pytest.mark.parametrize("near", [True, False])
+def test_a_robot_that_comes_back_is_known_where_motion_leads(
+    building: Any, searches: list[Any], near: bool
+) -> None:
+    """It saw what the map has not, a metre away or far from where it was known."""
+    frames = {room: Pose2(*building.path(room, 0)[0].tolist()) for room in range(4)}
+    walls = rooms_of(building, frames)
+    pose = building.path(0, 3)[:1]
+    scan, elsewhere = building.scans(pose)[0], building.scans(building.path(2, 3)[:1])[0]
+    here = Pose2(*pose[0].tolist())
+    there = Pose2(here.x + (1.0 if near else 12.0), here.y, here.theta)
+    for place, seen in ((here, scan), (there, elsewhere), (there, elsewhere)):
+        walls.unknown(posed(seen, place), seen, [0])
+    asked = len(searches)
+    said = walls.unknown(posed(scan, here), scan, [3])
+    assert (said is not None and said < 0.0) == near
+    assert len(searches) == asked + (0 if near else 1)
+
+
 def test_a_place_stands_out_if_none_elsewhere_fits_nearly_as_well(building: Any) -> None:
     fit = rooms_of(building).fit
 
