@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from fuzz.array_changes import change_arrays
 from fuzz.byte_changes import change_bytes
 from fuzz.changes import replaced
 from fuzz.record_changes import change_records
@@ -269,11 +270,12 @@ _FAMILIES = {
     ".yaml": "yaml",
     ".png": "png",
     ".mcap": "mcap",
+    ".npz": "arrays",
     ".toml": "toml",
     ".g2o": "words",
     ".tum": "words",
 }
-_OFTEN = [*["json"] * 3, "csv", "yaml", "png", *["mcap", "toml", "words"] * 2]
+_OFTEN = [*["json"] * 3, "csv", "yaml", "png", *["mcap", "toml", "words", "arrays"] * 2]
 _CHANGES = {
     "json": _change_json,
     "csv": _change_csv,
@@ -282,6 +284,7 @@ _CHANGES = {
     "mcap": _change_mcap,
     "toml": _change_toml,
     "words": _change_words,
+    "arrays": change_arrays,
 }
 
 

@@ -24,6 +24,9 @@ from specmap_cli.core.shortage import reason
 KINDS = ("raw", "along", "cast")
 KEYFRAMES_OF = "_keyframes"
 _VERSION = (1, 0)  # of NumPy's format
+_LONGEST_HEADER = 256  # bytes; NumPy's own are half as long
+_PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_ENCRYPTED = 0x1
 _MOST_MB = "limits.keyframes_max_mb"
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -62,6 +65,8 @@ def _unpacked(data: bytes, path: Path, limits: LimitsConfig) -> dict[str, NDArra
         infos = packed.infolist()
         if sorted(info.filename for info in infos) != sorted(f"{name}.npy" for name in names):
             raise _damaged(path, "holds other arrays than those of a map")
+        if any(i.flag_bits & _ENCRYPTED or i.compress_type not in _PACKED for i in infos):
+            raise _damaged(path, "is packed in a way that is not read")
         if sum(info.file_size for info in infos) > limits.keyframes_max_mb * 1e6:
             raise MapError(f"{path}: unpacked larger than {_MOST_MB}", code=TOO_LARGE)
         return {name: _array(packed.read(f"{name}.npy")) for name in names}
@@ -73,7 +78,9 @@ def _array(data: bytes) -> NDArray[Any]:
     version = np.lib.format.read_magic(file)
     if version != _VERSION:
         raise ValueError(version)
-    shape, column_first, kind = np.lib.format.read_array_header_1_0(file)
+    shape, column_first, kind = np.lib.format.read_array_header_1_0(
+        file, max_header_size=_LONGEST_HEADER
+    )
     if kind.hasobject or column_first:
         raise ValueError(kind)
     return np.frombuffer(data, dtype=kind, offset=file.tell()).reshape(shape)

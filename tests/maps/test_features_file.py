@@ -110,3 +110,37 @@ def test_a_small_file_that_swells_is_refused_before_it_is_unpacked(tmp_path: Pat
     assert path.stat().st_size < 3000
     with pytest.raises(MapError, match=r"unpacked larger than limits\.keyframes_max_mb"):
         read_features(path, 10, LimitsConfig(keyframes_max_mb=0.005))
+
+
+def encrypted(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    for start in (b"PK\x03\x04", b"PK\x01\x02"):
+        data[data.index(start) + (6 if start[2] == 3 else 8)] |= 1
+    path.write_bytes(data)
+
+
+def of_a_long_header(path: Path) -> None:
+    header = b"(" * 5000
+    with zipfile.ZipFile(path) as packed:
+        members = {name: packed.read(name) for name in packed.namelist()}
+    members["raw.npy"] = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    with zipfile.ZipFile(path, "w") as packed:
+        for name, data in members.items():
+            packed.writestr(name, data)
+
+
+def packed_otherwise(path: Path) -> None:
+    with zipfile.ZipFile(path) as packed:
+        members = {name: packed.read(name) for name in packed.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as packed:
+        for name, data in members.items():
+            packed.writestr(name, data)
+
+
+@pytest.mark.parametrize("damage", [encrypted, of_a_long_header, packed_otherwise])
+def test_what_no_map_holds_is_refused(tmp_path: Path, damage: Callable[[Path], None]) -> None:
+    path = tmp_path / "features.npz"
+    write_features(path, arrays())
+    damage(path)
+    with pytest.raises(MapError, match=r"features.npz: is .*delete it"):
+        read_features(path, 10, LIMITS)
