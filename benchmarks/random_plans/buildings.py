@@ -80,8 +80,10 @@ def flat(rng: np.random.Generator) -> Drawing:
         plan.room(*room)
     for upright, (x0, y0, x1, y1) in walls:
         for _ in range(_TRIES):
-            width = rng.uniform(1.2, 1.8) if rng.random() < 0.25 else rng.uniform(0.75, 1.0)
-            start = rng.uniform(0.2, (y1 - y0 if upright else x1 - x0) - width - 0.2)
+            side = y1 - y0 if upright else x1 - x0
+            wide = rng.uniform(1.2, 1.8) if rng.random() < 0.25 else rng.uniform(0.75, 1.0)
+            width = min(wide, side - 0.4)
+            start = 0.2 + rng.random() * (side - width - 0.4)
             if upright:
                 box, off = (x0, y0 + start, x1, y0 + start + width), (0.2 + wall, 0.0)
             else:
