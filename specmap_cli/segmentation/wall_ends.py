@@ -13,7 +13,7 @@ from specmap_cli.segmentation.runs import Runs
 _THICKEST_M = 0.5  # a wall
 _OPEN_M = 1.1  # free space in front of a wall: more than the width of a door
 _JAMB_M = 0.25  # the least length of a wall beside an opening
-_LEAF_M = 0.1  # at its end a leaf may stand out, or a frame
+_FRAME_M = 0.1  # at its end a frame may stand out
 _STRAIGHT_M = 0.4  # length on which a face has to be straight: no slanted wall is
 _CORNER_M = 0.1  # length of a face that makes a corner
 _UNEVEN = 2  # cells by which a straight face may stray: noise
@@ -26,14 +26,14 @@ class EndLengths:
     thickest: int
     open_space: int
     jamb: int
-    leaf: int
+    frame: int
     straight: int
     corner: int
 
     @classmethod
     def at(cls, resolution: float) -> EndLengths:
         """The lengths in cells of a grid."""
-        lengths = (_THICKEST_M, _OPEN_M, _JAMB_M, _LEAF_M, _STRAIGHT_M, _CORNER_M)
+        lengths = (_THICKEST_M, _OPEN_M, _JAMB_M, _FRAME_M, _STRAIGHT_M, _CORNER_M)
         return cls(*(max(1, round(length / resolution)) for length in lengths))
 
 
@@ -57,7 +57,7 @@ def between_ends(free: BoolArray, gaps: Runs, panels: BoolArray, lengths: EndLen
     `panels` (H, W), pieces of wall that touch no other, stands in the gap.
     """
     thin, faces = _faces(free, lengths)
-    pointing = [count >= lengths.jamb for count in _beside(thin, gaps, lengths.jamb + lengths.leaf)]
+    pointing = _pointing(thin, gaps, lengths)
     sums = _sums(panels)
     panel = sums[gaps.row, gaps.last + 1] > sums[gaps.row, gaps.first]
     found = np.zeros(len(gaps.row), dtype=np.bool_)
@@ -106,6 +106,19 @@ def _beside(mask: BoolArray, gaps: Runs, reach: int) -> tuple[IntArray, IntArray
     sums = _sums(mask)
     before = sums[gaps.row, gaps.first] - sums[gaps.row, gaps.first - reach]
     after = sums[gaps.row, gaps.last + 1 + reach] - sums[gaps.row, gaps.last + 1]
+    return before, after
+
+
+def _pointing(thin: BoolArray, gaps: Runs, lengths: EndLengths) -> tuple[BoolArray, BoolArray]:
+    """(n,) whether a thin wall, unbroken for a jamb, begins no farther than a frame off each end.
+
+    Without a break: a leaf that stands open behind the wall that a corridor runs along is none.
+    """
+    before = after = np.zeros(len(gaps.row), dtype=np.bool_)
+    for off in range(lengths.frame + 1):
+        wider = Runs(gaps.row, gaps.first - off, gaps.last + off)
+        one, other = _beside(thin, wider, lengths.jamb)
+        before, after = before | (one == lengths.jamb), after | (other == lengths.jamb)
     return before, after
 
 

@@ -5,7 +5,8 @@ for the visibility graph to tell them apart. But a person sees the line of the w
 opening. So an opening between walls that lie in one row or column of the grid, along which the
 walls of a finished map lie, is narrowed from both sides to the width of a door: to the graph, and
 to all that follows, it is one. What stands in that line and is thin, such as a post between two
-doors, is a part of the wall and no furniture.
+doors, is a part of the wall and no furniture. Walls are told without the slits and holes that the
+noise of a laser leaves in them: these would tip what is an end, and what is thin or straight.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from specmap_cli.segmentation.kmeans import LabelArray
 from specmap_cli.segmentation.runs import Runs
 from specmap_cli.segmentation.wall_ends import EndLengths, between_ends
 
+_SLIT_M = 0.15  # free space narrower than this, in a wall or behind it, is noise
 _DOOR_M = 0.9  # what is left of a wide opening
 _LINE_M = 6.0  # the longest row of openings and posts between two walls
 _BETWEEN_POSTS_M = 1.6  # the widest opening of such a row
@@ -54,8 +56,10 @@ def with_narrow_doors(
     `widest_m` are narrowed.
     """
     ends, widths = EndLengths.at(resolution), _Widths.at(resolution, widest_m)
-    margin = max(ends.straight, ends.jamb + ends.leaf)  # so that ends may lie at the edge
-    framed, pieces = np.pad(free, margin), np.pad(small, margin)
+    margin = max(ends.straight, ends.jamb + ends.frame)  # so that ends may lie at the edge
+    even = np.pad(_without_slits(free | small, resolution), margin)
+    pieces = np.pad(small, margin) & even
+    framed = even & ~pieces
     inner = np.s_[margin : margin + free.shape[0], margin : margin + free.shape[1]]
     rows = _along_rows(framed, pieces, ends, widths)
     columns = _along_rows(
@@ -64,6 +68,16 @@ def with_narrow_doors(
     jambs, posts = (one | other.T for one, other in zip(rows, columns, strict=True))
     opened = free | (small & ~posts[inner])
     return opened, opened & ~jambs[inner]
+
+
+def _without_slits(free: BoolArray, resolution: float) -> BoolArray:
+    """The free cells (H, W) that a free square as wide as a slit covers."""
+    side = 2 * round(0.5 * (_SLIT_M / resolution - 1.0)) + 1  # odd: it has a middle
+    if side < 2:
+        return free
+    square = np.ones((side, side), dtype=np.uint8)
+    middles = cv2.erode(np.pad(free, side).astype(np.uint8), square)
+    return np.asarray(cv2.dilate(middles, square)[side:-side, side:-side] > 0)
 
 
 def _along_rows(

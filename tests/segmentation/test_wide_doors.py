@@ -69,6 +69,23 @@ def test_a_slanted_wall_points_at_nothing() -> None:
     np.testing.assert_array_equal(narrowed(GridMap((~free).astype(np.uint8), CELL_M)), free)
 
 
+def test_noise_in_a_wall_does_not_tip_what_it_is(plan: PlanBuilder) -> None:
+    building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS)
+    holes = np.zeros_like(building.free)
+    holes[43:45, ::3] = True  # in the middle of the wall along the corridor
+    noisy = with_narrow_doors(building.free | holes, np.zeros_like(holes), CELL_M, 2.5)[1]
+    np.testing.assert_array_equal(noisy & building.free, narrowed(building))
+
+
+def test_a_door_leaf_behind_the_wall_of_a_corridor_cuts_no_corridor() -> None:
+    free = np.zeros((150, 120), dtype=bool)
+    free[10:50, 5:115] = free[52:92, 5:115] = free[94:140, 5:115] = True  # the middle: a corridor
+    free[92:94, 30:60] = free[50:52, 30:60] = True  # doors of two rooms, one opposite the other
+    free[94:110, 60:62] = free[91, 60:62] = False  # a leaf, and a frame that stands out
+    building = GridMap((~free).astype(np.uint8), CELL_M)
+    np.testing.assert_array_equal(narrowed(building)[55:88], free[55:88])
+
+
 @pytest.mark.parametrize(("kept", "post"), [(True, (2.2, 2.1)), (False, (2.2, 3.5))])
 def test_a_post_in_the_line_of_a_wall_is_no_furniture(
     plan: PlanBuilder, kept: bool, post: tuple[float, float]
