@@ -22,6 +22,7 @@ from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.closure.picking import likely_duplicates, merit, with_one_merge
 from specmap_cli.recognition.closure.prepared import PreparedGrids, cropped
 from specmap_cli.recognition.closure.stay import Stay
+from specmap_cli.recognition.closure.unconfirmed import UnconfirmedWay
 from specmap_cli.recognition.closure.verdict import (
     NO_WALLS,
     Verdict,
@@ -52,6 +53,7 @@ class LoopCloser:
         self._claims: dict[int, dict[int, Claims]] = {}  # the best of two submaps, by both
         self._compared: set[tuple[int, int]] = set()
         self._grids = PreparedGrids(config, _PREPARED)
+        self._way = UnconfirmedWay(config)
 
     def consider(self, new: Stay) -> list[Closure]:
         """Compare a new stay with every old submap, and remember it as a submap of its own.
@@ -249,10 +251,16 @@ class LoopCloser:
         grids = [self._grids.of(stay.number, stay.grid) for stay in (old, new)]
         if grids[0] is None or grids[1] is None:
             return _closure(new.number, old.number, claims, None, NO_WALLS)
+        way_m = self._way.between(old, new)
         check = verify(
-            grids[0], grids[1], self.config, lambda pose: plausible(old, new, pose, self.config)
+            grids[0],
+            grids[1],
+            self.config,
+            lambda pose: plausible(old, new, pose, way_m, self.config),
         )
-        found = verdict(old, new, check, self.config)
+        found = verdict(old, new, check, way_m, self.config)
+        if check is not None and found.verified:
+            self._way.confirm(old, new, mended_m(old, new, check.old_from_new))
         return _closure(new.number, old.number, claims, check, found)
 
 

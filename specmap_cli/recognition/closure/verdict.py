@@ -27,8 +27,13 @@ class Verdict:
 NO_WALLS = Verdict(False, False, "a grid shows too few walls to match")
 
 
-def verdict(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig) -> Verdict:
-    """What the best match of two stays' grids is worth; `check` None is no match at all."""
+def verdict(
+    old: Stay, new: Stay, check: Check | None, way_m: float, config: RecognitionConfig
+) -> Verdict:
+    """What the best match of two stays' grids is worth; `check` None is no match at all.
+
+    `way_m` is that between the stays on which tracking may have drifted.
+    """
     if check is None or check.score < config.min_score:
         return Verdict(False, False, "the grids do not match")
     if check.confirmed_m < config.min_wall_m:
@@ -37,7 +42,7 @@ def verdict(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig
         return Verdict(False, False, "the grids overlap too little")
     if check.lead < config.min_lead:
         return Verdict(False, False, "ambiguous: the grids match in more than one way")
-    if not plausible(old, new, check.old_from_new, config):
+    if not plausible(old, new, check.old_from_new, way_m, config):
         return Verdict(False, False, "ambiguous: looks the same but is too far away, a twin")
     shared = tracks_overlap(old.track, new.track, check.old_from_new, config.merge_reach_m)
     if shared < config.merge_overlap:
@@ -66,14 +71,15 @@ def mended_m(old: Stay, new: Stay, old_from_new: Pose2) -> float:
     return math.hypot(expected.x - old_from_new.x, expected.y - old_from_new.y)
 
 
-def plausible(old: Stay, new: Stay, old_from_new: Pose2, config: RecognitionConfig) -> bool:
-    """Whether registration can have drifted as far as a merge would say it has."""
-    path = abs(new.travelled_m - old.travelled_m)
-    most_m = config.twin_margin_m + config.max_drift * path
-    # not to be turned round: a path of NaN says nothing
+def plausible(
+    old: Stay, new: Stay, old_from_new: Pose2, way_m: float, config: RecognitionConfig
+) -> bool:
+    """Whether registration can have drifted, on a way, as far as a merge would say it has."""
+    most_m = config.twin_margin_m + config.max_drift * way_m
+    # not to be turned round: a way of NaN says nothing
     return not (
         mended_m(old, new, old_from_new) > most_m
-        or _mended_rad(old, new, old_from_new) > _MOST_TURN_RAD + _TURN_RAD_PER_M * path
+        or _mended_rad(old, new, old_from_new) > _MOST_TURN_RAD + _TURN_RAD_PER_M * way_m
     )
 
 

@@ -226,6 +226,7 @@ class Oracle:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.scores: dict[tuple[int, int], float] = {}
         self.asked: list[tuple[int, int]] = []
+        self.plausible: dict[tuple[int, int], bool] = {}
         self.numbers: dict[int, int] = {}
         closing = "specmap_cli.recognition.closure.loop_closer"
         monkeypatch.setattr(f"{closing}.PreparedGrids.of", self.prepared)
@@ -239,7 +240,7 @@ class Oracle:
     def verify(self, old: Any, new: Any, config: RecognitionConfig, plausible: Any) -> Check:
         """A match of the given score, nearly on top of each other."""
         assert config.verify
-        assert plausible(Pose2(0.0, 0.0, 0.0))
+        self.plausible[old, new] = plausible(Pose2(0.0, 0.0, 0.0))
         self.asked.append((old, new))
         score = self.scores.get((old, new), 0.1)
         return Check(
@@ -266,6 +267,23 @@ def considered(loop: LoopCloser, building: Any, numbers: list[int]) -> list[list
 SMALL = RecognitionConfig(closure_rounds=3, groups=1, merge_overlap=0.0)
 
 
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_a_match_where_tracking_has_it_says_that_it_has_not_drifted(
+    building: Any, oracle: Oracle, confirmed: bool
+) -> None:
+    """After 100 m the robot is back in the first room: 5 m on, that is no room 6 m away."""
+    loop = closer(SMALL)
+    ways = (0.0, 100.0, 105.0)
+    frames = (0.0, 0.0, 6.0)
+    oracle.scores = {(0, 1): 0.9 if confirmed else 0.1, (0, 2): 0.95}
+    found = []
+    for number, (way_m, x) in enumerate(zip(ways, frames, strict=True)):
+        visit = replace(building.visit(number, 0, seed=number), travelled_m=way_m)
+        found = loop.consider(replace(visit, map_from_stay=Pose2(x, 0.0, 0.0)))
+    merged = {closure.old: closure.merged for closure in found}
+    assert oracle.plausible[0, 2] is merged[0] is not confirmed
+
+
 @pytest.mark.parametrize("candidates", [1, 2, 9])
 def test_only_the_best_ranked_candidates_are_matched(
     building: Any, oracle: Oracle, candidates: int
@@ -276,6 +294,7 @@ def test_only_the_best_ranked_candidates_are_matched(
     of_last = [old for old, new in oracle.asked if new == 4]
     assert of_last[0] == 0  # the room it is in again is matched first
     assert len(of_last) == len(set(of_last)) == min(candidates, 4)
+    assert all(oracle.plausible.values())
 
 
 def test_of_several_merges_the_best_match_is_left(building: Any, oracle: Oracle) -> None:

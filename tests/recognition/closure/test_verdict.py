@@ -15,7 +15,8 @@ from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, GridMap, PackedGrid
 from specmap_cli.recognition.closure.stay import Stay
-from specmap_cli.recognition.closure.verdict import verdict
+from specmap_cli.recognition.closure.unconfirmed import UnconfirmedWay
+from specmap_cli.recognition.closure.verdict import Verdict, verdict
 from specmap_cli.recognition.closure.verification import Check
 
 CONFIG = RecognitionConfig()
@@ -31,6 +32,11 @@ def stay(number: int = 0, **known: Any) -> Stay:
     return Stay(
         number=number, features=np.zeros((1, 1)), packed=PackedGrid.of(grid), track=LINE, **known
     )
+
+
+def told(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig) -> Verdict:
+    """The verdict where nothing confirmed the way between two stays."""
+    return verdict(old, new, check, UnconfirmedWay(config).between(old, new), config)
 
 
 @pytest.mark.parametrize(
@@ -60,12 +66,12 @@ def stay(number: int = 0, **known: Any) -> Stay:
 def test_every_verdict_says_why(
     change: dict[str, Any], verified: bool, merged: bool, reason: str
 ) -> None:
-    found = verdict(stay(), stay(1), replace(SURE, **change), CONFIG)
+    found = told(stay(), stay(1), replace(SURE, **change), CONFIG)
     assert (found.verified, found.merged, found.reason) == (verified, merged, reason)
 
 
 def test_no_match_at_all_is_none() -> None:
-    found = verdict(stay(), stay(1), None, CONFIG)
+    found = told(stay(), stay(1), None, CONFIG)
     assert (found.verified, found.merged, found.reason) == (False, False, "the grids do not match")
 
 
@@ -90,8 +96,8 @@ def test_twins_are_told_by_the_drift_that_one_place_would_need(
     old = stay(0, map_from_stay=Pose2(3.0, 2.0, 0.4), travelled_m=10.0)
     frame = Pose2(3.0, 2.0, 0.4) @ Pose2(apart_m, 0.0, 0.0)
     new = stay(1, map_from_stay=frame, travelled_m=10.0 + driven_m)
-    assert verdict(old, new, SURE, CONFIG).reason == reason
-    assert verdict(new, old, SURE, CONFIG).reason == reason
+    assert told(old, new, SURE, CONFIG).reason == reason
+    assert told(new, old, SURE, CONFIG).reason == reason
 
 
 @pytest.mark.parametrize(
@@ -104,32 +110,39 @@ def test_tracking_turns_a_little_on_a_long_way_and_never_by_a_quarter(
     old = stay(0, map_from_stay=IDENTITY)
     frame = Pose2(0.0, 0.0, math.radians(turned_deg))
     new = stay(1, map_from_stay=frame, travelled_m=driven_m)
-    assert verdict(old, new, SURE, CONFIG).merged is merged
+    assert told(old, new, SURE, CONFIG).merged is merged
 
 
 def test_two_stays_after_a_loss_of_tracking_may_be_any_way_apart() -> None:
     known = {"travelled_m": math.inf}
     old = stay(0, map_from_stay=IDENTITY, **known)
     new = stay(1, map_from_stay=Pose2(500.0, 0.0, 0.0), **known)
-    assert verdict(old, new, SURE, CONFIG).merged
+    assert told(old, new, SURE, CONFIG).merged
+
+
+def test_where_most_of_a_way_is_confirmed_the_office_next_door_is_a_twin() -> None:
+    old = stay(0, map_from_stay=IDENTITY)
+    new = stay(1, map_from_stay=Pose2(9.0, 0.0, 0.0), travelled_m=90.0)
+    assert verdict(old, new, SURE, 90.0, CONFIG).merged
+    assert verdict(old, new, SURE, 84.0, CONFIG).reason == TWIN
 
 
 @pytest.mark.parametrize("known", [(True, False), (False, True), (False, False)])
 def test_without_both_frames_no_twin_is_told(known: tuple[bool, bool]) -> None:
     frames = [Pose2(90.0 * k, 0.0, 0.0) if is_known else None for k, is_known in enumerate(known)]
     stays = [stay(k, map_from_stay=frame) for k, frame in enumerate(frames)]
-    assert verdict(stays[0], stays[1], SURE, CONFIG).merged
+    assert told(stays[0], stays[1], SURE, CONFIG).merged
 
 
 def test_margins_are_settings() -> None:
     old = stay(0, map_from_stay=IDENTITY)
     new = stay(1, map_from_stay=Pose2(4.0, 0.0, 0.0))
-    assert verdict(old, new, SURE, CONFIG).reason == TWIN
-    assert verdict(old, new, SURE, CONFIG.model_copy(update={"twin_margin_m": 4.5})).merged
+    assert told(old, new, SURE, CONFIG).reason == TWIN
+    assert told(old, new, SURE, CONFIG.model_copy(update={"twin_margin_m": 4.5})).merged
     wide = CONFIG.model_copy(update={"merge_reach_m": 2.0})
     aside = replace(SURE, old_from_new=Pose2(0.0, 1.5, 0.0))
-    assert not verdict(stay(), stay(1), aside, CONFIG).merged
-    assert verdict(stay(), stay(1), aside, wide).merged
+    assert not told(stay(), stay(1), aside, CONFIG).merged
+    assert told(stay(), stay(1), aside, wide).merged
 
 
 @given(
@@ -150,9 +163,9 @@ def test_a_better_match_is_never_worth_less(
         least_overlap=min(overlap, least),
         lead=lead,
     )
-    found = verdict(stay(), stay(1), check, CONFIG)
+    found = told(stay(), stay(1), check, CONFIG)
     better = replace(
         check, score=min(1.0, score + 0.1), confirmed_m=confirmed + 2.5, lead=lead + 0.1
     )
-    assert verdict(stay(), stay(1), better, CONFIG).verified >= found.verified
+    assert told(stay(), stay(1), better, CONFIG).verified >= found.verified
     assert found.merged <= found.verified

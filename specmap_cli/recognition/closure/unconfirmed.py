@@ -1,0 +1,64 @@
+"""How far the robot has driven between two stays without a match that says what tracking says.
+
+Drift grows along the way. Where the grids of two stays match just where tracking has them, it had
+not drifted between these two, however long the way; what may have drifted is the rest.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from itertools import pairwise
+
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.recognition.closure.stay import Stay
+
+_Tie = tuple[float, float, float]  # two places along the way, and the metres that part them
+
+
+class UnconfirmedWay:
+    """The ways between stays, cut short by the matches that confirmed them."""
+
+    def __init__(self, config: RecognitionConfig) -> None:
+        self.config = config
+        self._ties: list[_Tie] = []
+
+    def confirm(self, old: Stay, new: Stay, mended_m: float) -> None:
+        """The grids of two stays match `mended_m` from where tracking has them.
+
+        As far as that is no twin whatever the way, they are as near as the way on which drift makes
+        as much.
+        """
+        ends = old.travelled_m, new.travelled_m
+        known = old.map_from_stay is not None and new.map_from_stay is not None
+        if known and all(map(math.isfinite, ends)) and mended_m <= self.config.twin_margin_m:
+            drift = self.config.max_drift
+            self._ties.append((*ends, mended_m / drift if drift > 0.0 else 0.0))
+
+    def between(self, old: Stay, new: Stay) -> float:
+        """Metres of the shortest way between two stays; not finite across a loss of tracking."""
+        start, end = old.travelled_m, new.travelled_m
+        if not self._ties or not (math.isfinite(start) and math.isfinite(end)):
+            return abs(end - start)
+        return _shortest(start, end, self._ties)
+
+
+def _shortest(start: float, end: float, ties: list[_Tie]) -> float:
+    """Metres between two places along a way with ties between others: Dijkstra's algorithm."""
+    places = sorted({start, end, *(place for tie in ties for place in tie[:2])})
+    edges = [*((a, b, b - a) for a, b in pairwise(places)), *ties]
+    near: dict[float, list[tuple[float, float]]] = {place: [] for place in places}
+    for a, b, metres in edges:
+        near[a].append((metres, b))
+        near[b].append((metres, a))
+    reached: set[float] = set()
+    waiting = [(0.0, start)]
+    while waiting:
+        metres, place = heapq.heappop(waiting)
+        if place == end:
+            return metres
+        if place not in reached:
+            reached.add(place)
+            for more, other in near[place]:
+                heapq.heappush(waiting, (metres + more, other))
+    return math.inf
