@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -13,7 +13,9 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angle, wrap_angles
 from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.pipelines.exploration import Explored
+from specmap_cli.layout.closure_matching import Place, place_around, sharpened
+from specmap_cli.layout.relaxation import Constraint
+from specmap_cli.pipelines.exploration import Explored, Regions
 from specmap_cli.pipelines.refutation import constraints_of
 from specmap_cli.recognition.closure.verification import tracks_overlap
 from specmap_cli.topology.graph import submap_of_regions
@@ -21,12 +23,19 @@ from specmap_cli.topology.graph import submap_of_regions
 REVISIT = 0.4  # share of both tracks within a metre of each other: a region comes back
 STEADY = 10  # keyframes on either side of one that steady its pose, which others' SLAM made
 _RIGHT = 0.25  # the same, of a merge that is no mistake
+_BESIDE = Pose2(0.05, -0.05, 0.01)  # from where a constraint is found again
+_SETTINGS = load_config().relaxation
 _WRONG_M, _WRONG_DEG = 0.6, 7.0  # off the truth: another transform, not a bad one
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """The closures of a build; `errors` (n, 2) metres and degrees of its constraints."""
+    """The closures of a build.
+
+    `errors` (n, 2) are metres and degrees between its constraints and the truth, `repeats` (m, 2)
+    those between the same constraint from the one half of the scans and from the other half: what
+    of the errors is its own, and not that of a truth which others' SLAM made.
+    """
 
     regions: int
     merges: int
@@ -34,6 +43,7 @@ class Judged:
     found: int
     revisits: int
     errors: FloatArray
+    repeats: FloatArray
 
     @property
     def wrong(self) -> int:
@@ -44,18 +54,23 @@ class Judged:
     @property
     def median(self) -> tuple[float, float]:
         """Metres and degrees, NaN without a constraint."""
-        if not len(self.errors):
-            return np.nan, np.nan
-        metres, degrees = np.median(self.errors, axis=0).tolist()
-        return metres, degrees
+        return _median(self.errors)
 
     def __str__(self) -> str:
-        metres, degrees = self.median
+        (metres, degrees), (apart, turned) = self.median, _median(self.repeats)
         return (
             f"{self.regions} regions, {self.merges} merges, {self.right} right | "
             f"{self.found}/{self.revisits} | {len(self.errors)}, {self.wrong} wrong, "
-            f"{100 * metres:.1f} cm {degrees:.2f} deg"
+            f"{100 * metres:.1f} cm {degrees:.2f} deg | {100 * apart:.1f} cm {turned:.2f} deg"
         )
+
+
+def _median(errors: FloatArray) -> tuple[float, float]:
+    """Of metres and degrees (n, 2), NaN of none."""
+    if not len(errors):
+        return np.nan, np.nan
+    metres, degrees = np.median(errors, axis=0).tolist()
+    return metres, degrees
 
 
 def true_poses(path: Path, store: KeyframeStore, *, of_laser: bool = True) -> FloatArray:
@@ -82,6 +97,7 @@ def judged(explored: Explored, store: KeyframeStore, truth: FloatArray, reach: i
     overlap = _overlaps({r: track for r, track in tracks.items() if len(track)})
     merges = [c for c in explored.closures if c.merged]
     submap = submap_of_regions(explored.regions, [(c.old, c.new) for c in merges])
+    constraints = constraints_of(explored.closures, explored.regions, store, _SETTINGS)
     again = [pair for pair, share in overlap.items() if share >= REVISIT]
     found = {b for a, b in again if submap[a] == submap[b]}
     return Judged(
@@ -92,7 +108,8 @@ def judged(explored: Explored, store: KeyframeStore, truth: FloatArray, reach: i
         ),
         found=len(found),
         revisits=len({b for _, b in again}),
-        errors=_constraint_errors(explored, store, truth, reach),
+        errors=_constraint_errors(constraints.values(), store, truth, reach),
+        repeats=_repeats(constraints, explored.regions, store),
     )
 
 
@@ -106,18 +123,46 @@ def _overlaps(tracks: Mapping[int, FloatArray]) -> dict[tuple[int, int], float]:
 
 
 def _constraint_errors(
-    explored: Explored, store: KeyframeStore, truth: FloatArray, reach: int
+    constraints: Iterable[Constraint], store: KeyframeStore, truth: FloatArray, reach: int
 ) -> FloatArray:
     """(n, 2) metres and degrees between each verified transform and the truth, where it ties."""
     errors = []
-    settings = load_config().relaxation
-    constraints = constraints_of(explored.closures, explored.regions, store, settings)
-    for constraint in constraints.values():
+    for constraint in constraints:
         ends = [steadied(truth, store, k, reach) for k in (constraint.source, constraint.target)]
         if all(np.isfinite(end.x) for end in ends):
-            off = (ends[0].inverse() @ ends[1]).inverse() @ constraint.source_from_target
-            errors.append((off.distance, abs(np.degrees(wrap_angle(off.theta)))))
+            errors.append(_off(ends[0].inverse() @ ends[1], constraint.source_from_target))
     return np.array(errors).reshape(-1, 2)
+
+
+def _repeats(
+    constraints: Mapping[tuple[int, int], Constraint], regions: Regions, store: KeyframeStore
+) -> FloatArray:
+    """(n, 2) metres and degrees between each constraint by one half of the scans and the other."""
+    apart = []
+    for pair, constraint in constraints.items():
+        ends = zip(pair, (constraint.source, constraint.target), strict=True)
+        old, new = (
+            place_around(store, regions[region], list(regions[region]).index(k), _SETTINGS)
+            for region, k in ends
+        )
+        guess = constraint.source_from_target @ _BESIDE
+        halves = [
+            sharpened(_half(old, which), _half(new, which), guess, _SETTINGS) for which in (0, 1)
+        ]
+        apart.append(_off(*halves))
+    return np.array(apart).reshape(-1, 2)
+
+
+def _half(place: Place, which: int) -> Place:
+    """Every other scan of a place, and that of its keyframe."""
+    rows = [k for k in range(len(place.scans)) if k % 2 == which or k == place.own]
+    return Place(tuple(place.scans[k] for k in rows), place.poses[rows], rows.index(place.own))
+
+
+def _off(a: Pose2, b: Pose2) -> tuple[float, float]:
+    """Metres and degrees between two poses."""
+    off = a.inverse() @ b
+    return off.distance, float(abs(np.degrees(wrap_angle(off.theta))))
 
 
 def steadied(truth: FloatArray, store: KeyframeStore, k: int, reach: int) -> Pose2:

@@ -23,8 +23,8 @@ _FEWEST = 4  # of them: two would draw a line anywhere
 _SHORTEST_M = 0.02  # standard deviation along the line: shorter ones have no direction
 _FLAT = 0.25  # of the variance along a line, that across it: more is a corner or a leg of a chair
 _NOISE_M = 0.03  # a return this far off its line counts half: some sigmas of a laser
-# Lines of noisy returns are turned by some four degrees: what less than this share of the squares of
-# the normals says of a place is made of that, as along a bare corridor.
+# Lines of noisy returns are turned by some four degrees: what no more than this share of the
+# squares of their normals says of a place is made of that, as along a bare corridor.
 _SCATTER = 0.005
 # A scan was registered to that beside the others: along a bare corridor it stays where it was.
 _TRUST = np.array([0.05, 0.05, 0.02]) ** -2.0
