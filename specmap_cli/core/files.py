@@ -32,9 +32,12 @@ def read_bytes(path: Path | str, most_mb: float, setting: str | None = None) -> 
     if "\0" in str(path):
         raise OSError(errno.EINVAL, "no name that a file can have", str(path))
     with os.fdopen(os.open(path, _AT_ONCE), "rb") as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        about = os.fstat(file.fileno())
+        if not stat.S_ISREG(about.st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
-        data = file.read(most + 1)
+        data = file.read(min(about.st_size, most) + 1)  # as much memory is taken as is asked for
+        if len(data) > about.st_size:  # it grew, or its size is not known
+            data += file.read(most + 1 - len(data))
     if len(data) > most:
         more = f"; if it is meant, raise {setting}" if setting is not None else ""
         raise OSError(errno.EFBIG, f"larger than {most_mb:g} MB{more}", str(path))

@@ -663,7 +663,7 @@ class LimitsConfig(_Section):
     """How large a file of a map may be: a small one may swell, a wrong one may never end."""
 
     text_max_mb: float = Field(
-        268.0, gt=0, description="JSON or CSV of a map: a hundred submaps take a tenth"
+        268.0, gt=0, description="JSON, CSV or features of a map: a hundred submaps take a tenth"
     )
     picture_max_mb: float = Field(
         268.0, gt=0, description="picture of a map or a plan, even one without compression"

@@ -27,7 +27,7 @@ _VERSION = (1, 0)  # of NumPy's format
 _LONGEST_HEADER = 256  # bytes; NumPy's own are half as long
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 0x1
-_MOST_MB = "limits.keyframes_max_mb"
+_MOST_MB = "limits.text_max_mb"
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -48,7 +48,7 @@ def read_features(path: Path, keyframes: int, limits: LimitsConfig) -> Arrays:
     Raises MapError for a file that is damaged, or beyond its limits.
     """
     try:
-        data = read_bytes(path, limits.keyframes_max_mb, _MOST_MB)
+        data = read_bytes(path, limits.text_max_mb, _MOST_MB)
         arrays = _unpacked(data, path, limits)
     except OSError as error:
         raise MapError(f"{path}: cannot be read: {reason(error)}") from None
@@ -67,7 +67,7 @@ def _unpacked(data: bytes, path: Path, limits: LimitsConfig) -> dict[str, NDArra
             raise _damaged(path, "holds other arrays than those of a map")
         if any(i.flag_bits & _ENCRYPTED or i.compress_type not in _PACKED for i in infos):
             raise _damaged(path, "is packed in a way that is not read")
-        if sum(info.file_size for info in infos) > limits.keyframes_max_mb * 1e6:
+        if sum(info.file_size for info in infos) > limits.text_max_mb * 1e6:
             raise MapError(f"{path}: unpacked larger than {_MOST_MB}", code=TOO_LARGE)
         return {name: _array(packed.read(f"{name}.npy")) for name in names}
 

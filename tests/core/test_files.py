@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,16 @@ def test_a_file_is_read_up_to_its_bound_and_not_beyond(tmp_path: Path) -> None:
         read_bytes(path, 4e-6)
     with pytest.raises(OSError, match=r"larger than 4e-06 MB; if it is meant, raise limits\.x"):
         read_bytes(path, 4e-6, "limits.x")
+
+
+def test_no_more_memory_is_taken_than_a_file_needs(tmp_path: Path) -> None:
+    path = tmp_path / "features.npz"
+    path.write_bytes(b"12345")
+    tracemalloc.start()
+    assert read_bytes(path, 1000.0) == b"12345"
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 1_000_000
 
 
 def test_no_file_has_a_zero_byte_in_its_name(tmp_path: Path) -> None:

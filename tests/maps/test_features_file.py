@@ -108,8 +108,8 @@ def test_a_small_file_that_swells_is_refused_before_it_is_unpacked(tmp_path: Pat
     made["raw"] = np.zeros((1000, 3), dtype=np.float16)
     write_features(path, made)
     assert path.stat().st_size < 3000
-    with pytest.raises(MapError, match=r"unpacked larger than limits\.keyframes_max_mb"):
-        read_features(path, 10, LimitsConfig(keyframes_max_mb=0.005))
+    with pytest.raises(MapError, match=r"unpacked larger than limits\.text_max_mb"):
+        read_features(path, 10, LimitsConfig(text_max_mb=0.005))
 
 
 def encrypted(path: Path) -> None:
