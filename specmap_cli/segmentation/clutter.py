@@ -8,12 +8,12 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.gridmap import BoolArray, cell_distances
 
 _SLACK = 1e-9  # sizes that are equal on paper stay equal in floating point
+_SOLID = 0.5  # share of its rectangle: furniture fills three quarters, corners of walls a third
 
 
 def small_obstacles(
@@ -24,19 +24,31 @@ def small_obstacles(
     A piece is small when no side of its bounding box is longer than `largest_cells`. Cells that
     touch by a side or a corner are one piece, and the outside of the grid is not free. Chairs,
     table legs and cells that no beam happened to cross are small pieces; walls are not. A piece up
-    to `bulky_cells` is small, too, when a disc of `thick_cells` across fits into it: tables and
-    cupboards are thicker than pieces of a wall.
+    to `bulky_cells` is small, too, when it is solid and `thick_cells` across: tables and cupboards
+    are, and pieces of a wall are thin or go round corners.
     """
     blocked = np.pad(~free, 1, constant_values=True).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(blocked, connectivity=8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(blocked, connectivity=8)
     sides = np.maximum(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
     small = sides <= largest_cells + _SLACK
-    if bulky_cells > largest_cells:
-        depth = cv2.distanceTransform(blocked, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        thickness = 2.0 * ndimage.maximum(depth, labels, np.arange(count))
-        small |= (sides <= bulky_cells + _SLACK) & (np.asarray(thickness) >= thick_cells)
-    small[[0, labels[0, 0]]] = False  # free space, and what the outside is part of
+    outside = 0, int(labels[0, 0])  # free space, and what the outside is part of
+    for piece in np.flatnonzero(~small & (sides <= bulky_cells + _SLACK)).tolist():
+        small[piece] = piece not in outside and _is_solid(labels, stats[piece], piece, thick_cells)
+    small[list(outside)] = False
     return np.asarray(small[labels[1:-1, 1:-1]])
+
+
+def _is_solid(labels: NDArray[Any], about: NDArray[Any], piece: int, thick_cells: float) -> bool:
+    """Whether a piece fills the narrowest rectangle around it, and that is thick enough.
+
+    `about` are its `connectedComponentsWithStats`. Noise at its edges, or a hole in it, changes its
+    area little.
+    """
+    x, y, width, height, area = about.tolist()
+    rows, columns = np.nonzero(labels[y : y + height, x : x + width] == piece)
+    _, sides, _ = cv2.minAreaRect(np.column_stack([columns, rows]).astype(np.float32))
+    short, long = sorted(side + 1.0 for side in sides)  # from middle to middle of its cells
+    return bool(short >= thick_cells - _SLACK and area >= _SOLID * short * long)
 
 
 @dataclass(frozen=True, slots=True)

@@ -102,7 +102,7 @@ def test_a_post_in_the_line_of_a_wall_is_no_furniture(
 def test_a_wall_between_three_doors_is_no_furniture(plan: PlanBuilder) -> None:
     """Two doors to a corridor and one from room to room leave a T of thick walls by itself."""
     rooms = (0.3, 2.5, 4.0, 6.3), (4.4, 2.5, 6.8, 6.3)
-    doors = (2.3, 2.1, 3.1, 2.5), (4.7, 2.1, 5.5, 2.5), (4.0, 3.3, 4.4, 4.1)
+    doors = (2.3, 2.1, 3.1, 2.5), (4.5, 2.1, 5.3, 2.5), (4.0, 3.3, 4.4, 4.1)
     building = plan(7.1, 6.6, (0.3, 0.3, 6.8, 2.1), *rooms, *doors)
     free = building.free
     small = small_obstacles(free, *(metres / CELL_M for metres in (1.5, 2.5, 0.4)))
