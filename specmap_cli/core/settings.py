@@ -248,8 +248,8 @@ class SegmentationConfig(_Section):
         0.05, ge=0.01, le=1.0, description="cells of the working grid; coarser ones tip borders"
     )
     obstacle_m: float = Field(1.5, ge=0, description="isolated obstacles up to this size are free")
-    furniture_m: float = Field(2.5, ge=0, description="and up to this size when they are solid, as tables are")
-    furniture_thick_m: float = Field(0.4, gt=0, description="across; walls are thinner")
+    furniture_m: float = Field(2.5, ge=0, description="and up to this size when solid")
+    furniture_thick_m: float = Field(0.4, gt=0, description="across: walls are thinner than tables")
     wide_door_m: float = Field(
         2.5, ge=0, description="openings in the line of a wall up to this are doors; 0: only narrow"
     )
