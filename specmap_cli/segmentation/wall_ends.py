@@ -54,12 +54,14 @@ def between_ends(free: BoolArray, gaps: Runs, panels: BoolArray, lengths: EndLen
     On one side of the gap a thin wall points at it, with open space on both faces, one of them
     straight. On the other side is the end of a wall, or at least a corner, with the same face: a
     partition that ends where the line of the wall is. Corners on both sides do when one of the
-    `panels` (H, W), pieces of wall that touch no other, stands in the gap.
+    `panels` (H, W), pieces of wall that touch no other, stands in the gap. Half of the gap is open
+    to both sides.
     """
     thin, faces = _faces(free, lengths)
     pointing = _pointing(thin, gaps, lengths)
     sums = _sums(panels)
     panel = sums[gaps.row, gaps.last + 1] > sums[gaps.row, gaps.first]
+    crossed = _crossed(free, gaps, lengths)
     found = np.zeros(len(gaps.row), dtype=np.bool_)
     for face in faces:
         before, after = (
@@ -68,7 +70,21 @@ def between_ends(free: BoolArray, gaps: Runs, panels: BoolArray, lengths: EndLen
         one, other = _straight(face, gaps, lengths.straight)
         jambs = (pointing[0] & one & after) | (pointing[1] & other & before)
         found |= jambs | (panel & before & after)
-    return found
+    return found & crossed
+
+
+def _crossed(free: BoolArray, gaps: Runs, lengths: EndLengths) -> BoolArray:
+    """(n,) whether half of each gap or more has open space before and behind it.
+
+    Beside a cupboard that stands at a wall the wall itself goes on, and nobody comes through.
+    """
+    columns, shape = Runs.of(free.T), free.T.shape
+    row = np.arange(free.shape[0])[:, None]
+    before = row - columns.painted(shape, columns.first).T
+    behind = columns.painted(shape, columns.last).T - row
+    sums = _sums(free & (np.minimum(before, behind) >= lengths.open_space // 2))
+    share = sums[gaps.row, gaps.last + 1] - sums[gaps.row, gaps.first]
+    return np.asarray(2 * share >= gaps.lengths)
 
 
 def _faces(free: BoolArray, lengths: EndLengths) -> tuple[BoolArray, tuple[_Face, _Face]]:

@@ -69,6 +69,14 @@ def test_a_slanted_wall_points_at_nothing() -> None:
     np.testing.assert_array_equal(narrowed(GridMap((~free).astype(np.uint8), CELL_M)), free)
 
 
+def test_beside_a_cupboard_at_a_wall_nothing_is_narrowed(plan: PlanBuilder) -> None:
+    """It is as thin as a wall, with the wall; the space beside it lies along the wall."""
+    free = plan(12.0, 6.6, CORRIDOR, (4.2, 2.2, 7.8, 6.3), (5.0, 2.1, 5.8, 2.2)).free.copy()
+    free[44:50, 132:156] = False  # from 6.6 m to the wall, 0.3 m deep
+    building = GridMap((~free).astype(np.uint8), CELL_M)
+    np.testing.assert_array_equal(narrowed(building), free)
+
+
 def test_noise_in_a_wall_does_not_tip_what_it_is(plan: PlanBuilder) -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS)
     holes = np.zeros_like(building.free)
