@@ -17,7 +17,7 @@ from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.learning.holding_out import Samples
-from specmap_cli.recognition.learning.lessons import NO_LESSONS, Lessons
+from specmap_cli.recognition.learning.lessons import NO_LESSONS, NO_SAMPLES, Lessons
 
 _MOST = float(np.finfo(np.float16).max)
 
@@ -39,22 +39,26 @@ def arrays_of(lessons: Lessons) -> dict[str, NDArray[Any]]:
 def lessons_of_stored(stored: StoredMap, config: Config) -> Lessons:
     """The lessons of a map directory; none where they would not be the same by these settings.
 
-    Nor are there any of another version, which may find other features. Raises MapError for a
-    damaged file.
+    Nor are there any of another version, which may find other features. Scans that were cast in
+    other grids are left out. Raises MapError for a damaged file.
     """
     arrays, before = stored.features, stored.config
     same = before.recognition.feature_set == config.recognition.feature_set
     same &= before.localization == config.localization
     if arrays is None or not same or _version(stored) != __version__:
         return NO_LESSONS
-    columns = len(feature_names(config.recognition.feature_set))
-    virtual = len(feature_names(config.localization.feature_set))
     raw, along, cast = (_samples(arrays, kind) for kind in KINDS)
-    if raw.features.shape[1] != columns or {along.features.shape[1], cast.features.shape[1]} != {
-        virtual
-    }:
+    virtual = config.localization.feature_set
+    known = _are_of(raw, config.recognition.feature_set)
+    if not (known and _are_of(along, virtual) and _are_of(cast, virtual)):
         return NO_LESSONS
-    return Lessons(raw, along, cast)
+    return Lessons(raw, along, cast if before.grid == config.grid else NO_SAMPLES)
+
+
+def _are_of(samples: Samples, feature_set: str) -> bool:
+    """Whether samples, if there are any, have as many features as a set."""
+    columns = samples.features.shape[1]
+    return not len(samples.keyframes) or columns == len(feature_names(feature_set))
 
 
 def comparable(

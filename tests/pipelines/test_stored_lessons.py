@@ -74,6 +74,25 @@ def test_other_settings_learn_anew(house: StoredMap, changed: dict[str, Any]) ->
     assert len(lessons_of_stored(house, config).raw.keyframes) == 0
 
 
+def test_what_was_cast_in_other_grids_is_cast_anew(house: StoredMap) -> None:
+    values = house.config.model_dump()
+    values["grid"] |= {"occupied_share": 0.5}
+    found = lessons_of_stored(house, Config.model_validate(values))
+    assert len(found.cast.keyframes) == 0 < len(found.along.keyframes)
+
+
+@pytest.mark.parametrize("without", [{"virtual": False}, {"augmentation": 0}])
+def test_a_map_without_some_kind_of_scans_keeps_the_others(
+    flat_log: SimulationResult, tmp_path: Path, without: dict[str, Any]
+) -> None:
+    values = QUICK.model_dump()
+    values["localization"] |= without
+    build_map(flat_log.log, tmp_path / "map", Config.model_validate(values))
+    stored = read_map(tmp_path / "map")
+    found = lessons_of_stored(stored, stored.config)
+    assert len(found.raw.keyframes) > 0 == len(found.cast.keyframes)
+
+
 def test_another_version_and_a_map_without_the_file_learn_anew(
     house: StoredMap, tmp_path: Path
 ) -> None:
