@@ -73,6 +73,7 @@ def merge_maps(
     with OutputDirectory(target, overwrite, progress) as partial, KeyframeStore() as store:
         seen = [seen_of_stored(stored) for stored in ordered]
         _refuse_twice(ordered)
+        lessons = [lessons_of_stored(stored, config) for stored in ordered]
         progress.start("aligning", None)
         with clock.stage("alignment"):
             meetings = meetings_of(ordered, seen, config, spread)
@@ -80,7 +81,7 @@ def merge_maps(
         with clock.stage("layout"):
             merging = _merged(ordered, seen, meetings, store, config)
         counts = _counts(ordered)
-        known = _known(ordered, merging, store, config)
+        known = _known(ordered, lessons, merging, store, config)
         finished = remade(store, merging.joined, config, progress, clock, counts, known)
         overview = finished.overview(merging.joined.kept.logs)
         run = run_record([stored.path.resolve() for stored in ordered], None, config, finished)
@@ -173,16 +174,19 @@ class _Merging:
 
 
 def _known(
-    maps: Sequence[StoredMap], merging: _Merging, store: KeyframeStore, config: Config
+    maps: Sequence[StoredMap],
+    lessons: Sequence[Lessons],
+    merging: _Merging,
+    store: KeyframeStore,
+    config: Config,
 ) -> Known:
     """What the maps keep of what their classifiers learned from, as it holds for all of them."""
     joint, cell_m = merging.joined.kept, config.grid.resolution_m
     parts = []
-    for number, stored in enumerate(maps):
+    for number, (stored, own) in enumerate(zip(maps, lessons, strict=True)):
         before, (first, _) = stored.labels, merging.firsts[number]
         everything = np.arange(len(before.stamps_ns))
-        lessons = lessons_of_stored(stored, config)
-        parts.append(lessons_left(lessons, before, joint.labels, everything, cell_m, first))
+        parts.append(lessons_left(own, before, joint.labels, everything, cell_m, first))
     return known_of(store, Lessons.joined(parts), joint.starts, config)
 
 

@@ -42,10 +42,12 @@ def lessons_of_stored(stored: StoredMap, config: Config) -> Lessons:
     Nor are there any of another version, which may find other features. Scans that were cast in
     other grids are left out. Raises MapError for a damaged file.
     """
-    arrays, before = stored.features, stored.config
+    arrays = stored.features
+    if arrays is None or _version(stored) != __version__:
+        return NO_LESSONS
+    before = stored.config
     same = before.recognition.feature_set == config.recognition.feature_set
-    same &= before.localization == config.localization
-    if arrays is None or not same or _version(stored) != __version__:
+    if not same or before.localization != config.localization:
         return NO_LESSONS
     raw, along, cast = (_samples(arrays, kind) for kind in KINDS)
     virtual = config.localization.feature_set
@@ -64,8 +66,13 @@ def _are_of(samples: Samples, feature_set: str) -> bool:
 def comparable(
     classifiers: ClassifierSet | None, stored: StoredMap, config: Config
 ) -> ClassifierSet | None:
-    """The classifiers of a map where they are of the kind that these settings make, else None."""
-    if classifiers is None or stored.config.recognition != config.recognition:
+    """The classifiers of a map where they are of the kind that these settings make, else None.
+
+    Those of another version are not: it may have found other features.
+    """
+    if classifiers is None or _version(stored) != __version__:
+        return None
+    if stored.config.recognition != config.recognition:
         return None
     virtual = classifiers.virtual is not None
     same = stored.config.localization.feature_set == config.localization.feature_set

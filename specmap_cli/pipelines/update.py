@@ -41,6 +41,7 @@ from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.pipelines.update_report import UpdateReport
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import KeyframeFeatures, check_feature_sets
+from specmap_cli.recognition.learning.lessons import Lessons
 from specmap_cli.topology.border_changes import border_changes
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
@@ -119,7 +120,7 @@ def _updated(
 ) -> _Updated:
     """The map with the recording; its keyframes are added to `store`, which holds the map's."""
     clock, name = Stopwatch(), stream.log.name
-    old = seen_of_stored(stored)
+    old, lessons = seen_of_stored(stored), lessons_of_stored(stored, config)
     with KeyframeStore() as own:
         surveyed = survey(stream, config, own, progress, clock)
         new = surveyed.seen
@@ -142,7 +143,7 @@ def _updated(
         kept = redivided(old, joined.kept, fewer, whole, config)
     counts = added(stored.counts, surveyed.tracking.counts)
     features = surveyed.features.among(store, fewer.old)
-    known = _known(stored, old, kept, fewer, features, config)
+    known = _known(stored, old, kept, fewer, features, lessons, config)
     judge = judge_of(joined, config.quality)
     finished = divided_anew(
         store, kept, judge, config, progress, clock, counts, known, (whole, beyond)
@@ -157,11 +158,11 @@ def _known(
     kept: KeptMap,
     fewer: Thinned,
     own: KeyframeFeatures,
+    lessons: Lessons,
     config: Config,
 ) -> Known:
-    """What is known of the map: the features of the recording's `own` scans, and the map's."""
+    """What is known of the map: features of the recording's `own` scans, and the map's lessons."""
     left = fewer.left[: fewer.old]
-    lessons = lessons_of_stored(stored, config)
     lessons = lessons_left(lessons, stored.labels, kept.labels, left, config.grid.resolution_m)
     features = own.knowing(lessons.raw.keyframes, lessons.raw.features)
     return Known(features, lessons, kept.starts, comparable(old.known.classifiers, stored, config))

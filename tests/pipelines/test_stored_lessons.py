@@ -107,6 +107,17 @@ def test_another_version_and_a_map_without_the_file_learn_anew(
     assert len(lessons_of_stored(read_map(tmp_path / "other"), house.config).raw.keyframes) == 0
 
 
+def test_settings_of_another_version_need_not_be_known(house: StoredMap, tmp_path: Path) -> None:
+    shutil.copytree(house.path, tmp_path / "other")
+    run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
+    run["versions"]["specmap"] = "0.0.1"
+    run["config"]["grid"]["occupied_share"] = 7
+    (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
+    other = read_map(tmp_path / "other")
+    assert len(lessons_of_stored(other, house.config).raw.keyframes) == 0
+    assert comparable(classifiers_of(other), other, house.config) is None
+
+
 def test_classifiers_of_other_settings_are_no_test(house: StoredMap) -> None:
     classifiers = classifiers_of(house)
     assert comparable(classifiers, house, house.config) is classifiers

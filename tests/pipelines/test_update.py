@@ -13,6 +13,7 @@ import pytest
 from specmap_cli import build_map, read_map
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import InputError, MapError, NoResultError
+from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import UpdateConfig
 from specmap_cli.evaluation.trajectories import read_tum, reference_errors
@@ -128,6 +129,25 @@ def test_scans_that_were_learned_from_are_learned_from_again(kept: Kept, tmp_pat
         old = found[kind + "_keyframes"] < kept.first_new
         assert 0 < np.count_nonzero(old) < len(old)
         assert ((found[kind] == 1.0).all(axis=0) == old).all()
+
+
+def test_damaged_features_are_refused_before_the_recording_is_read(
+    kept: Kept, tmp_path: Path
+) -> None:
+    class Stages(Silent):
+        started = 0
+
+        def start(self, stage: str, total: int | None) -> None:
+            del stage, total
+            self.started += 1
+
+    shutil.copytree(kept.old.path, tmp_path / "old")
+    (tmp_path / "old" / "features.npz").write_bytes(b"PK")
+    stages = Stages()
+    with pytest.raises(MapError, match=r"features\.npz: is no zip file of arrays: delete it"):
+        update_map(tmp_path / "old", kept.second.log, tmp_path / "new", QUICK, progress=stages)
+    assert not stages.started
+    assert not (tmp_path / "new").exists()
 
 
 def test_the_new_recording_tells_how_sure_the_classifiers_are(kept: Kept, tmp_path: Path) -> None:
