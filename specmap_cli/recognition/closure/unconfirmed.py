@@ -27,13 +27,15 @@ class UnconfirmedWay:
         """The grids of two stays match `mended_m` from where tracking has them.
 
         As far as that is no twin whatever the way, they are as near as the way on which drift makes
-        as much.
+        as much. A match that cuts no way short is not kept: a robot that patrols makes many.
         """
         ends = old.travelled_m, new.travelled_m
         known = old.map_from_stay is not None and new.map_from_stay is not None
         if known and all(map(math.isfinite, ends)) and mended_m <= self.config.twin_margin_m:
             drift = self.config.max_drift
-            self._ties.append((*ends, mended_m / drift if drift > 0.0 else 0.0))
+            metres = mended_m / drift if drift > 0.0 else 0.0
+            if metres < self.between(old, new):
+                self._ties.append((*ends, metres))
 
     def between(self, old: Stay, new: Stay) -> float:
         """Metres of the shortest way between two stays; not finite across a loss of tracking."""

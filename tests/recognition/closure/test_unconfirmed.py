@@ -52,6 +52,14 @@ def test_what_a_match_mends_counts_as_way() -> None:
     assert way.between(stay(0.0), stay(80.0)) == pytest.approx(0.3 / CONFIG.max_drift)
 
 
+def test_a_match_that_cuts_no_way_short_is_not_kept() -> None:
+    way = UnconfirmedWay(CONFIG)
+    for mended_m in (0.2, 0.3, 0.2, 0.1):
+        way.confirm(stay(0.0), stay(80.0), mended_m)
+    way.confirm(stay(80.0), stay(81.0), 0.3)
+    assert [metres * CONFIG.max_drift for _, _, metres in way._ties] == pytest.approx([0.2, 0.1])
+
+
 def test_matches_are_followed_one_after_the_other() -> None:
     way = UnconfirmedWay(CONFIG)
     way.confirm(stay(10.0), stay(50.0), 0.0)
