@@ -20,6 +20,7 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
+from specmap_cli.core.versions import versions
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.edit_conversion import borders_in, borders_of
@@ -234,6 +235,6 @@ def _lessons(stored: StoredMap, found: Drawn, config: Config) -> Lessons:
 
 
 def _run(stored: StoredMap, finished: FinishedMap) -> dict[str, Any]:
-    """run.json of a map that was divided anew."""
+    """run.json of a map that was divided anew, by this version."""
     made = {"submaps": len(finished.topology.submaps), "edges": len(finished.topology.edges)}
-    return {**stored.run, "counts": {**stored.counts, **made}}
+    return {**stored.run, "versions": versions(), "counts": {**stored.counts, **made}}

@@ -409,3 +409,13 @@ def test_borders_moved_in_a_later_map_are_moved_in_the_merged_one(
     assert (edited.regions.owners(motion.inverse().apply(places)) == new).mean() > 0.8
     undone = edit_map(both, Wishes(undo=(1, 2)), tmp_path / "undone")
     assert sorted(undone.names) == read_map(tmp_path / "plain").ids
+
+
+def test_a_map_made_anew_is_of_the_version_that_made_it(own: Path, built: Built) -> None:
+    """Or its features would be taken for those of the version before."""
+    run = json.loads((own / "run.json").read_text(encoding="utf-8"))
+    now = dict(run["versions"])
+    run["versions"]["specmap"] = "0.0.1"
+    (own / "run.json").write_text(json.dumps(run), encoding="utf-8")
+    edit_map(own, Wishes(changes=({"merge": [built.corridor, built.rooms[0]]},)))
+    assert read_map(own).run["versions"] == now
