@@ -18,6 +18,9 @@ _HEADERS = (
     b"{'descr': '<f2', 'fortran_order': False, 'shape': (-1, 2), }",
     b"{'descr': '<f2', 'fortran_order': False, 'shape': (1000000000000, 2), }",
     b"{'descr': [('a', '<f2')], 'fortran_order': False, 'shape': (2,), }",
+    b"{'descr': (), 'fortran_order': False, 'shape': (2, 2), }",
+    b"{[1]: 2}",
+    b"(",
     b"(" * 3000,
     b"",
 )

@@ -7,6 +7,8 @@ half precision, a column a scan, and with `_keyframes` behind the name (n,) thei
 from __future__ import annotations
 
 import io
+import re
+import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -24,7 +26,12 @@ from specmap_cli.core.shortage import reason
 KINDS = ("raw", "along", "cast")
 KEYFRAMES_OF = "_keyframes"
 _VERSION = (1, 0)  # of NumPy's format
-_LONGEST_HEADER = 256  # bytes; NumPy's own are half as long
+# The headers that are written here. NumPy reads any literal of Python as one, with many errors.
+_HEADER = re.compile(
+    rb"\{'descr': '([<|][a-z]\d)', 'fortran_order': False, "
+    rb"'shape': \((\d{1,12}),(?: (\d{1,12}))?\), \}\s*"
+)
+_LENGTH = struct.Struct("<H")  # of the header, behind the magic bytes
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 0x1
 _MOST_MB = "limits.text_max_mb"
@@ -60,7 +67,7 @@ def read_features(path: Path, keyframes: int, limits: LimitsConfig) -> Arrays:
 
 
 def _unpacked(data: bytes, path: Path, limits: LimitsConfig) -> dict[str, NDArray[Any]]:
-    names = {name for kind in KINDS for name in (kind, kind + KEYFRAMES_OF)}
+    names = [name for kind in KINDS for name in (kind, kind + KEYFRAMES_OF)]
     with zipfile.ZipFile(io.BytesIO(data)) as packed:
         infos = packed.infolist()
         if sorted(info.filename for info in infos) != sorted(f"{name}.npy" for name in names):
@@ -76,14 +83,15 @@ def _array(data: bytes) -> NDArray[Any]:
     """An array of a file in NumPy's format, which runs no code; ValueError for any other."""
     file = io.BytesIO(data)
     version = np.lib.format.read_magic(file)
-    if version != _VERSION:
+    start = file.tell() + _LENGTH.size
+    if version != _VERSION or len(data) < start:
         raise ValueError(version)
-    shape, column_first, kind = np.lib.format.read_array_header_1_0(
-        file, max_header_size=_LONGEST_HEADER
-    )
-    if kind.hasobject or column_first:
-        raise ValueError(kind)
-    return np.frombuffer(data, dtype=kind, offset=file.tell()).reshape(shape)
+    end = start + _LENGTH.unpack(data[file.tell() : start])[0]
+    header = _HEADER.fullmatch(data[start:end])
+    if header is None:
+        raise ValueError(data[start:end])
+    shape = [int(size) for size in header.groups()[1:] if size is not None]
+    return np.frombuffer(data, dtype=header[1].decode(), offset=end).reshape(shape)
 
 
 def _check(path: Path, features: NDArray[Any], own: NDArray[Any], keyframes: int) -> None:
