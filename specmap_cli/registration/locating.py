@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.grids.matching import Window
 from specmap_cli.registration.prospect import BEYOND_DOUBT, Prospect
 from specmap_cli.registration.scene import Bounds, Fit, Scene, Support
+from specmap_cli.registration.search_windows import near_window, wide_bounds, wide_window
 from specmap_cli.registration.sliding import carried_along, slid
 
-# Steps of the two searches: about a cell of the score field, no finer, and a rough one.
-_STEP_M, _WIDE_STEP_M = 0.05, 0.1
-# Score that a place loses for each m^2 and rad^2 from the guess: of places that fit alike the
-# nearest is taken. The wide search is for holes in the log, where the guess says little.
-_PER_M2, _PER_RAD2 = 1.0, 0.4
-_WIDE_PER_M2, _WIDE_PER_RAD2 = 0.15, 0.05
 _WIDER = 2.0  # first kernel after a wide search, in widest kernels: its steps are coarser
 _FINE_KERNELS = (0.5, 0.25)  # voxels: they follow only walls near by, not new ones from afar
 # Share of a sweep's walls that could be seen, from which on they say something; and with which they
@@ -56,7 +49,7 @@ def locate(scene: Scene, prospect: Prospect) -> Located:
     fit = _first_fit(scene, prospect, bounds)
     doubted = _is_doubted(guess, fit, config) and not _is_settled(scene, prospect, fit)
     if doubted:
-        window = _window(config, measured=prospect.expected.measured)
+        window = near_window(config, measured=prospect.expected.measured)
         found = scene.search(guess, window, kernels, bounds)
         fit = _better(scene, prospect, fit, found, guess)
         fit = _backed_up(scene, prospect, fit)
@@ -65,8 +58,8 @@ def locate(scene: Scene, prospect: Prospect) -> Located:
     if wide:
         wider = (_WIDER * kernels[0], *kernels)
         far = not prospect.trusted or prospect.expected.hole
-        reach = _wide_bounds(guess, config) if far else bounds
-        window = _wide_window(prospect, config, free=far)
+        reach = wide_bounds(guess, config) if far else bounds
+        window = wide_window(prospect, config, free=far)
         if not far and _speaks_against(scene.support(fit.planar), config):
             window = replace(window, angle_rad=config.max_shift_rad)
         fit = fit.or_better(scene.search(guess, window, wider, reach))
@@ -201,7 +194,7 @@ def _backed_up(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
         forward = share * (reverse[:3, 3] - prospect.guess[:3, 3])
         place = prospect.guess.copy()
         place[:3, 3] += forward
-        window = _window(config, measured=True)
+        window = near_window(config, measured=True)
         bounds = Bounds.around(place, config)
         found = scene.search(place, window, config.kernel_voxels, bounds)
         if found.score >= BEYOND_DOUBT:
@@ -237,17 +230,6 @@ def _calls_for_wide_search(scene: Scene, prospect: Prospect, fit: Fit) -> bool:
     return not (agreeing and support.share >= MOST and support.score >= scene.config.fair_score)
 
 
-def _wide_bounds(guess: FloatArray, config: RegistrationConfig) -> Bounds:
-    """As far as the wide search looks, if that is farther than other results may be."""
-    corner_m = math.hypot(config.wide_search_m, config.wide_search_m)
-    return Bounds(
-        guess,
-        shift_m=max(config.max_shift_m, corner_m + _WIDE_STEP_M),
-        shift_rad=max(config.max_shift_rad, config.wide_search_rad + config.search_rad),
-        tilt_rad=config.max_tilt_rad,
-    )
-
-
 def _is_doubted(guess: FloatArray, fit: Fit, config: RegistrationConfig) -> bool:
     """Whether an alignment scores too low, or ended too far from its guess, to be just taken."""
     return _is_far(guess, fit, config) or fit.score <= config.good_score
@@ -257,32 +239,3 @@ def _is_far(guess: FloatArray, fit: Fit, config: RegistrationConfig) -> bool:
     """Whether an alignment ended farther from its guess than most do."""
     away = Pose2.from_matrix(guess).inverse() @ fit.planar
     return away.distance >= config.doubt_m or abs(away.theta) >= config.doubt_rad
-
-
-def _window(config: RegistrationConfig, *, measured: bool) -> Window:
-    """Where odometry's errors, or the changes of an unmeasured motion, can have led."""
-    distance_m = config.search_m if measured else config.blind_search_m
-    angle_rad = config.search_rad if measured else config.blind_search_rad
-    return Window(
-        distance_m=distance_m,
-        angle_rad=angle_rad,
-        step_m=_STEP_M,
-        penalty_per_m2=_PER_M2,
-        penalty_per_rad2=_PER_RAD2,
-    )
-
-
-def _wide_window(prospect: Prospect, config: RegistrationConfig, *, free: bool) -> Window:
-    """Where the robot can have come in a hole of the log, or by wheels that slipped.
-
-    Unless it is `free`, odometry is trusted: it does not err by a wide turn, but wheels may have
-    turned in vain.
-    """
-    slipped_m = config.wide_search_m + prospect.expected.motion.distance
-    return Window(
-        distance_m=config.wide_search_m if free else min(config.max_shift_m, slipped_m),
-        angle_rad=config.wide_search_rad if free else config.search_rad,
-        step_m=_WIDE_STEP_M,
-        penalty_per_m2=_WIDE_PER_M2,
-        penalty_per_rad2=_WIDE_PER_RAD2,
-    )
