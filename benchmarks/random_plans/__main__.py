@@ -19,19 +19,16 @@ import numpy as np
 from benchmarks.random_plans.buildings import BUILDINGS
 from benchmarks.random_plans.drawing import Drawing
 from specmap_cli.core.settings import Config
-from specmap_cli.evaluation.scores import room_scores
+from specmap_cli.evaluation.scores import RoomScores, room_scores
 from specmap_cli.segmentation.division import segment
 from specmap_cli.segmentation.kmeans import LabelArray
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Scores of one plan."""
+    """Scores of one plan, and how many of its rooms share a region with another one."""
 
-    recall: float
-    precision: float
-    iou: float
-    segments_per_room: float
+    scores: RoomScores
     joined: int
     rooms: int
 
@@ -62,14 +59,7 @@ def measured(plan: Drawing) -> Row:
     """Divide a plan and compare it with its rooms."""
     labels = segment(plan.grid(), Config().segmentation).labels
     scores = room_scores(plan.labels, labels)
-    return Row(
-        scores.recall,
-        scores.precision,
-        scores.iou,
-        scores.segments_per_room,
-        joined_rooms(plan.labels, labels),
-        len(plan.rooms),
-    )
+    return Row(scores, joined_rooms(plan.labels, labels), len(plan.rooms))
 
 
 def joined_rooms(rooms: LabelArray, labels: LabelArray) -> int:
@@ -84,12 +74,12 @@ def joined_rooms(rooms: LabelArray, labels: LabelArray) -> int:
 
 def line(kind: str, furnished: bool, rows: list[Row]) -> str:
     """Means and sums over the plans of a kind."""
-    table = np.array([astuple(row) for row in rows])
-    means, (joined, rooms) = table[:, :4].mean(axis=0), table[:, 4:].sum(axis=0).astype(int)
-    recall, precision, iou, segments = means.tolist()
+    table = np.array([astuple(row.scores) for row in rows])
+    recall, precision, iou, segments = table.mean(axis=0).tolist()
+    joined, of = sum(row.joined for row in rows), sum(row.rooms for row in rows)
     return (
         f"{kind:7} {'yes' if furnished else 'no':9} {recall:7.3f} {precision:6.3f} {iou:6.3f}"
-        f" {segments:11.2f} {joined:7} {rooms:5} {table[:, 2].min():11.3f}"
+        f" {segments:11.2f} {joined:7} {of:5} {table[:, 2].min():11.3f}"
     )
 
 
