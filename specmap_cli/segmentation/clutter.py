@@ -10,10 +10,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import BoolArray, cell_distances
 
 _SLACK = 1e-9  # sizes that are equal on paper stay equal in floating point
+_SLIT_M = 0.15  # free space narrower than this, in a wall or between two pieces of one, is noise
 _SOLID = 0.5  # share of its rectangle: furniture fills three quarters, corners of walls a third
+
+
+def furniture(free: BoolArray, resolution: float, config: SegmentationConfig) -> BoolArray:
+    """(H, W) the isolated obstacles that are no walls; `free` is (H, W), cells of `resolution`.
+
+    A row of pieces with no more than slits between them is a wall when it is longer than any
+    furniture: of a railing or a window front a laser sees dashes, here longer, there shorter than a
+    chair. What is solid by itself stays furniture, whatever stands beside it.
+    """
+    sizes = np.array([config.obstacle_m, config.furniture_m, config.furniture_thick_m])
+    largest, bulky, thick = (sizes / resolution).tolist()
+    pieces = small_obstacles(free, largest)
+    linked = _linked(pieces, resolution)
+    rows = linked & ~small_obstacles(~linked, max(largest, bulky))
+    return np.asarray(small_obstacles(free, largest, bulky, thick) & ~(pieces & rows))
+
+
+def without_slits(free: BoolArray, resolution: float) -> BoolArray:
+    """The free cells (H, W) that a free square as wide as a slit covers."""
+    square = _slit_square(resolution)
+    side = len(square)
+    opened = cv2.morphologyEx(np.pad(free, side).astype(np.uint8), cv2.MORPH_OPEN, square)
+    return np.asarray(opened[side:-side, side:-side] > 0)
+
+
+def _linked(pieces: BoolArray, resolution: float) -> BoolArray:
+    """Pieces (H, W) with the slits between them."""
+    if not pieces.any():
+        return pieces
+    closed = cv2.morphologyEx(pieces.astype(np.uint8), cv2.MORPH_CLOSE, _slit_square(resolution))
+    return np.asarray(closed > 0)
+
+
+def _slit_square(resolution: float) -> NDArray[np.uint8]:
+    """Ones (n, n), as wide as a slit; n is odd, so that it has a middle."""
+    side = 2 * max(0, round(0.5 * (_SLIT_M / resolution - 1.0))) + 1
+    return np.ones((side, side), dtype=np.uint8)
 
 
 def small_obstacles(

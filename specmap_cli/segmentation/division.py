@@ -16,7 +16,7 @@ from specmap_cli.grids.gridmap import BoolArray, GridMap
 from specmap_cli.segmentation.clutter import (
     WorkingGrid,
     coarse_step,
-    small_obstacles,
+    furniture,
     working_grid,
 )
 from specmap_cli.segmentation.consensus import consensus
@@ -133,8 +133,7 @@ def _without_furniture(
     free: BoolArray, resolution: float, config: SegmentationConfig
 ) -> tuple[BoolArray, BoolArray]:
     """(h, w) free space with the isolated obstacles; and with wide openings narrowed besides."""
-    sizes = np.array([config.obstacle_m, config.furniture_m, config.furniture_thick_m])
-    small = small_obstacles(free, *(sizes / resolution).tolist())
+    small = furniture(free, resolution, config)
     if not config.wide_door_m:
         return free | small, free | small
     return with_narrow_doors(free, small, resolution, config.wide_door_m)

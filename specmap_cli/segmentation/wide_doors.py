@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 
 from specmap_cli.grids.gridmap import BoolArray
+from specmap_cli.segmentation.clutter import without_slits
 from specmap_cli.segmentation.kmeans import LabelArray
 from specmap_cli.segmentation.runs import Runs
 from specmap_cli.segmentation.wall_ends import EndLengths, between_ends
 
-_SLIT_M = 0.15  # free space narrower than this, in a wall or behind it, is noise
 _DOOR_M = 0.9  # what is left of a wide opening
 _LINE_M = 6.0  # the longest row of openings and posts between two walls
 _BETWEEN_POSTS_M = 1.6  # the widest opening of such a row
@@ -57,7 +57,7 @@ def with_narrow_doors(
     """
     ends, widths = EndLengths.at(resolution), _Widths.at(resolution, widest_m)
     margin = max(ends.straight, ends.jamb + ends.frame)  # so that ends may lie at the edge
-    even = np.pad(_without_slits(free | small, resolution), margin)
+    even = np.pad(without_slits(free | small, resolution), margin)
     pieces = np.pad(small, margin) & even
     framed = even & ~pieces
     inner = np.s_[margin : margin + free.shape[0], margin : margin + free.shape[1]]
@@ -68,16 +68,6 @@ def with_narrow_doors(
     jambs, posts = (one | other.T for one, other in zip(rows, columns, strict=True))
     opened = free | (small & ~posts[inner])
     return opened, opened & ~jambs[inner]
-
-
-def _without_slits(free: BoolArray, resolution: float) -> BoolArray:
-    """The free cells (H, W) that a free square as wide as a slit covers."""
-    side = 2 * round(0.5 * (_SLIT_M / resolution - 1.0)) + 1  # odd: it has a middle
-    if side < 2:
-        return free
-    square = np.ones((side, side), dtype=np.uint8)
-    middles = cv2.erode(np.pad(free, side).astype(np.uint8), square)
-    return np.asarray(cv2.dilate(middles, square)[side:-side, side:-side] > 0)
 
 
 def _along_rows(

@@ -11,8 +11,14 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import BoolArray
-from specmap_cli.segmentation.clutter import small_obstacles, working_grid
+from specmap_cli.segmentation.clutter import (
+    furniture,
+    small_obstacles,
+    without_slits,
+    working_grid,
+)
 from specmap_cli.segmentation.flood import (
     flood_labels,
     flooded_at,
@@ -416,6 +422,46 @@ def test_a_table_is_furniture_and_a_piece_of_wall_as_long_is_not(
     free[20 : 20 + shape[0], 20 : 20 + shape[1]] = False
     assert small_obstacles(free, 8.0, 25.0, 8.0).any() == taken
     assert not small_obstacles(free, 8.0).any()
+
+
+def dashes(count: int, gap: int) -> BoolArray:
+    """A row of thin pieces of a metre each, on cells of 0.05 m."""
+    free = np.ones((60, 60 + 30 * count), dtype=bool)
+    for number in range(count):
+        first = 20 + number * (20 + gap)
+        free[30, first : first + 20] = False
+    return free
+
+
+@pytest.mark.parametrize(
+    ("count", "gap", "is_furniture"), [(6, 1, False), (6, 2, False), (6, 4, True), (2, 1, True)]
+)
+def test_a_railing_of_dashes_is_a_wall_and_pieces_that_stand_apart_or_end_soon_are_not(
+    count: int, gap: int, is_furniture: bool
+) -> None:
+    free = dashes(count, gap)
+    found = furniture(free, 0.05, SegmentationConfig())
+    np.testing.assert_array_equal(found, ~free if is_furniture else np.zeros_like(free))
+
+
+def test_a_table_among_the_dashes_of_a_railing_stays_furniture() -> None:
+    free = dashes(6, 1)
+    free[20:29, 40:76] = False  # a slit away from the row, solid, and longer than a chair
+    found = furniture(free, 0.05, SegmentationConfig())
+    assert found[20:29, 40:76].all()
+    assert not found[30].any()
+
+
+def test_slits_are_narrower_than_the_square_that_has_to_fit() -> None:
+    free = np.zeros((20, 40), dtype=bool)
+    free[5:8, 2:20] = free[12:14, 2:20] = free[:, 30:33] = True
+    even = without_slits(free, 0.05)
+    assert even[5:8, 2:20].all()
+    assert even[:, 30:33].all()
+    assert not even[12:14].any(where=np.arange(40) < 20)
+    np.testing.assert_array_equal(
+        without_slits(free, 0.15), free
+    )  # no slit is narrower than a cell
 
 
 @given(seed=seeds, step=st.integers(1, 4))
