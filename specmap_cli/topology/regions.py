@@ -83,9 +83,10 @@ class Regions:
 def divide(whole: GridMap, labels: Labels, fences: Sequence[Line] = ()) -> Regions:
     """Give each free cell of `whole` to the submap of the keyframe that is nearest on foot.
 
-    The keyframes flood the free cells, so that regions are connected and end at walls. Cells that a
-    robot could not get near, such as those seen through a gap or a window, are nobody's. No region
-    grows across the `fences`, lines in the map.
+    The keyframes flood the cells where a robot has room, and from there the free cells, so that
+    regions are connected and end at walls, and go through no slit. Cells that a robot could not get
+    near, such as those seen through a gap or a window, are nobody's. No region grows across the
+    `fences`, lines in the map.
     """
     places = whole.cells_of(labels.poses[:, :2])
     inside = whole.inside(places) & (labels.submaps != NO_SUBMAP)
@@ -94,16 +95,19 @@ def divide(whole: GridMap, labels: Labels, fences: Sequence[Line] = ()) -> Regio
     passable[rows, columns] = True  # where the robot stood, whatever was found there later
     markers = np.zeros(passable.shape, dtype=np.int32)
     markers[rows, columns] = labels.submaps[inside] + 1
-    owner = flood(passable, markers, drawn(fences, whole) if fences else None) - 1
-    owner[~whole.free | ~_reached(whole, markers > 0) | (owner < 0)] = NOBODY
+    fence = drawn(fences, whole) if fences else None
+    roomy = (whole.clearance() >= _ROBOT_RADIUS_M) | (markers > 0)
+    entered = _connected(roomy, markers > 0)
+    nearest = np.where(entered, flood(entered, markers, fence), 0).astype(np.int32)
+    owner = flood(passable, nearest, fence) - 1
+    owner[~whole.free | ~_near(entered, passable, whole.resolution) | (owner < 0)] = NOBODY
     return Regions.of(whole, owner)
 
 
-def _reached(whole: GridMap, stood: BoolArray) -> BoolArray:
-    """(H, W) the cells within reach of where a robot could go from the cells where it `stood`."""
-    entered = _connected((whole.clearance() >= _ROBOT_RADIUS_M) | stood, stood)
+def _near(entered: BoolArray, passable: BoolArray, resolution: float) -> BoolArray:
+    """(H, W) the passable cells within reach of those that a robot could have `entered`."""
     away = cv2.distanceTransform((~entered).astype(np.uint8), cv2.DIST_L2, 5)
-    return _connected((away * whole.resolution <= _REACH_M) & (whole.free | stood), entered)
+    return _connected((away * resolution <= _REACH_M) & passable, entered)
 
 
 def _connected(cells: BoolArray, seeds: BoolArray) -> BoolArray:

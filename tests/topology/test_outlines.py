@@ -96,6 +96,15 @@ def test_near_is_on_foot_not_through_a_wall() -> None:
     assert (regions.owner[:4, 21:] == 1).all()  # nearer to keyframe 0 as the crow flies
 
 
+def test_on_foot_leads_through_no_slit_of_a_railing() -> None:
+    cells = np.full((80, 120), FREE, dtype=np.uint8)
+    cells[:60, 60] = OCCUPIED  # a railing with a way round it at the far end
+    cells[5:60:6, 60] = FREE
+    regions = divide(GridMap(cells, 0.05), labels_at({0: (2.7, 0.5), 1: (5.7, 3.7)}))
+    assert (regions.owner[:20, :60] == 0).all()
+    assert (regions.owner[:20, 61:] == 1).all()  # as near as can be to keyframe 0
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_regions_are_connected_and_hold_their_keyframes(seed: int) -> None:
     rng = np.random.default_rng(seed)
