@@ -2,7 +2,7 @@
 
 A range is finite where there was a return, +inf where the beam met nothing, NaN where nothing is
 known. Readings below the laser's minimum are invalid; those of 0 m, of the laser's maximum range
-and beyond mean no return, whatever the driver's convention.
+and beyond mean no return, whatever the driver's convention, and so does what `Ceiling` finds.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2, yaw_of
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.ceiling import Ceiling
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 
 _FULL_CIRCLE = 2.0 * math.pi
@@ -39,6 +40,9 @@ class Mount(NamedTuple):
         return cls(Pose2(x, y, yaw_of(base_from_laser)), bool(base_from_laser[2, 2] < 0.0))
 
 
+LEVEL = Mount(Pose2(0.0, 0.0, 0.0), upside_down=False)  # at the base itself
+
+
 class _Beams(NamedTuple):
     """Bearings and times (B,) of the beams, and which of the readings as recorded they are."""
 
@@ -51,8 +55,9 @@ class _Beams(NamedTuple):
 class ScanLeveller:
     """Turns the scans of one laser into `PlanarScan`; keeps what they have in common."""
 
-    def __init__(self, mount: Mount, config: LogConfig) -> None:
+    def __init__(self, mount: Mount, config: LogConfig, ceiling: Ceiling | None = None) -> None:
         self.mount = mount
+        self.ceiling = Ceiling() if ceiling is None else ceiling
         self.longest_s = config.scan_time_max_s
         self._layout: ScanLayout | None = None
         self._beams: _Beams | None = None
@@ -65,10 +70,12 @@ class ScanLeveller:
             self._layout = scan.layout
         bearings, times_s, used, full_circle = self._beams
         range_max = scan.range_max if scan.range_max > 0.0 else math.inf
+        ranges = _cleaned(scan.ranges[used].astype(np.float64), scan.range_min, range_max)
+        self.ceiling.clear(ranges)
         return PlanarScan(
             stamp_ns=stamp_ns,
             bearings=bearings,
-            ranges=_cleaned(scan.ranges[used].astype(np.float64), scan.range_min, range_max),
+            ranges=ranges,
             range_max=range_max,
             full_circle=full_circle,
             beam_times_s=times_s,

@@ -6,10 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
-from specmap_cli.core.errors import LogError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.text import counted, legible, seconds
+from specmap_cli.core.text import legible, seconds
 from specmap_cli.logs.clocks import (
     Clock,
     OdometryKind,
@@ -18,6 +17,7 @@ from specmap_cli.logs.clocks import (
     clock_warnings,
     odometry_beside,
 )
+from specmap_cli.logs.first_scans import ceilings_m, first_scans
 from specmap_cli.logs.frames import (
     USUAL_BASES,
     Frames,
@@ -28,9 +28,7 @@ from specmap_cli.logs.frames import (
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import (
     BadMessageError,
-    CloudRecord,
     decode_odometry,
-    decode_scan,
 )
 from specmap_cli.logs.readers.recording import Message, TopicInfo
 from specmap_cli.logs.sensors import Glimpse, ScanSensor, choose_sensor, sensors_of
@@ -39,7 +37,6 @@ from specmap_cli.logs.transforms import TransformTree
 
 _ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
 _PARTS_OVERLAP_NS = 2_000_000_000  # parts of one recording may share a moment, not more
-_LOOK_BYTES = 32_000_000  # of messages that are looked at: some twenty clouds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +44,7 @@ class ScanSource:
     """Where the scans come from: which of the `sensors` on the topic, and what stamps them.
 
     `band_m` is the height band of a 3D cloud in metres above the floor, None for planar scans.
+    `ceilings_m` are distances that stand for no return, as far as the first scans show.
     """
 
     topic: TopicInfo
@@ -54,6 +52,7 @@ class ScanSource:
     sensors: tuple[ScanSensor, ...]
     clock: Clock = field(default_factory=Clock)
     band_m: tuple[float, float] | None = None
+    ceilings_m: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,7 +140,8 @@ def select(log: Log, config: LogConfig) -> Selection:
     frames = read_frames(log, scan.sensor.frame, bases, config)
     placement = place_laser(frames.tree, scan.sensor.frame, child, config)
     odometry = _odometry_source(log, topic, frames.tree, placement, config)
-    scan = replace(scan, clock=_clock(log, scan, odometry, glimpses, config))
+    clock = _clock(log, scan, odometry, glimpses, config)
+    scan = replace(scan, clock=clock, ceilings_m=ceilings_m(log, scan.topic, scan.sensor, config))
     return Selection(
         scan=scan,
         placement=placement,
@@ -211,31 +211,6 @@ def _scan_source(log: Log, topic: TopicInfo, config: LogConfig) -> tuple[ScanSou
         band_m=(config.band_min_m, config.band_max_m) if sensor.is_cloud else None,
     )
     return source, [glimpse for glimpse in glimpses if sensor.made(glimpse)]
-
-
-def first_scans(log: Log, topic: TopicInfo, config: LogConfig) -> list[Glimpse]:
-    """The first scans that can be decoded; raises LogError where none of the first can be."""
-    found: list[Glimpse] = []
-    reason, size = "it holds no message", 0
-    for tried, message in enumerate(log.messages([topic.name]), start=1):
-        size += len(message.data)
-        try:
-            found.append(_glimpse(message))
-        except BadMessageError as error:
-            reason = f"{error}; tried {counted(tried, 'message')}"
-        if found and (tried >= config.look_scans or size >= _LOOK_BYTES):
-            break
-        if not found and tried >= config.tried_messages:
-            break
-    if not found:
-        raise LogError(legible(f"{log.name}: {topic.name}: no usable scan: {reason}"))
-    return found
-
-
-def _glimpse(message: Message) -> Glimpse:
-    record = decode_scan(message)
-    layout = None if isinstance(record, CloudRecord) else record.layout
-    return Glimpse(record.stamp_ns, message.time_ns, record.frame, layout)
 
 
 def _clock(

@@ -17,6 +17,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible, nanoseconds
+from specmap_cli.logs.ceiling import Ceiling
 from specmap_cli.logs.clouds import PointClock, cloud_points
 from specmap_cli.logs.levelling import CloudLeveller, Level
 from specmap_cli.logs.log import Log
@@ -54,9 +55,9 @@ _LEAST_SHARE = {"without_odometry": 0.01}
 class SweepStream:
     """Iterable of the sweeps of a log; every iteration reads the log anew.
 
-    `selection` says what was chosen; `expected` is the number of scans on the topic; `counts` and
-    `warnings` are of the iteration so far. Raises what `selection.select` raises, and TypeError
-    for arguments that are no `Log` and `LogConfig`.
+    `selection` says what was chosen; `expected` is the number of scans on the topic; `counts`,
+    `ceiling` and `warnings` are of the iteration so far. Raises what `selection.select` raises,
+    and TypeError for arguments that are no `Log` and `LogConfig`.
     """
 
     def __init__(self, log: Log, config: LogConfig) -> None:
@@ -64,6 +65,7 @@ class SweepStream:
         self.config = instance_of(config, LogConfig, "config")
         self.selection: Selection = select(log, config)
         self.counts = _no_counts()
+        self.ceiling = Ceiling()
 
     @property
     def expected(self) -> int:
@@ -79,13 +81,14 @@ class SweepStream:
             if self.counts[key] > _LEAST_SHARE.get(key, 0.0) * self.counts["scans"]
         ]
         assumed = [legible(line) for line in self.selection.warnings]
-        return [*self.log.damage, *assumed, *found]
+        return [*self.log.damage, *assumed, *found, *self.ceiling.notes]
 
     def __iter__(self) -> Iterator[Sweep]:
         """The sweeps in the order of the log."""
         self.counts = _no_counts()
         odometry = OdometryListener(self.selection, self.config)
-        sweeps = _SweepMaker(self.selection, self.config, self.counts)
+        self.ceiling = Ceiling(self.selection.scan.ceilings_m)
+        sweeps = _SweepMaker(self.selection, self.config, self.counts, self.ceiling)
         waiting: deque[_Waiting] = deque()
         for message in self.log.messages([self.selection.scan_topic, *self.selection.odom_topics]):
             if message.topic == self.selection.scan_topic:
@@ -131,11 +134,14 @@ def _no_counts() -> dict[str, int]:
 class _SweepMaker:
     """One pass over a log: how its scans become sweeps. What it meets goes into `counts`."""
 
-    def __init__(self, selection: Selection, config: LogConfig, counts: dict[str, int]) -> None:
+    def __init__(
+        self, selection: Selection, config: LogConfig, counts: dict[str, int], ceiling: Ceiling
+    ) -> None:
         self.selection = selection
         self.config = config
         self.counts = counts
-        self.leveller = ScanLeveller(Mount.from_matrix(selection.base_from_laser), config)
+        mount = Mount.from_matrix(selection.base_from_laser)
+        self.leveller = ScanLeveller(mount, config, ceiling)
         floor = selection.placement.floor_m
         self.flattener = CloudFlattener(selection.base_from_laser, floor, config)
         self.cloud_leveller = CloudLeveller(config) if floor is None else None

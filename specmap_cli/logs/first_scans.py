@@ -1,0 +1,57 @@
+"""A look at the first scans of a topic: which sensors share it, and how they say `no return`."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from itertools import islice
+
+from specmap_cli.core.errors import LogError
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.text import counted, legible
+from specmap_cli.logs.log import Log
+from specmap_cli.logs.messages import BadMessageError, CloudRecord, decode_scan
+from specmap_cli.logs.planar import LEVEL, ScanLeveller
+from specmap_cli.logs.readers.recording import Message, TopicInfo
+from specmap_cli.logs.sensors import Glimpse, ScanSensor
+
+_LOOK_BYTES = 32_000_000  # of messages that are looked at: some twenty clouds
+
+
+def first_scans(log: Log, topic: TopicInfo, config: LogConfig) -> list[Glimpse]:
+    """The first scans that can be decoded; raises LogError where none of the first can be."""
+    found: list[Glimpse] = []
+    reason, size = "it holds no message", 0
+    for tried, message in enumerate(log.messages([topic.name]), start=1):
+        size += len(message.data)
+        try:
+            found.append(_glimpse(message))
+        except BadMessageError as error:
+            reason = f"{error}; tried {counted(tried, 'message')}"
+        if found and (tried >= config.look_scans or size >= _LOOK_BYTES):
+            break
+        if not found and tried >= config.tried_messages:
+            break
+    if not found:
+        raise LogError(legible(f"{log.name}: {topic.name}: no usable scan: {reason}"))
+    return found
+
+
+def _glimpse(message: Message) -> Glimpse:
+    record = decode_scan(message)
+    layout = None if isinstance(record, CloudRecord) else record.layout
+    return Glimpse(record.stamp_ns, message.time_ns, record.frame, layout)
+
+
+def ceilings_m(
+    log: Log, topic: TopicInfo, sensor: ScanSensor, config: LogConfig
+) -> tuple[float, ...]:
+    """The distances that stand for no return in the first planar scans."""
+    if sensor.is_cloud:
+        return ()
+    leveller = ScanLeveller(LEVEL, config)
+    for message in islice(log.messages([topic.name]), config.look_scans):
+        with suppress(BadMessageError):
+            record = decode_scan(message)
+            if not isinstance(record, CloudRecord) and sensor.made(record):
+                leveller.level(record, record.stamp_ns)
+    return leveller.ceiling.values_m
