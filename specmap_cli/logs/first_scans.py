@@ -5,15 +5,20 @@ from __future__ import annotations
 from contextlib import suppress
 from itertools import islice
 
+import numpy as np
+
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
+from specmap_cli.logs.clouds import cloud_points
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import BadMessageError, CloudRecord, decode_scan
 from specmap_cli.logs.planar import LEVEL, ScanLeveller
 from specmap_cli.logs.readers.recording import Message, TopicInfo
 from specmap_cli.logs.sensors import Glimpse, ScanSensor
 
+_FLAT_M = 0.02  # heights of a planar laser's points, which a driver may round
+_FLAT_POINTS = 30  # fewer tell nothing of a lidar
 _LOOK_BYTES = 32_000_000  # of messages that are looked at: some twenty clouds
 
 
@@ -40,6 +45,23 @@ def _glimpse(message: Message) -> Glimpse:
     record = decode_scan(message)
     layout = None if isinstance(record, CloudRecord) else record.layout
     return Glimpse(record.stamp_ns, message.time_ns, record.frame, layout)
+
+
+def is_flat(log: Log, topic: TopicInfo, sensor: ScanSensor, config: LogConfig) -> bool:
+    """Whether the first clouds have all their points at one height: those of a planar laser."""
+    size, points = 0, 0
+    for message in islice(log.messages([topic.name]), config.look_scans):
+        size += len(message.data)
+        with suppress(BadMessageError):
+            record = decode_scan(message)
+            if isinstance(record, CloudRecord) and sensor.made(record):
+                heights = cloud_points(record, record.stamp_ns, config).points[:, 2]
+                points += len(heights)
+                if len(heights) and float(np.ptp(heights)) > _FLAT_M:
+                    return False
+        if size >= _LOOK_BYTES:
+            break
+    return points >= _FLAT_POINTS
 
 
 def ceilings_m(

@@ -165,10 +165,10 @@ def _describe(stream: SweepStream, sweep: Sweep) -> ScanSummary:
     bearings = planar.bearings
     step = float(bearings[1] - bearings[0]) if len(bearings) > 1 else 0.0
     view = 2.0 * math.pi if planar.full_circle else float(bearings[-1] - bearings[0])
+    if stream.selection.scan.sensor.is_cloud and not planar.full_circle:
+        view = step * int((~np.isnan(planar.ranges)).sum())
     if sweep.cloud is not None:
         times = sweep.cloud_times_s
-        seen = ~np.isnan(planar.ranges)
-        view = view if planar.full_circle else step * int(seen.sum())
     return ScanSummary(
         topic=stream.selection.scan_topic,
         frame=stream.selection.laser_frame,

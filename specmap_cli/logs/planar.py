@@ -11,9 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, yaw_of
-from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.ceiling import Ceiling
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
@@ -141,22 +142,36 @@ class CloudFlattener:
     where the lidar has had a return at any height in this or an earlier cloud, so that it looked
     there, and NaN where it never had one, outside its field of view. The number of bearings is
     that of the settings, halved until the lidar's resolution fills them. A floor of unknown height
-    (None) is taken to be where the lowest returns of the first cloud are.
+    (None) is taken to be where the lowest returns of the first cloud are. The clouds of a `planar`
+    laser have one height, whichever it is, and their scans keep the times of the beams.
     """
 
     def __init__(
-        self, base_from_laser: FloatArray, floor_m: float | None, config: LogConfig
+        self,
+        base_from_laser: FloatArray,
+        floor_m: float | None,
+        config: LogConfig,
+        *,
+        planar: bool = False,
     ) -> None:
         self.mount = Pose2(float(base_from_laser[0, 3]), float(base_from_laser[1, 3]), 0.0)
         self.config = config
         self._floor = floor_m
+        self._planar, self._shift = planar, 0.0
         self._bearings: FloatArray = np.zeros(0)
         self._seen = np.zeros(0, dtype=bool)
 
-    def flatten(self, cloud: FloatArray, stamp_ns: int, floor_m: float | None = None) -> PlanarScan:
+    def flatten(
+        self,
+        cloud: FloatArray,
+        stamp_ns: int,
+        floor_m: float | None = None,
+        times_s: FloatArray | None = None,
+    ) -> PlanarScan:
         """The planar scan, seen from the lidar's place, of points (N, 3) in the base frame.
 
-        `floor_m` is the height of the floor in this cloud, if it was found.
+        `floor_m` is the height of the floor in this cloud, if it was found, `times_s` (N,) seconds
+        after the stamp.
         """
         dx, dy = cloud[:, 0] - self.mount.x, cloud[:, 1] - self.mount.y
         distance = np.hypot(dx, dy)
@@ -164,10 +179,9 @@ class CloudFlattener:
         if not len(self._bearings):
             self._choose_bearings(turn[distance > 0.0])
         beams = len(self._seen)
-        bins = np.minimum((turn * beams).astype(np.intp), beams - 1)
+        bins = _bins(turn, beams, self._shift)
         self._seen[bins[distance > 0.0]] = True
-        height = cloud[:, 2] - (self._first_floor(cloud, distance) if floor_m is None else floor_m)
-        inside = (height >= self.config.band_min_m) & (height <= self.config.band_max_m)
+        inside = self._in_band(cloud, distance, floor_m)
         inside &= (distance > 0.0) & (distance <= self.config.cloud_range_max_m)
         ranges = np.where(self._seen, np.inf, np.nan)
         nearest = np.full(beams, np.inf)
@@ -179,7 +193,15 @@ class CloudFlattener:
             ranges=ranges,
             range_max=self.config.cloud_range_max_m,
             full_circle=bool(self._seen.mean() >= self.config.cloud_filled_share),
+            beam_times_s=_beam_times(bins, times_s, beams) if self._planar else None,
         )
+
+    def _in_band(self, cloud: FloatArray, distance: FloatArray, floor_m: float | None) -> BoolArray:
+        """Which points (N, 3) are of the heights that count."""
+        if self._planar:
+            return np.ones(len(cloud), dtype=bool)
+        height = cloud[:, 2] - (self._first_floor(cloud, distance) if floor_m is None else floor_m)
+        return (height >= self.config.band_min_m) & (height <= self.config.band_max_m)
 
     def _first_floor(self, cloud: FloatArray, distance: FloatArray) -> float:
         """The floor's height where it is known once for all, or taken from the first cloud."""
@@ -192,15 +214,44 @@ class CloudFlattener:
         """Settle on the bearings from the first cloud's returns at any height."""
         for halvings in range(_MAX_HALVINGS + 1):
             beams = self.config.cloud_beams >> halvings
-            filled = np.unique((turn * beams).astype(np.intp))
+            self._shift = _phase(turn * beams) if self._planar else 0.0
+            filled = np.unique(_bins(turn, beams, self._shift))
             share = self.config.cloud_filled_share
             if len(filled) and len(filled) >= share * (filled[-1] - filled[0] + 1):
                 break
-        bearings: FloatArray = (np.arange(beams, dtype=np.float64) + 0.5) * (
+        bearings: FloatArray = (np.arange(beams, dtype=np.float64) + 0.5 + self._shift) * (
             _FULL_CIRCLE / beams
         ) - math.pi
         bearings.setflags(write=False)
         self._bearings, self._seen = bearings, np.zeros(beams, dtype=bool)
+
+
+def _bins(turn: FloatArray, beams: int, shift: float) -> NDArray[np.intp]:
+    """Of directions (N,) in [0, 1] of a turn, the numbers of the bearings nearest to them."""
+    if shift:
+        return np.floor(turn * beams - shift).astype(np.intp) % beams
+    return np.minimum((turn * beams).astype(np.intp), beams - 1)
+
+
+def _phase(steps: FloatArray) -> float:
+    """Where directions (N,), in steps of the bearings, lie between two of these: -0.5 to 0.5.
+
+    Beams as far apart as the bearings would otherwise lie on their borders, two in the one bin and
+    none in the next.
+    """
+    angles = _FULL_CIRCLE * (steps - 0.5)
+    return math.atan2(float(np.sin(angles).sum()), float(np.cos(angles).sum())) / _FULL_CIRCLE
+
+
+def _beam_times(
+    bins: NDArray[np.intp], times_s: FloatArray | None, beams: int
+) -> FloatArray | None:
+    """Times (beams,) of all beams by those (N,) of points in the bins (N,), None without any."""
+    if times_s is None or not len(bins):
+        return None
+    order = np.argsort(bins, kind="stable")
+    times: FloatArray = np.interp(np.arange(beams), bins[order], times_s[order])
+    return times
 
 
 def lowest_returns(cloud: FloatArray, percentile: float) -> float:

@@ -17,7 +17,7 @@ from specmap_cli.logs.clocks import (
     clock_warnings,
     odometry_beside,
 )
-from specmap_cli.logs.first_scans import ceilings_m, first_scans
+from specmap_cli.logs.first_scans import ceilings_m, first_scans, is_flat
 from specmap_cli.logs.frames import (
     USUAL_BASES,
     Frames,
@@ -43,7 +43,8 @@ _PARTS_OVERLAP_NS = 2_000_000_000  # parts of one recording may share a moment, 
 class ScanSource:
     """Where the scans come from: which of the `sensors` on the topic, and what stamps them.
 
-    `band_m` is the height band of a 3D cloud in metres above the floor, None for planar scans.
+    `band_m` is the height band of a 3D cloud in metres above the floor, None for planar scans and
+    for clouds of planar lasers.
     `ceilings_m` are distances that stand for no return, as far as the first scans show.
     """
 
@@ -208,9 +209,18 @@ def _scan_source(log: Log, topic: TopicInfo, config: LogConfig) -> tuple[ScanSou
         topic=topic,
         sensor=sensor,
         sensors=sensors,
-        band_m=(config.band_min_m, config.band_max_m) if sensor.is_cloud else None,
+        band_m=_band_m(log, topic, sensor, config),
     )
     return source, [glimpse for glimpse in glimpses if sensor.made(glimpse)]
+
+
+def _band_m(
+    log: Log, topic: TopicInfo, sensor: ScanSensor, config: LogConfig
+) -> tuple[float, float] | None:
+    """The heights of a 3D cloud that count as walls; None for all that planar lasers give."""
+    if not sensor.is_cloud or is_flat(log, topic, sensor, config):
+        return None
+    return config.band_min_m, config.band_max_m
 
 
 def _clock(

@@ -143,8 +143,11 @@ class _SweepMaker:
         mount = Mount.from_matrix(selection.base_from_laser)
         self.leveller = ScanLeveller(mount, config, ceiling)
         floor = selection.placement.floor_m
-        self.flattener = CloudFlattener(selection.base_from_laser, floor, config)
-        self.cloud_leveller = CloudLeveller(config) if floor is None else None
+        self.flattener = CloudFlattener(
+            selection.base_from_laser, floor, config, planar=selection.band_m is None
+        )
+        unknown = floor is None and selection.band_m is not None
+        self.cloud_leveller = CloudLeveller(config) if unknown else None
         self.points_clock = PointClock()
         self._last_stamp: int | None = None
         self._number = 0  # of the sensor's scans so far
@@ -201,14 +204,14 @@ class _SweepMaker:
         level = self._level(points)
         turn = product(level.rotation, base_from_laser[:3, :3])
         cloud = product(points, turn.T) + base_from_laser[:3, 3]
-        return Sweep(
+        sweep = Sweep(
             index=self.counts["scans"],
             stamp_ns=stamp_ns,
-            planar=self.flattener.flatten(cloud, stamp_ns, level.floor_m),
+            planar=self.flattener.flatten(cloud, stamp_ns, level.floor_m, times_s),
             base_from_laser=self.flattener.mount,
-            cloud=cloud,
-            cloud_times_s=times_s,
         )
+        in_space = self.selection.band_m is not None
+        return replace(sweep, cloud=cloud, cloud_times_s=times_s) if in_space else sweep
 
     def _level(self, points: FloatArray) -> Level:
         """How the base lies under a cloud: as the log says, else by the floor in the cloud."""

@@ -114,19 +114,22 @@ def test_a_single_beam_and_a_single_message(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("degrees", "full"), [(360.0, True), (200.0, False)])
-def test_a_cloud_is_told_with_its_points_and_its_view(
-    tmp_path: Path, degrees: float, full: bool
+@pytest.mark.parametrize(("spread_m", "told"), [(0.3, "4,000 points"), (0.0, "720 beams")])
+def test_a_cloud_is_told_with_its_points_or_as_a_planar_scan_and_its_view(
+    tmp_path: Path, degrees: float, full: bool, spread_m: float, told: str
 ) -> None:
     angles = np.radians(np.linspace(-degrees / 2, degrees / 2, 4000, endpoint=False))
     points = np.column_stack([3 * np.cos(angles), 3 * np.sin(angles), np.full(4000, 0.5)])
+    points[::2, 2] += spread_m
     with LogWriter(tmp_path / "log.mcap") as log:
         log.static_transform("base_link", "lidar", (0.0, 0.0, 0.4), stamp_ns=START)
         log.cloud("/points", "lidar", START, points)
     summary = summary_of(tmp_path / "log.mcap")
     assert summary.scan is not None
-    assert (summary.scan.points, summary.scan.full_circle) == (4000, full)
+    assert summary.scan.full_circle is full
+    assert summary.scan.points == (4000 if spread_m else None)
     assert summary.scan.field_of_view_deg == pytest.approx(degrees, abs=0.6)
-    assert any(line.startswith("scan: 4,000 points over") for line in summary.lines())
+    assert any(line.startswith(f"scan: {told} over") for line in summary.lines())
 
 
 def test_frames_are_those_above_the_scan(tmp_path: Path) -> None:
