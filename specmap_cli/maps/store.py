@@ -82,7 +82,7 @@ class StoredMap:
     @cached_property
     def map_grid(self) -> GridMap:
         """The grid of the whole map."""
-        return read_grid(self.path / f"{filenames.MAP_GRID}.yaml", limits=self.limits)
+        return read_grid(self._of_recording(f"{filenames.MAP_GRID}.yaml"), limits=self.limits)
 
     @cached_property
     def topology(self) -> TopologicalMap:
@@ -151,13 +151,7 @@ class StoredMap:
     @cached_property
     def classifiers(self) -> str:
         """The text of classifiers.json."""
-        path = self.path / filenames.CLASSIFIERS
-        if not path.exists():
-            raise MapError(
-                f"{self.path}: has no {path.name}: `specmap segment` makes maps without; "
-                "localising needs one that `specmap build` made of a recording"
-            )
-        return map_text(path, self.limits)
+        return map_text(self._of_recording(filenames.CLASSIFIERS), self.limits)
 
     @property
     def features(self) -> Arrays | None:
@@ -170,10 +164,20 @@ class StoredMap:
     @cached_property
     def run(self) -> dict[str, Any]:
         """The contents of run.json."""
-        run = map_json(self.path / filenames.RUN, self.limits)
+        run = map_json(self._of_recording(filenames.RUN), self.limits)
         if not isinstance(run, dict):
             raise MapError(f"{self.path / filenames.RUN}: not a JSON object: build the map again")
         return run
+
+    def _of_recording(self, name: str) -> Path:
+        """The file of that name, which every map of a recording has; MapError where it is not."""
+        path = self.path / name
+        if not path.exists():
+            raise MapError(
+                f"{self.path}: has no {name}: `specmap segment` makes maps without; here one is "
+                "needed that `specmap build` made of a recording"
+            )
+        return path
 
     @property
     def counts(self) -> dict[str, int]:

@@ -50,9 +50,15 @@ def test_a_divided_floor_plan_is_no_map(
     plan: Path, tiny_log: Path, tmp_path: Path, run: Run
 ) -> None:
     assert run("segment", plan, "-o", tmp_path / "rooms").code == 0
-    said = run("localize", tiny_log, "--map", tmp_path / "rooms")
-    assert said.code == 3
-    assert "run.json: cannot be read" in said.error
+    needs = "`specmap segment` makes maps without; here one is needed that `specmap build` made"
+    for line, missing in (
+        (("localize", tiny_log, "--map", tmp_path / "rooms"), "run.json"),
+        (("update", tmp_path / "rooms", tiny_log, "-o", tmp_path / "new"), "run.json"),
+        (("build", tiny_log, "--like", tmp_path / "rooms", "-o", tmp_path / "new"), "map.yaml"),
+    ):
+        said = run(*line)
+        assert said.code == 3
+        assert f"rooms: has no {missing}: {needs}" in said.error
 
 
 def test_what_a_division_looked_at_is_drawn(plan: Path, tmp_path: Path, run: Run) -> None:
