@@ -57,6 +57,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "rounds": 300,
             "positives": 1_000_000,
             "negatives": 1_000_000,
+            "augmentation": 0,
             "closure_negatives": 1_000_000,
             "groups": 0,
             "refresh_growth": 0.0,

@@ -309,6 +309,9 @@ class RecognitionConfig(_Section):
     feature_share: float = Field(0.1, gt=0, le=1, description="trees: features drawn a round")
     positives: int = Field(500, ge=10, description="scans of its own submap a classifier sees")
     negatives: int = Field(1500, ge=10, description="scans of other submaps a classifier sees")
+    augmentation: int = Field(
+        1500, ge=0, description="scans as seen from beside keyframes, training"
+    )
     closure_rounds: int = Field(30, ge=1, description="weak classifiers while ranking")
     closure_shrinkage: float = Field(0.5, gt=0, le=1, description="as shrinkage, while ranking")
     closure_negatives: int = Field(400, ge=10, description="as negatives, while ranking")

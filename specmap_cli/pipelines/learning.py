@@ -22,6 +22,7 @@ from specmap_cli.pipelines.exploration import Regions, online_labels
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures
+from specmap_cli.recognition.learning.beside import beside_samples
 from specmap_cli.recognition.learning.calibration import Calibration, HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.holding_out import Samples
@@ -247,7 +248,8 @@ def _without_grids(
             )
         )
     samples = raw_samples(store, submaps, config, known.features, known.starts)
-    raw, held_out = train_raw(samples, poses, config, rng, revisits)
+    beside = beside_samples(store, submaps, poses, config, rng)
+    raw, held_out = train_raw(samples, beside, poses, config, rng, revisits)
     misfit = held_out_misfit(store, submaps, poses, config.localization)
     return _Taught(raw, _single(samples), held_out, misfit)
 

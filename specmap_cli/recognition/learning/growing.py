@@ -2,7 +2,8 @@
 
 A round draws a share of the features, the same for all classifiers, and finds the best root split
 and the best split below it for each of them from weighted histograms. Leaves vote half the log
-odds of their weights (Schapire and Singer, 1999), shrunk. Classifiers share nothing but the draws:
+odds of their weights (Schapire and Singer, 1999), shrunk; half a sample of either side is added, so
+that what few samples do not show is not ruled out. Classifiers share nothing but the draws:
 each is the same whether it is learned alone or with others.
 """
 
@@ -126,11 +127,18 @@ class _Asked:
         counts = np.bincount(self.question[rows], minlength=len(self.counts))
         return _Asked(self.samples[rows], self.question[rows], self.positive[rows], counts)
 
-    def even_weights(self) -> FloatArray:
-        """(S,) half of the weight of each question to either side."""
+    def shares_of_sides(self) -> FloatArray:
+        """(C, 2) weight of one sample of either side at first: half of the weight is to each.
+
+        Of a side without any: of one sample of all.
+        """
         positive = np.bincount(self.question, self.positive, minlength=len(self.counts))
         sides = np.column_stack([self.counts - positive, positive])
-        each = 0.5 / np.maximum(sides, 1.0)
+        return np.asarray(0.5 / np.where(sides > 0.0, sides, self.counts[:, None]))
+
+    def even_weights(self) -> FloatArray:
+        """(S,) half of the weight of each question to either side."""
+        each = self.shares_of_sides()
         return shares(
             each[self.question, self.positive.astype(np.intp)], self.question, len(self.counts)
         )
@@ -154,7 +162,7 @@ def _boosted(
 ) -> list[_Trees]:
     """The rounds' trees of all questions."""
     count = len(asked.counts)
-    smooth = (0.5 / asked.counts)[:, None]  # half a sample on each side: no odds are infinite
+    smooth = 0.5 * asked.shares_of_sides()[:, :, None]  # half a sample of either side
     side = 8 * asked.question + 4 * asked.positive
     weights = asked.even_weights()
     trees = []
@@ -166,7 +174,7 @@ def _boosted(
         features = drawn[features]
         leaf = side + _leaves(codes, asked, features, cuts)
         sums = np.bincount(leaf, weights, minlength=8 * count).reshape(count, 2, 4)
-        odds = (sums[:, 1] + smooth) / (sums[:, 0] + smooth)
+        odds = (sums[:, 1] + smooth[:, 1]) / (sums[:, 0] + smooth[:, 0])
         votes = np.round(0.5 * shrinkage * np.log(odds), VOTE_DECIMALS)
         trees.append(_Trees(features, cuts, votes))
         growth = np.exp(np.stack([votes, -votes], axis=1))  # eq. 3, a leaf and side at a time

@@ -10,6 +10,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.recognition.learning.beside import beside_samples
 from specmap_cli.recognition.learning.calibration import HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
@@ -41,7 +42,9 @@ def train_localizer(
         along = track_samples(store, submaps, poses, localization)
         cast = cast_samples(submaps, poses, grids, localization, virtual_rng)
         virtual, of_virtual = train_virtual(along, cast, poses, config, virtual_rng)
-    raw, of_raw = train_raw(raw_samples(store, submaps, config), poses, config, raw_rng)
+    beside = beside_samples(store, submaps, poses, config, raw_rng)
+    own = raw_samples(store, submaps, config)
+    raw, of_raw = train_raw(own, beside, poses, config, raw_rng)
     return ClassifierSet(
         sensor=sensor_of(store, submaps),
         raw=raw,
@@ -57,7 +60,8 @@ def sensor_of(store: KeyframeStore, submaps: Mapping[int, Sequence[int]]) -> Sen
 
 
 def train_raw(
-    samples: Mapping[int, Samples],
+    taken: Mapping[int, Samples],
+    beside: Mapping[int, Samples],
     poses: FloatArray,
     config: Config,
     rng: np.random.Generator,
@@ -65,13 +69,16 @@ def train_raw(
 ) -> tuple[Recogniser, HeldOutMargins]:
     """What tells the submaps apart by raw scans, and how well it tells scans that are held out.
 
-    With `revisits` these are scans of a recording, which the map before it tells.
+    It is learned from `raw_samples` and from `beside_samples`. The former alone show what the map
+    looks like, and are tested. With `revisits` these are scans of a recording, which the map before
+    it tells.
     """
     feature_set = config.recognition.feature_set
-    learned = train({i: own.features for i, own in samples.items()}, feature_set, config, rng)
+    samples = {i: _joined(taken[i], beside[i]) for i in sorted(taken)}
+    learned = train(_features(samples), feature_set, config, rng, looks=_features(taken))
     if revisits is not None:
-        return learned, revisits.told(samples, revisits.classifiers.raw)
-    return learned, _tested(samples, samples, poses, feature_set, config, rng)
+        return learned, revisits.told(taken, revisits.classifiers.raw)
+    return learned, _tested(samples, taken, poses, feature_set, config, rng)
 
 
 def train_virtual(
@@ -89,16 +96,16 @@ def train_virtual(
     """
     feature_set = config.localization.feature_set
     samples = {i: _joined(along[i], cast[i]) for i in sorted(along)}
-    learned = train({i: own.features for i, own in samples.items()}, feature_set, config, rng)
+    learned = train(_features(samples), feature_set, config, rng)
     if revisits is not None and revisits.classifiers.virtual is not None:
         return learned, revisits.told(along, revisits.classifiers.virtual)
     return learned, _tested(samples, along, poses, feature_set, config, rng)
 
 
-def _joined(along: Samples, cast: Samples) -> Samples:
+def _joined(taken: Samples, made: Samples) -> Samples:
     return Samples(
-        np.vstack([along.features, cast.features]),
-        np.concatenate([along.keyframes, cast.keyframes]),
+        np.vstack([taken.features, made.features]),
+        np.concatenate([taken.keyframes, made.keyframes]),
     )
 
 
@@ -122,9 +129,18 @@ def train(
     feature_set: str,
     config: Config,
     rng: np.random.Generator,
+    looks: Mapping[int, FloatArray] | None = None,
 ) -> Recogniser:
-    """What tells submaps apart, from the features (n, F) of every submap's scans."""
+    """What tells submaps apart, from the features (n, F) of every submap's scans.
+
+    What the map looks like is known from those of `looks`, or from all of them.
+    """
     localization = config.localization
     classifiers = OneVsAll(feature_set, config.recognition).fit(samples, rng)
     known = Familiarity(feature_set, localization.false_unknown, localization.exemplars)
-    return Recogniser(classifiers, known.fit(samples) if known.can_fit(samples) else None)
+    shown = samples if looks is None else looks
+    return Recogniser(classifiers, known.fit(shown) if known.can_fit(shown) else None)
+
+
+def _features(samples: Mapping[int, Samples]) -> dict[int, FloatArray]:
+    return {i: own.features for i, own in samples.items()}

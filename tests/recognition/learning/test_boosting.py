@@ -199,10 +199,9 @@ def test_the_vote_of_a_tree_s_leaf_is_half_the_log_odds() -> None:
     X = np.array([[0.0], [0.0], [0.0], [1.0], [1.0], [1.0], [1.0], [1.0]])
     y = np.array([1.0, 1.0, -1.0, -1.0, -1.0, -1.0, -1.0, 1.0])
     booster = TreeBoost(("f0",), 1, 1.0, 1.0).fit(X, y)
-    positive, negative, smooth = 2 / 3 * 0.5, 1 / 5 * 0.5, 0.5 / 8
-    low = 0.5 * np.log((positive + smooth) / (negative + smooth))
-    positive, negative = 1 / 3 * 0.5, 4 / 5 * 0.5
-    high = 0.5 * np.log((positive + smooth) / (negative + smooth))
+    # half a sample more on either side: of three that are claimed, and of five that are not
+    low = 0.5 * np.log((2.5 / 3) / (1.5 / 5))
+    high = 0.5 * np.log((1.5 / 3) / (4.5 / 5))
     assert booster.margins(np.array([[0.0], [1.0]])) == pytest.approx([low, high], abs=1e-5)
 
 

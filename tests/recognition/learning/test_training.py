@@ -22,10 +22,13 @@ from specmap_cli.recognition.features.sets import (
     scans_features,
 )
 from specmap_cli.recognition.features.virtual import cast_circles
-from specmap_cli.recognition.learning import sampling, training
+from specmap_cli.recognition.learning import sampling
+from specmap_cli.recognition.learning.beside import beside_samples
 from specmap_cli.recognition.learning.calibration import calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
+from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.misfit import held_out_misfit
+from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
 from specmap_cli.recognition.learning.training import (
     sensor_of,
@@ -43,7 +46,7 @@ def settings(**localization: Any) -> Config:
     chosen = {"augmentation": 60, "track_samples": 30, "feature_set": "table1"} | localization
     return load_config(
         overrides={
-            "recognition": {"rounds": 8, "feature_set": "table1"},
+            "recognition": {"rounds": 8, "feature_set": "table1", "augmentation": 40},
             "localization": chosen,
         }
     )
@@ -127,15 +130,21 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
         i: scans_features([store.scan(k) for k in keyframes], "table1")
         for i, keyframes in SUBMAPS.items()
     }
-    again = training.train(samples, "table1", config, np.random.default_rng(0))
-    assert learned.to_dict() == again.to_dict()
+    beside = beside_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
+    assert all(len(own.keyframes) for own in beside.values())
+    classifiers = OneVsAll("table1", config.recognition).fit(
+        {i: np.vstack([X, beside[i].features]) for i, X in samples.items()},
+        np.random.default_rng(0),
+    )
+    assert learned.classifiers.to_dict() == classifiers.to_dict()
+    looks = Familiarity("table1", config.localization.false_unknown, config.localization.exemplars)
+    assert learned.familiarity is not None
+    assert learned.familiarity.to_dict() == looks.fit(samples).to_dict()
     known = KeyframeFeatures(store, "table1")
     known.of(range(50))
     shared = raw_samples(store, SUBMAPS, config, known)
-    assert (
-        train_raw(shared, store.poses, config, np.random.default_rng(0))[0].to_dict()
-        == learned.to_dict()
-    )
+    again, _ = train_raw(shared, beside, store.poses, config, np.random.default_rng(0))
+    assert again.to_dict() == learned.to_dict()
 
 
 def test_the_two_kinds_are_learned_apart_or_together_alike(
@@ -147,7 +156,9 @@ def test_the_two_kinds_are_learned_apart_or_together_alike(
     cast = cast_samples(SUBMAPS, store.poses, grids, config.localization, virtual_rng)
     along = track_samples(store, SUBMAPS, store.poses, config.localization)
     virtual, of_virtual = train_virtual(along, cast, store.poses, config, virtual_rng)
-    raw, of_raw = train_raw(raw_samples(store, SUBMAPS, config), store.poses, config, raw_rng)
+    beside = beside_samples(store, SUBMAPS, store.poses, config, raw_rng)
+    taken = raw_samples(store, SUBMAPS, config)
+    raw, of_raw = train_raw(taken, beside, store.poses, config, raw_rng)
     apart = ClassifierSet(
         sensor=sensor_of(store, SUBMAPS),
         raw=raw,
@@ -187,7 +198,8 @@ class Cast:
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
     """What raw scans teach."""
     samples = raw_samples(store, SUBMAPS, config)
-    return train_raw(samples, store.poses, config, np.random.default_rng(0))[0]
+    beside = beside_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
+    return train_raw(samples, beside, store.poses, config, np.random.default_rng(0))[0]
 
 
 def samples_of(

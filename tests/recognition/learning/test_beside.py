@@ -1,0 +1,128 @@
+"""Scans as the laser would have taken them just beside its way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+import pytest
+
+from specmap_cli.core.config import load_config
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.settings import Config
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.recognition.features.lines_seen import seen_from
+from specmap_cli.recognition.features.sets import scans_features
+from specmap_cli.recognition.learning import beside
+from specmap_cli.recognition.learning.beside import beside_samples
+
+SUBMAPS = {1: list(range(0, 30)), 4: list(range(32, 38))}  # keyframes 30 and 31 are in none
+
+
+def settings(augmentation: int) -> Config:
+    chosen = {"feature_set": "table1", "augmentation": augmentation}
+    return load_config(overrides={"recognition": chosen})
+
+
+@pytest.fixture(scope="module")
+def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
+    """Keyframes on the way through a room of the building."""
+    building = request.getfixturevalue("building")
+    with KeyframeStore() as made:
+        for number, pose in enumerate(building.path(0, 1)[:38]):
+            made.append(
+                PosedScan(
+                    index=number,
+                    stamp_ns=number,
+                    map_from_base=Pose2(*pose.tolist()),
+                    planar=building.scans(pose[None])[0],
+                    base_from_laser=IDENTITY,
+                )
+            )
+        yield made
+
+
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> list[tuple[FloatArray, Pose2, FloatArray]]:
+    """From where what was seen: lines, pose and ranges of every scan that is made."""
+    calls: list[tuple[FloatArray, Pose2, FloatArray]] = []
+
+    def watched(lines: FloatArray, pose: Pose2, bearings: FloatArray, reach_m: float) -> FloatArray:
+        ranges = seen_from(lines, pose, bearings, reach_m)
+        calls.append((lines, pose, ranges))
+        return ranges
+
+    monkeypatch.setattr(beside, "seen_from", watched)
+    return calls
+
+
+def test_a_small_submap_gets_half_of_an_equal_share_besides_that_of_its_size(
+    store: KeyframeStore,
+) -> None:
+    rng = np.random.default_rng(0)
+    found = beside_samples(store, SUBMAPS, store.poses, settings(360), rng)
+    # of 30 and 6 keyframes; what comes to lie in the other submap is left out
+    assert 0.85 * 240 < len(found[1].keyframes) <= 240
+    assert 0.5 * 120 < len(found[4].keyframes) <= 120
+    assert all(set(own.keyframes) <= set(SUBMAPS[i]) for i, own in found.items())
+    assert all(own.features.shape[0] == len(own.keyframes) for own in found.values())
+
+
+def test_they_lie_a_step_aside_and_look_as_scans_taken_there(
+    store: KeyframeStore,
+    seen: list[tuple[FloatArray, Pose2, FloatArray]],
+    request: pytest.FixtureRequest,
+) -> None:
+    rng = np.random.default_rng(1)
+    found = beside_samples(store, SUBMAPS, store.poses, settings(60), rng)
+    building = request.getfixturevalue("building")
+    assert len(seen) == sum(len(own.keyframes) for own in found.values())
+    keyframes = np.concatenate([found[i].keyframes for i in sorted(found)])
+    poses = np.array([pose for _, pose, _ in seen])
+    away = np.hypot(*(poses - store.poses[keyframes])[:, :2].T)
+    assert 0.02 < np.median(away) < 0.2
+    off = []
+    for scan, (_, _, ranges) in zip(building.scans(poses), seen, strict=True):
+        both = np.isfinite(scan.ranges) & np.isfinite(ranges)
+        assert both.sum() > 0.8 * np.isfinite(scan.ranges).sum()
+        off.append(np.median(np.abs(scan.ranges - ranges)[both]))
+    assert np.median(off) < 0.03
+
+
+def test_none_are_made_where_none_are_wanted(store: KeyframeStore) -> None:
+    found = beside_samples(store, SUBMAPS, store.poses, settings(0), np.random.default_rng(0))
+    width = scans_features([store.scan(0)], "table1").shape[1]
+    assert [own.features.shape for own in found.values()] == [(0, width)] * 2
+    assert list(found) == [1, 4]
+
+
+def test_they_are_the_same_for_a_seed_and_differ_for_another(store: KeyframeStore) -> None:
+    first, again, other = (
+        beside_samples(store, SUBMAPS, store.poses, settings(20), np.random.default_rng(seed))
+        for seed in (3, 3, 4)
+    )
+    assert first[1].features.tolist() == again[1].features.tolist()
+    assert first[1].features.tolist() != other[1].features.tolist()
+
+
+def test_a_map_of_one_keyframe_is_seen_from_beside_it(store: KeyframeStore) -> None:
+    found = beside_samples(store, {0: [7]}, store.poses, settings(5), np.random.default_rng(0))
+    assert found[0].keyframes.tolist() == [7] * 5
+
+
+def test_the_readings_have_the_bearings_of_the_keyframe_s_laser(
+    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[PlanarScan] = []
+
+    def keep(scans: Iterable[PlanarScan], _: str) -> FloatArray:
+        made.extend(scans)
+        return np.zeros((len(made), 1))
+
+    monkeypatch.setattr(beside, "scans_features", keep)
+    beside_samples(store, {0: [3, 4]}, store.poses, settings(4), np.random.default_rng(0))
+    assert len(made) == 4
+    for scan in made:
+        assert scan.bearings.tolist() == store.scan(3).bearings.tolist()
+        assert scan.range_max == store.scan(3).range_max
