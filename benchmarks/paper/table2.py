@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import chain
 
+from benchmarks.hold_outs import PAPER as PUBLISHED
 from benchmarks.paper.blocks import Block, Found, Row, Table, figure
 from benchmarks.paper.cases import FREIBURG, STATA, Case
 from benchmarks.paper.samples import fitted, samples_of, scored, the_papers
 from benchmarks.paper.workshop import OURS, PAPER, WORDS, Workshop
-from benchmarks.recognition import PAPER as PUBLISHED
 from specmap_cli.evaluation.classification import ClassificationScores
 from specmap_cli.evaluation.protocols import HoldOut
 
