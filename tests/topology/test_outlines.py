@@ -100,7 +100,7 @@ def test_on_foot_leads_through_no_slit_of_a_railing() -> None:
     cells = np.full((80, 120), FREE, dtype=np.uint8)
     cells[:60, 60] = OCCUPIED  # a railing with a way round it at the far end
     cells[5:60:6, 60] = FREE
-    regions = divide(GridMap(cells, 0.05), labels_at({0: (2.7, 0.5), 1: (5.7, 3.7)}))
+    regions = divide(GridMap(cells, 0.05), labels_at({0: (2.7, 0.5), 1: (3.7, 3.7)}))
     assert (regions.owner[:20, :60] == 0).all()
     assert (regions.owner[:20, 61:] == 1).all()  # as near as can be to keyframe 0
 

@@ -98,6 +98,14 @@ def test_an_anchor_is_where_the_robot_was_not_behind_glass() -> None:
     assert before.cell[1] * 0.05 < 2.0
 
 
+def test_an_anchor_is_not_behind_a_railing_with_a_gap_far_along() -> None:
+    rooms = {0: [(0.3, 0.3, 9.7, 1.7), (0.3, 1.8, 9.7, 5.7), (9.0, 1.7, 9.7, 1.8)]}
+    space = Space.of(regions_of((10.0, 6.0), rooms))
+    stood = np.array([[28, column] for column in range(12, 120, 6)])
+    anchor = anchors_of(space, stood, RADIUS_M, 0.1)[0]
+    assert anchor.cell[0] * 0.05 < 1.7
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_cheapest_way_is_that_of_another_search(seed: int) -> None:
     rng = np.random.default_rng(seed)
