@@ -308,9 +308,9 @@ class RecognitionConfig(_Section):
     shrinkage: float = Field(0.5, gt=0, le=1, description="trees: scale of every vote")
     feature_share: float = Field(0.1, gt=0, le=1, description="trees: features drawn a round")
     positives: int = Field(500, ge=10, description="scans of its own submap a classifier sees")
-    negatives: int = Field(1500, ge=10, description="scans of other submaps a classifier sees")
+    negatives: int = Field(3000, ge=10, description="scans of other submaps a classifier sees")
     augmentation: int = Field(
-        1500, ge=0, description="scans as seen from beside keyframes, training"
+        150, ge=0, description="a submap of fewer scans gets so many: some as seen from beside"
     )
     closure_rounds: int = Field(30, ge=1, description="weak classifiers while ranking")
     closure_shrinkage: float = Field(0.5, gt=0, le=1, description="as shrinkage, while ranking")

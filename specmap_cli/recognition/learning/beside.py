@@ -22,7 +22,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.lines_seen import outline, seen_from
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.holding_out import Samples
-from specmap_cli.recognition.learning.sampling import owners_of, share_out
+from specmap_cli.recognition.learning.sampling import owners_of
 
 _ASIDE_M, _TURNED_RAD = 0.1, math.radians(15.0)  # standard deviation; at most
 _NEAR = 4  # keyframes whose outlines are looked at: what one did not see another one did
@@ -39,17 +39,16 @@ def beside_samples(
 ) -> dict[int, Samples]:
     """Scans of every submap, seen from beside its keyframes, with the nearest of these.
 
-    There are `recognition.augmentation` of them, or fewer: what comes to lie in another submap is
-    left out.
+    A submap gets as many as it lacks of `recognition.augmentation` scans, or fewer: what comes to
+    lie in another submap is left out.
     """
-    counts = share_out(
-        config.recognition.augmentation, {i: float(len(own)) for i, own in submaps.items()}
-    )
+    wanted = config.recognition.augmentation
     owner = owners_of(submaps, len(poses))
     around = _Around(store, poses, np.flatnonzero(owner != NO_SUBMAP))
     samples = {}
     for i in sorted(submaps):
-        sources = _repeated(np.asarray(submaps[i], dtype=np.intp), counts[i])
+        lacking = max(0, wanted - len(submaps[i]))
+        sources = _repeated(np.asarray(submaps[i], dtype=np.intp), lacking)
         placed = poses[sources] + _steps(len(sources), rng)
         nearest = around.nearest(placed)
         own = owner[nearest] == i

@@ -22,7 +22,7 @@ from specmap_cli.recognition.learning.lessons import NO_SAMPLES, of_keyframes, t
 # Of the window: 1, 2, 5 and 10 m by default, as it has to work while it fills.
 _WINDOW_SHARES = (0.1, 0.2, 0.5, 1.0)
 _DRAWS = 6  # free cells drawn for one that is wanted: most lie too far from the track
-_ALIKE_SHARE = 0.5  # of what is made up is dealt out evenly, the rest by the submaps' sizes
+_ALIKE_SHARE = 0.5  # of the cast samples is dealt out evenly, the rest by area
 
 
 def raw_samples(
@@ -115,7 +115,7 @@ def cast_samples(
     """
     owner = owners_of(submaps, len(poses))
     samples = {}
-    counts = share_out(localization.augmentation, {i: g.free_area_m2 for i, g in grids.items()})
+    counts = _share_out(localization.augmentation, {i: g.free_area_m2 for i, g in grids.items()})
     tracked = np.flatnonzero(owner != NO_SUBMAP)
     tree = cKDTree(poses[tracked, :2])
     for i in sorted(submaps):
@@ -177,14 +177,14 @@ def _in_windows(
             turn += 1
 
 
-def share_out(total: int, sizes: Mapping[int, float]) -> dict[int, int]:
-    """How many of `total` samples each submap gets: half alike, half by its size."""
-    whole = sum(sizes.values())
-    even = _ALIKE_SHARE / max(1, len(sizes))
-    by_size = 1.0 - _ALIKE_SHARE
+def _share_out(total: int, areas: Mapping[int, float]) -> dict[int, int]:
+    """How many of `total` samples each submap gets: half alike, half by its area."""
+    whole = sum(areas.values())
+    even = _ALIKE_SHARE / max(1, len(areas))
+    by_area = 1.0 - _ALIKE_SHARE
     return {
-        i: round(total * (even + (by_size * size / whole if whole > 0.0 else even)))
-        for i, size in sorted(sizes.items())
+        i: round(total * (even + (by_area * area / whole if whole > 0.0 else even)))
+        for i, area in sorted(areas.items())
     }
 
 

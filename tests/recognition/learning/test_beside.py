@@ -57,16 +57,17 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[tuple[FloatArray, Pose2, Float
     return calls
 
 
-def test_a_small_submap_gets_half_of_an_equal_share_besides_that_of_its_size(
-    store: KeyframeStore,
-) -> None:
+def test_a_submap_gets_the_scans_that_it_lacks(store: KeyframeStore) -> None:
     rng = np.random.default_rng(0)
-    found = beside_samples(store, SUBMAPS, store.poses, settings(360), rng)
+    found = beside_samples(store, SUBMAPS, store.poses, settings(90), rng)
     # of 30 and 6 keyframes; what comes to lie in the other submap is left out
-    assert 0.85 * 240 < len(found[1].keyframes) <= 240
-    assert 0.5 * 120 < len(found[4].keyframes) <= 120
+    assert 0.85 * 60 < len(found[1].keyframes) <= 60
+    assert 0.5 * 84 < len(found[4].keyframes) <= 84
     assert all(set(own.keyframes) <= set(SUBMAPS[i]) for i, own in found.items())
     assert all(own.features.shape[0] == len(own.keyframes) for own in found.values())
+    enough = beside_samples(store, SUBMAPS, store.poses, settings(30), rng)
+    assert not len(enough[1].keyframes)
+    assert len(enough[4].keyframes)
 
 
 def test_they_lie_a_step_aside_and_look_as_scans_taken_there(
@@ -99,7 +100,7 @@ def test_none_are_made_where_none_are_wanted(store: KeyframeStore) -> None:
 
 def test_they_are_the_same_for_a_seed_and_differ_for_another(store: KeyframeStore) -> None:
     first, again, other = (
-        beside_samples(store, SUBMAPS, store.poses, settings(20), np.random.default_rng(seed))
+        beside_samples(store, SUBMAPS, store.poses, settings(50), np.random.default_rng(seed))
         for seed in (3, 3, 4)
     )
     assert first[1].features.tolist() == again[1].features.tolist()
@@ -107,7 +108,7 @@ def test_they_are_the_same_for_a_seed_and_differ_for_another(store: KeyframeStor
 
 
 def test_a_map_of_one_keyframe_is_seen_from_beside_it(store: KeyframeStore) -> None:
-    found = beside_samples(store, {0: [7]}, store.poses, settings(5), np.random.default_rng(0))
+    found = beside_samples(store, {0: [7]}, store.poses, settings(6), np.random.default_rng(0))
     assert found[0].keyframes.tolist() == [7] * 5
 
 
@@ -121,7 +122,7 @@ def test_the_readings_have_the_bearings_of_the_keyframe_s_laser(
         return np.zeros((len(made), 1))
 
     monkeypatch.setattr(beside, "scans_features", keep)
-    beside_samples(store, {0: [3, 4]}, store.poses, settings(4), np.random.default_rng(0))
+    beside_samples(store, {0: [3, 4]}, store.poses, settings(6), np.random.default_rng(0))
     assert len(made) == 4
     for scan in made:
         assert scan.bearings.tolist() == store.scan(3).bearings.tolist()

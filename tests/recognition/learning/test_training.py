@@ -46,7 +46,7 @@ def settings(**localization: Any) -> Config:
     chosen = {"augmentation": 60, "track_samples": 30, "feature_set": "table1"} | localization
     return load_config(
         overrides={
-            "recognition": {"rounds": 8, "feature_set": "table1", "augmentation": 40},
+            "recognition": {"rounds": 8, "feature_set": "table1", "augmentation": 60},
             "localization": chosen,
         }
     )
