@@ -91,7 +91,12 @@ def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
         chosen=chosen.note,
         problem=nothing,
         next_command=_command(log, _given(config)) if nothing is None else None,
-        warnings=(*chosen.warnings, *_lonely(stream), *stream.ceiling.notes),
+        warnings=(
+            *chosen.warnings,
+            *_lonely(stream),
+            *stream.ceiling.notes,
+            *stream.own_body.notes,
+        ),
     )
     scan = _describe(stream, first) if first is not None else None
     return _Look(scan, chosen.tree, outlook, met)

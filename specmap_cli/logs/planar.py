@@ -3,6 +3,7 @@
 A range is finite where there was a return, +inf where the beam met nothing, NaN where nothing is
 known. Readings below the laser's minimum are invalid; those of 0 m, of the laser's maximum range
 and beyond mean no return, whatever the driver's convention, and so does what `Ceiling` finds.
+Readings of the robot itself, which `OwnBody` finds, are invalid.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.ceiling import Ceiling
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
+from specmap_cli.logs.own_body import OwnBody
 
 _FULL_CIRCLE = 2.0 * math.pi
 _MISSING_BEAMS = 1.5  # of a full circle: its last beam stops one short of the first, and rounding
@@ -56,9 +58,16 @@ class _Beams(NamedTuple):
 class ScanLeveller:
     """Turns the scans of one laser into `PlanarScan`; keeps what they have in common."""
 
-    def __init__(self, mount: Mount, config: LogConfig, ceiling: Ceiling | None = None) -> None:
+    def __init__(
+        self,
+        mount: Mount,
+        config: LogConfig,
+        ceiling: Ceiling | None = None,
+        own_body: OwnBody | None = None,
+    ) -> None:
         self.mount = mount
         self.ceiling = Ceiling() if ceiling is None else ceiling
+        self.own_body = OwnBody() if own_body is None else own_body
         self.longest_s = config.scan_time_max_s
         self._layout: ScanLayout | None = None
         self._beams: _Beams | None = None
@@ -73,6 +82,7 @@ class ScanLeveller:
         range_max = scan.range_max if scan.range_max > 0.0 else math.inf
         ranges = _cleaned(scan.ranges[used].astype(np.float64), scan.range_min, range_max)
         self.ceiling.clear(ranges)
+        self.own_body.clear(ranges)
         return PlanarScan(
             stamp_ns=stamp_ns,
             bearings=bearings,

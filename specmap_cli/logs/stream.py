@@ -23,6 +23,7 @@ from specmap_cli.logs.levelling import CloudLeveller, Level
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import BadMessageError, CloudRecord, ScanRecord, decode_scan
 from specmap_cli.logs.odometry import OdometryBuffer, OdometryListener
+from specmap_cli.logs.own_body import OwnBody
 from specmap_cli.logs.planar import CloudFlattener, Mount, ScanLeveller, duration_s
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.selection import Selection, select
@@ -56,8 +57,8 @@ class SweepStream:
     """Iterable of the sweeps of a log; every iteration reads the log anew.
 
     `selection` says what was chosen; `expected` is the number of scans on the topic; `counts`,
-    `ceiling` and `warnings` are of the iteration so far. Raises what `selection.select` raises,
-    and TypeError for arguments that are no `Log` and `LogConfig`.
+    `ceiling`, `own_body` and `warnings` are of the iteration so far. Raises what `selection.select`
+    raises, and TypeError for arguments that are no `Log` and `LogConfig`.
     """
 
     def __init__(self, log: Log, config: LogConfig) -> None:
@@ -65,7 +66,7 @@ class SweepStream:
         self.config = instance_of(config, LogConfig, "config")
         self.selection: Selection = select(log, config)
         self.counts = _no_counts()
-        self.ceiling = Ceiling()
+        self.ceiling, self.own_body = Ceiling(), OwnBody()
 
     @property
     def expected(self) -> int:
@@ -81,14 +82,15 @@ class SweepStream:
             if self.counts[key] > _LEAST_SHARE.get(key, 0.0) * self.counts["scans"]
         ]
         assumed = [legible(line) for line in self.selection.warnings]
-        return [*self.log.damage, *assumed, *found, *self.ceiling.notes]
+        return [*self.log.damage, *assumed, *found, *self.ceiling.notes, *self.own_body.notes]
 
     def __iter__(self) -> Iterator[Sweep]:
         """The sweeps in the order of the log."""
         self.counts = _no_counts()
         odometry = OdometryListener(self.selection, self.config)
-        self.ceiling = Ceiling(self.selection.scan.ceilings_m)
-        sweeps = _SweepMaker(self.selection, self.config, self.counts, self.ceiling)
+        self.ceiling, self.own_body = Ceiling(self.selection.scan.ceilings_m), OwnBody()
+        leveller = self._leveller()
+        sweeps = _SweepMaker(self.selection, self.config, self.counts, leveller)
         waiting: deque[_Waiting] = deque()
         for message in self.log.messages([self.selection.scan_topic, *self.selection.odom_topics]):
             if message.topic == self.selection.scan_topic:
@@ -99,6 +101,10 @@ class SweepStream:
                 yield from sweeps.made(waiting.popleft(), odometry.poses)
         while waiting:
             yield from sweeps.made(waiting.popleft(), odometry.poses)
+
+    def _leveller(self) -> ScanLeveller:
+        mount = Mount.from_matrix(self.selection.base_from_laser)
+        return ScanLeveller(mount, self.config, self.ceiling, self.own_body)
 
     def _hear(self, odometry: OdometryListener, message: Message) -> None:
         try:
@@ -135,13 +141,16 @@ class _SweepMaker:
     """One pass over a log: how its scans become sweeps. What it meets goes into `counts`."""
 
     def __init__(
-        self, selection: Selection, config: LogConfig, counts: dict[str, int], ceiling: Ceiling
+        self,
+        selection: Selection,
+        config: LogConfig,
+        counts: dict[str, int],
+        leveller: ScanLeveller,
     ) -> None:
         self.selection = selection
         self.config = config
         self.counts = counts
-        mount = Mount.from_matrix(selection.base_from_laser)
-        self.leveller = ScanLeveller(mount, config, ceiling)
+        self.leveller = leveller
         floor = selection.placement.floor_m
         self.flattener = CloudFlattener(
             selection.base_from_laser, floor, config, planar=selection.band_m is None
