@@ -1,21 +1,24 @@
 """Floor plans drawn at random, which no setting was chosen on, divided into their rooms.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.random_plans [--plans 20] [--only KIND ...]
+    OMP_NUM_THREADS=1 python -m benchmarks.random_plans [--plans 20] [--only KIND ...] [--first 0]
+    OMP_NUM_THREADS=1 python -m benchmarks.random_plans --builds [--plans 3] [--first 1000]
 
 Offices along a corridor, corridors around a core, halls with side rooms, and flats: sizes, walls,
 doors and furniture are drawn at random, the same for the same number of the plan. Scores are those
 of benchmarks.rooms; `joined` counts the rooms that share their region with another room, `of` all.
+`--builds` has whole maps instead, of tours through the furnished plans with many kinds of lasers.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import astuple, dataclass
 
 import cv2
 import numpy as np
 
+from benchmarks.random_plans import builds
 from benchmarks.random_plans.buildings import BUILDINGS
 from benchmarks.random_plans.drawing import Drawing
 from specmap_cli.core.settings import Config
@@ -37,18 +40,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--plans", type=int, default=20, help="of each kind")
     parser.add_argument("--only", nargs="+", choices=BUILDINGS, default=tuple(BUILDINGS))
+    parser.add_argument("--first", type=int, default=0, help="number of the first plan")
+    parser.add_argument("--builds", action="store_true", help="whole maps of simulated tours")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
+    numbers = range(arguments.first, arguments.first + arguments.plans)
+    if arguments.builds:
+        print(builds.HEADER)
+        for kind in arguments.only:
+            builds.table(kind, zip(numbers, plans(kind, numbers, True), strict=True))
+        return
     print("kind    furniture  recall  prec.    IoU  segm./room  joined    of  lowest IoU")
     for kind in arguments.only:
         for furnished in (False, True):
-            rows = [measured(plan) for plan in plans(kind, arguments.plans, furnished)]
+            rows = [measured(plan) for plan in plans(kind, numbers, furnished)]
             print(line(kind, furnished, rows), flush=True)
 
 
-def plans(kind: str, count: int, furnished: bool) -> Iterator[Drawing]:
-    """The first plans of a kind, with the same rooms when they are furnished."""
-    for number in range(count):
+def plans(kind: str, numbers: Iterable[int], furnished: bool) -> Iterator[Drawing]:
+    """Plans of a kind by their numbers, with the same rooms when they are furnished."""
+    for number in numbers:
         plan = BUILDINGS[kind](np.random.default_rng([number, 0]))
         if furnished:
             plan.furnish(np.random.default_rng([number, 1]))
