@@ -53,7 +53,7 @@ class Ceiling:
 
     def _look(self, ranges: FloatArray) -> None:
         """Count the places from which several beams read the longest distance of all."""
-        longest = float(ranges.max(initial=0.0, where=np.isfinite(ranges)))
+        longest = float(ranges[np.isfinite(ranges)].max(initial=0.0))
         if longest > self._longest:
             self._longest, self._places = longest, 0
         if longest < self._longest or longest in self.values_m:

@@ -27,6 +27,9 @@ class OwnBody:
         self._low: FloatArray = np.zeros(0)  # the shortest and the longest reading of each beam
         self._high: FloatArray = np.zeros(0)
         self._counts: IntArray = np.zeros(0, dtype=np.int64)  # places at which it read anything
+        self._near: BoolArray = np.zeros(0, dtype=bool)  # beams that read nothing else so far
+        self._seen: BoolArray = np.zeros(0, dtype=bool)  # those that read so at many places
+        self._is_ruled_out = False  # every beam has read something else
 
     def clear(self, ranges: FloatArray) -> None:
         """Set the readings (B,) that are of the robot to NaN, in place."""
@@ -34,33 +37,21 @@ class OwnBody:
             self._low, self._high = np.full((2, len(ranges)), np.nan)
             self._counts = np.zeros(len(ranges), dtype=np.int64)
             self._learn(ranges)
-        elif self._is_elsewhere(ranges):
+        elif not self._is_ruled_out and self._is_elsewhere(ranges):
             self._learn(ranges)
-        seen = self._seen
-        if seen.any():
-            ranges[self._is_own(ranges, seen)] = np.nan
+        if self._seen.any():
+            ranges[self._is_own(ranges)] = np.nan
 
     @property
     def notes(self) -> list[str]:
         """What a user should know of it: nothing while no beam sees the robot."""
-        seen = self._seen
-        if not seen.any():
+        if not self._seen.any():
             return []
-        low, high = float(self._low[seen].min()), float(self._high[seen].max())
+        low, high = float(self._low[self._seen].min()), float(self._high[self._seen].max())
         return [
             f"beams that read the same {low:.2f} to {high:.2f} m wherever the robot goes, which is "
-            f"the robot itself: {np.count_nonzero(seen):,}; these readings are left out"
+            f"the robot itself: {np.count_nonzero(self._seen):,}; these readings are left out"
         ]
-
-    @property
-    def _near(self) -> BoolArray:
-        """(B,) beams that may see the robot: they read nothing else so far."""
-        return (self._high < _NEAR_M) & (self._high - self._low <= _SAME_M)
-
-    @property
-    def _seen(self) -> BoolArray:
-        """(B,) beams that see it: they read the same at many places."""
-        return self._near & (self._counts >= _PLACES)
 
     def _learn(self, ranges: FloatArray) -> None:
         """Take in a scan at another place."""
@@ -68,6 +59,9 @@ class OwnBody:
         read = np.where(np.isfinite(ranges), ranges, np.nan)
         self._low, self._high = np.fmin(self._low, read), np.fmax(self._high, read)
         self._counts += np.isfinite(ranges)
+        self._near = (self._high < _NEAR_M) & (self._high - self._low <= _SAME_M)
+        self._seen = self._near & (self._counts >= _PLACES)
+        self._is_ruled_out = not (self._near | np.isnan(self._low)).any()
 
     def _is_elsewhere(self, ranges: FloatArray) -> bool:
         """Whether most beams that see no robot read other distances than at the last place."""
@@ -78,10 +72,10 @@ class OwnBody:
             changed = np.abs(ranges[others] - self._there[others]) > _ELSEWHERE_M
         return bool(changed.mean() >= _ELSEWHERE_SHARE)
 
-    def _is_own(self, ranges: FloatArray, seen: BoolArray) -> BoolArray:
+    def _is_own(self, ranges: FloatArray) -> BoolArray:
         """Readings (B,) near those of the robot, on its beams and those beside: edges flicker."""
-        low = _beside(np.where(seen, self._low, np.inf), np.minimum)
-        high = _beside(np.where(seen, self._high, -np.inf), np.maximum)
+        low = _beside(np.where(self._seen, self._low, np.inf), np.minimum)
+        high = _beside(np.where(self._seen, self._high, -np.inf), np.maximum)
         return (ranges >= low - _MARGIN_M) & (ranges <= high + _MARGIN_M)
 
 

@@ -32,8 +32,8 @@ def lost_scans(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
         f"registered, {end - start:,} in a row from {stamp_ns * 1e-9:.3f} s on",
         advice=""
         if severity == "note"
-        else "has the laser returns all the time, and is the odometry of this robot and this clock? "
-        "See `specmap info --check`"
+        else "has the laser returns all the time, and is the odometry of this robot and this "
+        "clock? See `specmap info --check`"
         if measured
         else "record odometry, or more scans a second",
         value=share,
