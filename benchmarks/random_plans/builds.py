@@ -1,6 +1,7 @@
 """Whole maps of simulated tours through the random plans, held against the truth.
 
-Each plan has another laser, drift and noise, drawn by its number; every fourth has no odometry.
+Each plan has another laser, drift and noise, drawn by its kind and number; every fourth log has no
+odometry.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from benchmarks.hard_logs.recordings import absolute, write
 from benchmarks.hard_logs.spoiling import without_odometry
+from benchmarks.random_plans.buildings import BUILDINGS
 from benchmarks.random_plans.drawing import RESOLUTION_M, Drawing
 from specmap_cli.core.records import Trajectory
 from specmap_cli.evaluation.rooms import map_scores
@@ -54,9 +56,9 @@ class Build:
         )
 
 
-def sensor(number: int) -> tuple[SimulationOptions, bool]:
+def sensor(kind: str, number: int) -> tuple[SimulationOptions, bool]:
     """The robot that drives through a plan, and whether its log has odometry."""
-    rng = np.random.default_rng([number, 2])
+    rng = np.random.default_rng([number, 2, list(BUILDINGS).index(kind)])
     options = SimulationOptions(
         field_of_view_deg=float(rng.choice(_DEGREES)),
         beams=int(rng.choice(_BEAMS)),
@@ -72,9 +74,9 @@ def sensor(number: int) -> tuple[SimulationOptions, bool]:
     return options, bool(number % 4)
 
 
-def built(plan: Drawing, number: int) -> Build:
+def built(kind: str, number: int, plan: Drawing) -> Build:
     """Drive through a plan, build its map and score it."""
-    options, measured = sensor(number)
+    options, measured = sensor(kind, number)
     tour = simulated_tour(plan.grid(), options)
     stamps = np.array([stamp_of(time) for time in tour.scan_times_s.tolist()])
     truth = Trajectory(stamps, tour.truth.at(tour.scan_times_s))
@@ -101,4 +103,4 @@ def built(plan: Drawing, number: int) -> Build:
 def table(kind: str, plans: Iterable[tuple[int, Drawing]]) -> None:
     """Print a line a plan."""
     for number, plan in plans:
-        print(built(plan, number).line(kind, number), flush=True)
+        print(built(kind, number, plan).line(kind, number), flush=True)

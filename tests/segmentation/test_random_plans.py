@@ -59,14 +59,15 @@ def test_a_plan_is_the_same_by_its_number() -> None:
 
 
 def test_a_number_has_its_own_robot_and_every_fourth_no_odometry() -> None:
-    robots = [sensor(number) for number in range(8)]
+    robots = [sensor("ring", number) for number in range(8)]
     assert [measured for _, measured in robots] == [False, True, True, True] * 2
-    assert robots == [sensor(number) for number in range(8)]
+    assert robots == [sensor("ring", number) for number in range(8)]
+    assert robots != [sensor("hall", number) for number in range(8)]
     assert len({(o.field_of_view_deg, o.beams, o.range_max_m, o.noise_m) for o, _ in robots}) > 5
 
 
 def test_the_line_of_a_build_tells_how_its_log_was_measured() -> None:
-    options, _ = sensor(5)
+    options, _ = sensor("flat", 5)
     build = Build(options, True, 6, 7, 0.99, "5/5", 0.0312, "good")
     assert f"x {options.odometry_drift:g}" in build.line("flat", 5)
     assert replace(build, measured=False).line("flat", 5).split()[4] == "none"
