@@ -1,7 +1,8 @@
 """features.npz: the features of the scans that the classifiers of a map learned from.
 
-Arrays of NumPy in a zip file, three kinds of scans: `raw`, `along` and `cast` (F, n), features in
-half precision, a column a scan, and with `_keyframes` behind the name (n,) their keyframes.
+Arrays of NumPy in a zip file, four kinds of scans: `raw`, `beside`, `along` and `cast` (F, n),
+features in half precision, a column a scan, and with `_keyframes` behind the name (n,) their
+keyframes. A file without `beside` is read, too.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,9 @@ from specmap_cli.core.files import read_bytes
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.shortage import reason
 
-KINDS = ("raw", "along", "cast")
+KINDS = ("raw", "beside", "along", "cast")
 KEYFRAMES_OF = "_keyframes"
+_END = ".npy"
 _VERSION = (1, 0)  # of NumPy's format
 # The headers that are written here. NumPy reads any literal of Python as one, with many errors.
 _HEADER = re.compile(
@@ -38,6 +40,11 @@ _MOST_MB = "limits.text_max_mb"
 
 Arrays = Mapping[str, NDArray[Any]]
 
+_NONE: Arrays = {
+    "beside": np.zeros((0, 0), dtype=np.float16),
+    "beside" + KEYFRAMES_OF: np.zeros(0, dtype=np.int32),
+}
+
 
 def write_features(path: Path, arrays: Arrays) -> None:
     """Write the features of all kinds of scans and their keyframes, by name."""
@@ -45,7 +52,7 @@ def write_features(path: Path, arrays: Arrays) -> None:
         for name in sorted(arrays):
             data = io.BytesIO()
             np.lib.format.write_array(data, arrays[name], version=_VERSION, allow_pickle=False)
-            info = zipfile.ZipInfo(f"{name}.npy")  # of no time: the same bytes whenever it is made
+            info = zipfile.ZipInfo(name + _END)  # of no time: the same bytes whenever it is made
             packed.writestr(info, data.getvalue(), zipfile.ZIP_DEFLATED)
 
 
@@ -70,13 +77,19 @@ def _unpacked(data: bytes, path: Path, limits: LimitsConfig) -> dict[str, NDArra
     names = [name for kind in KINDS for name in (kind, kind + KEYFRAMES_OF)]
     with zipfile.ZipFile(io.BytesIO(data)) as packed:
         infos = packed.infolist()
-        if sorted(info.filename for info in infos) != sorted(f"{name}.npy" for name in names):
+        held = sorted(info.filename for info in infos)
+        if held not in (_files(names), _files(name for name in names if name not in _NONE)):
             raise _damaged(path, "holds other arrays than those of a map")
         if any(i.flag_bits & _ENCRYPTED or i.compress_type not in _PACKED for i in infos):
             raise _damaged(path, "is packed in a way that is not read")
         if sum(info.file_size for info in infos) > limits.text_max_mb * 1e6:
             raise MapError(f"{path}: unpacked larger than {_MOST_MB}", code=TOO_LARGE)
-        return {name: _array(packed.read(f"{name}.npy")) for name in names}
+        return {**_NONE} | {name.removesuffix(_END): _array(packed.read(name)) for name in held}
+
+
+def _files(names: Iterable[str]) -> list[str]:
+    """What arrays are called in a zip file."""
+    return sorted(name + _END for name in names)
 
 
 def _array(data: bytes) -> NDArray[Any]:

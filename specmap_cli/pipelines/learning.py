@@ -198,7 +198,8 @@ def learn(
                 misfit=taught.misfit,
                 calibration=_calibrated(taught.held_out, virtual.held_out, known.before),
             )
-    return Learned(grids, classifiers, Lessons.of(taught.samples, virtual.along, virtual.cast))
+    lessons = Lessons.of(taught.samples, taught.beside, virtual.along, virtual.cast)
+    return Learned(grids, classifiers, lessons)
 
 
 class _Virtual(NamedTuple):
@@ -223,10 +224,14 @@ def _calibrated(
 
 
 class _Taught(NamedTuple):
-    """What raw scans taught, which these were, how held-out ones are told, and the misfit."""
+    """What raw scans taught, which these were, how held-out ones are told, and the misfit.
+
+    `beside` are those that were made up.
+    """
 
     raw: Recogniser
     samples: OfSubmaps
+    beside: OfSubmaps
     held_out: HeldOutMargins
     misfit: HeldOutMisfit
 
@@ -248,10 +253,10 @@ def _without_grids(
             )
         )
     samples = raw_samples(store, submaps, config, known.features, known.starts)
-    beside = beside_samples(store, submaps, poses, config, rng)
+    beside = beside_samples(store, submaps, poses, config, rng, known.lessons.beside)
     raw, held_out = train_raw(samples, beside, poses, config, rng, revisits)
     misfit = held_out_misfit(store, submaps, poses, config.localization)
-    return _Taught(raw, _single(samples), held_out, misfit)
+    return _Taught(raw, _single(samples), _single(beside), held_out, misfit)
 
 
 def _single(samples: OfSubmaps) -> OfSubmaps:

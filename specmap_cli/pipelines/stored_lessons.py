@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,12 +50,11 @@ def lessons_of_stored(stored: StoredMap, config: Config) -> Lessons:
     same = before.recognition.feature_set == config.recognition.feature_set
     if not same or before.localization != config.localization:
         return NO_LESSONS
-    raw, along, cast = (_samples(arrays, kind) for kind in KINDS)
-    virtual = config.localization.feature_set
-    known = _are_of(raw, config.recognition.feature_set)
-    if not (known and _are_of(along, virtual) and _are_of(cast, virtual)):
+    found = Lessons(*(_samples(arrays, kind) for kind in KINDS))
+    sets = [config.recognition.feature_set] * 2 + [config.localization.feature_set] * 2
+    if not all(map(_are_of, found.kinds, sets)):
         return NO_LESSONS
-    return Lessons(raw, along, cast if before.grid == config.grid else NO_SAMPLES)
+    return found if before.grid == config.grid else replace(found, cast=NO_SAMPLES)
 
 
 def _are_of(samples: Samples, feature_set: str) -> bool:

@@ -39,6 +39,15 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         assert np.array_equal(known["raw"], arrays()["raw"])
 
 
+def test_a_file_of_an_older_map_has_none_from_beside(tmp_path: Path) -> None:
+    older = {name: values for name, values in arrays().items() if not name.startswith("beside")}
+    write_features(tmp_path / "features.npz", older)
+    found = read_features(tmp_path / "features.npz", 10, LIMITS)
+    assert found.keys() == arrays().keys()
+    assert found["beside"].size == len(found["beside" + KEYFRAMES_OF]) == 0
+    assert np.array_equal(found["raw"], arrays()["raw"])
+
+
 def test_the_same_features_are_the_same_bytes(tmp_path: Path) -> None:
     for name in ("one", "other"):
         write_features(tmp_path / name, arrays())

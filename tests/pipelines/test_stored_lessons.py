@@ -46,7 +46,7 @@ def samples(*keyframes: int) -> Samples:
 
 def test_features_survive_the_file_in_half_precision() -> None:
     large = Samples(np.array([[1.0 / 3.0, 1e9], [-1e9, 0.0]]), np.array([2, 5], dtype=np.intp))
-    arrays = arrays_of(Lessons(large, samples(), samples()))
+    arrays = arrays_of(Lessons(large, samples(), samples(), samples()))
     assert arrays["raw"].T.tolist() == [[0.333251953125, 65504.0], [-65504.0, 0.0]]
     assert arrays["raw_keyframes"].tolist() == [2, 5]
     assert arrays["raw"].dtype == np.float16
@@ -54,7 +54,7 @@ def test_features_survive_the_file_in_half_precision() -> None:
 
 def test_a_map_keeps_what_its_classifiers_learned_from(house: StoredMap) -> None:
     lessons = lessons_of_stored(house, house.config)
-    for kept in (lessons.raw, lessons.along, lessons.cast):
+    for kept in lessons.kinds:
         assert len(kept.features) == len(kept.keyframes) > 0
     assert len(np.unique(lessons.raw.keyframes)) == len(lessons.raw.keyframes)
 
@@ -153,22 +153,23 @@ BEFORE = labels(ROW, [0, 0, 0, 1, 1, 1])
 def test_scans_cast_in_a_grid_hold_while_the_submap_is_as_it_was(
     left: list[int], now: Labels, cast: list[int]
 ) -> None:
-    lessons = Lessons(samples(0, 5), samples(1), samples(0, 2, 3, 5))
+    lessons = Lessons(samples(0, 5), samples(), samples(1), samples(0, 2, 3, 5))
     found = lessons_left(lessons, BEFORE, now, np.array(left), 0.05)
     assert found.cast.keyframes.tolist() == cast
 
 
 def test_lessons_of_a_map_behind_another_are_numbered_behind_it() -> None:
-    lessons = Lessons(samples(0, 5), samples(1), samples(0, 5))
+    lessons = Lessons(samples(0, 5), samples(2), samples(1), samples(0, 5))
     now = labels([*ROW, *ROW], [7, 7, 7, 0, 0, 0, 0, 0, 0, 1, 1, 1])
     found = lessons_left(lessons, BEFORE, now, np.arange(6), 0.05, first=6)
     assert found.raw.keyframes.tolist() == [6, 11]
     assert found.along.keyframes.tolist() == [7]
+    assert found.beside.keyframes.tolist() == [8]
     assert found.cast.keyframes.tolist() == [11]  # the first submap has keyframes of both maps
 
 
 def test_scans_cast_in_two_submaps_that_are_one_now_do_not_hold() -> None:
-    lessons = Lessons(samples(), samples(), samples(0, 5))
+    lessons = Lessons(samples(), samples(), samples(), samples(0, 5))
     now = labels(ROW, [0] * 6)
     found = lessons_left(lessons, BEFORE, now, np.arange(6), 0.05)
     assert found.cast.keyframes.tolist() == []

@@ -17,11 +17,13 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import NO_SUBMAP, PlanarScan
+from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.lines_seen import outline, seen_from
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.holding_out import Samples
+from specmap_cli.recognition.learning.lessons import NO_SAMPLES, of_keyframes, together
 from specmap_cli.recognition.learning.sampling import owners_of
 
 _ASIDE_M, _TURNED_RAD = 0.1, math.radians(15.0)  # standard deviation; at most
@@ -36,11 +38,12 @@ def beside_samples(
     poses: FloatArray,
     config: Config,
     rng: np.random.Generator,
+    known: Samples = NO_SAMPLES,
 ) -> dict[int, Samples]:
     """Scans of every submap, seen from beside its keyframes, with the nearest of these.
 
     A submap gets as many as it lacks of `recognition.augmentation` scans, or fewer: what comes to
-    lie in another submap is left out.
+    lie in another submap is left out. Those that are `known` are not made again.
     """
     wanted = config.recognition.augmentation
     owner = owners_of(submaps, len(poses))
@@ -48,13 +51,17 @@ def beside_samples(
     samples = {}
     for i in sorted(submaps):
         lacking = max(0, wanted - len(submaps[i]))
+        kept = of_keyframes(known, submaps[i])
+        kept = kept.rows(evenly(np.arange(len(kept.keyframes)), lacking))
+        lacking -= len(kept.keyframes)
         sources = _repeated(np.asarray(submaps[i], dtype=np.intp), lacking)
         placed = poses[sources] + _steps(len(sources), rng)
         nearest = around.nearest(placed)
         own = owner[nearest] == i
         scans = around.scans(sources[own], placed[own])
         features = scans_features(scans, config.recognition.feature_set)
-        samples[i] = Samples(features, nearest[own])
+        made = Samples(features, nearest[own])
+        samples[i] = together({0: kept, 1: made}) if len(kept.keyframes) else made
     return samples
 
 

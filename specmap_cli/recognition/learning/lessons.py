@@ -17,45 +17,40 @@ from specmap_cli.recognition.learning.holding_out import Samples
 
 @dataclass(frozen=True, slots=True)
 class Lessons:
-    """Samples of all submaps: `raw` scans, virtual ones `along` the track, and those `cast`.
+    """Samples of all submaps: `raw` scans, from `beside` the way, virtual ones, and those `cast`.
 
-    Of scans cast in a grid the keyframes are the nearest ones. Without virtual scans there are none
-    of the last two.
+    Virtual scans are `along` the track. Of scans cast in a grid, and of those from beside the way,
+    the keyframes are the nearest ones. Without virtual scans there are none of the last two.
     """
 
     raw: Samples
+    beside: Samples
     along: Samples
     cast: Samples
 
     @classmethod
-    def of(
-        cls, raw: Mapping[int, Samples], along: Mapping[int, Samples], cast: Mapping[int, Samples]
-    ) -> Lessons:
-        """Those of every submap."""
-        return cls(together(raw), together(along), together(cast))
+    def of(cls, *kinds: Mapping[int, Samples]) -> Lessons:
+        """Those of every submap, a kind after the other."""
+        return cls(*(together(kind) for kind in kinds))
+
+    @property
+    def kinds(self) -> tuple[Samples, ...]:
+        """The samples of one kind after the other."""
+        return self.raw, self.beside, self.along, self.cast
 
     def left(self, numbers: IntArray) -> Lessons:
         """Those of the keyframes `numbers` (k,), ascending, which are 0, 1, ... from now on."""
-        return Lessons(*(_left(own, numbers) for own in (self.raw, self.along, self.cast)))
+        return Lessons(*(_left(own, numbers) for own in self.kinds))
 
     @classmethod
     def joined(cls, parts: Sequence[Lessons]) -> Lessons:
         """Those of several maps in one."""
-        return cls(
-            *(
-                together({k: getattr(part, kind) for k, part in enumerate(parts)})
-                for kind in ("raw", "along", "cast")
-            )
-        )
+        of_kinds = zip(*(part.kinds for part in parts), strict=True)
+        return cls(*(together(dict(enumerate(of_kind))) for of_kind in of_kinds))
 
     def numbered_from(self, first: int) -> Lessons:
         """Those of the same keyframes, which are numbered from `first` on instead of from 0."""
-        return Lessons(
-            *(
-                replace(own, keyframes=own.keyframes + first)
-                for own in (self.raw, self.along, self.cast)
-            )
-        )
+        return Lessons(*(replace(own, keyframes=own.keyframes + first) for own in self.kinds))
 
     def cast_near(self, keyframes: BoolArray) -> Lessons:
         """Without the scans that were cast near other keyframes than some (n,)."""
@@ -63,7 +58,7 @@ class Lessons:
 
 
 NO_SAMPLES = Samples(np.zeros((0, 0)), np.zeros(0, dtype=np.intp))
-NO_LESSONS = Lessons(NO_SAMPLES, NO_SAMPLES, NO_SAMPLES)
+NO_LESSONS = Lessons(NO_SAMPLES, NO_SAMPLES, NO_SAMPLES, NO_SAMPLES)
 
 
 def together(samples: Mapping[int, Samples]) -> Samples:

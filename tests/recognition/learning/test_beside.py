@@ -16,6 +16,7 @@ from specmap_cli.recognition.features.lines_seen import seen_from
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning import beside
 from specmap_cli.recognition.learning.beside import beside_samples
+from specmap_cli.recognition.learning.lessons import together
 
 SUBMAPS = {1: list(range(0, 30)), 4: list(range(32, 38))}  # keyframes 30 and 31 are in none
 
@@ -68,6 +69,20 @@ def test_a_submap_gets_the_scans_that_it_lacks(store: KeyframeStore) -> None:
     enough = beside_samples(store, SUBMAPS, store.poses, settings(30), rng)
     assert not len(enough[1].keyframes)
     assert len(enough[4].keyframes)
+
+
+def test_those_that_are_known_are_not_made_again(
+    store: KeyframeStore, seen: list[tuple[FloatArray, Pose2, FloatArray]]
+) -> None:
+    first = beside_samples(store, SUBMAPS, store.poses, settings(90), np.random.default_rng(0))
+    made, known = len(seen), together(first)
+    again = beside_samples(
+        store, SUBMAPS, store.poses, settings(40), np.random.default_rng(1), known
+    )
+    assert len(seen) == made > 40
+    assert [len(again[i].keyframes) for i in (1, 4)] == [10, 34]
+    of_first = {row.tobytes() for row in known.features}
+    assert all(row.tobytes() in of_first for own in again.values() for row in own.features)
 
 
 def test_they_lie_a_step_aside_and_look_as_scans_taken_there(
