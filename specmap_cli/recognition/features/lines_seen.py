@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
+from specmap_cli.recognition.features.shape import leaps
 
-_BREAK_M, _BREAK_PER_M = 0.25, 0.03  # neighbouring returns farther apart are of two surfaces
 _RANGE_DECIMALS = 6  # of metres: far below the noise of a laser, far above that of a sum
 _TURN = 2.0 * math.pi
 _NEAREST_M = 0.05  # a surface this near to the laser has no bearing to speak of
@@ -27,8 +27,7 @@ def outline(scan: PlanarScan, map_from_laser: Pose2, reach_m: float) -> FloatArr
     r = np.where(near, ranges, 0.0)
     points = np.column_stack([r * np.cos(bearings), r * np.sin(bearings)])
     steps = np.hypot(*np.diff(points, axis=0).T)
-    joined = near[1:] & near[:-1]
-    joined &= steps <= _BREAK_M + _BREAK_PER_M * np.minimum(r[1:], r[:-1])
+    joined = near[1:] & near[:-1] & ~leaps(steps, r[1:], r[:-1])
     placed = map_from_laser.apply(points)
     return np.hstack([placed[:-1][joined], placed[1:][joined]])
 

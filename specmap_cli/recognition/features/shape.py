@@ -25,12 +25,18 @@ _LONG_PIECES_M = (0.5, 1.0, 2.0)
 def breaks_of(batch: ReturnsBatch) -> BoolArray:
     """(N,) whether the step from a return to the next one leaps from one surface to another.
 
-    A step leaps when it is longer than 0.25 m and 3 % of the nearer range together. The last
-    return of a scan has no step.
+    The last return of a scan has no step.
     """
-    nearer = np.minimum(batch.ranges, batch.ranges[batch.segments.following])
-    leaps = batch.onward > _BREAK_M + _BREAK_PER_M * nearer
-    return np.asarray(leaps & ~batch.segments.last)
+    following = batch.ranges[batch.segments.following]
+    return leaps(batch.onward, batch.ranges, following) & ~batch.segments.last
+
+
+def leaps(steps: FloatArray, here: FloatArray, there: FloatArray) -> BoolArray:
+    """(N,) whether steps (N,) between returns at ranges `here` and `there` (N,) leave a surface.
+
+    Those do that are longer than 0.25 m and 3 % of the nearer range together.
+    """
+    return np.asarray(steps > _BREAK_M + _BREAK_PER_M * np.minimum(here, there))
 
 
 def travelled_along(batch: ReturnsBatch, left_out: BoolArray) -> FloatArray:
