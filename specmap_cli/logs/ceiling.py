@@ -13,6 +13,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.logs.elsewhere import changed_share
 
 _BEAMS = 3  # of a scan that share its longest distance; of walls one does, or two
 _PLACES = 4  # from which it was read: a robot that stands may see one wall again and again
@@ -68,6 +69,4 @@ class Ceiling:
         """Whether the robot has moved since the last place, by what the laser reads."""
         if not self._places or len(ranges) != len(self._there):
             return True
-        with np.errstate(invalid="ignore"):  # inf - inf: no return then and now
-            changed = np.abs(ranges - self._there) > _ELSEWHERE_M
-        return bool(changed.mean() >= _ELSEWHERE_SHARE)
+        return changed_share(ranges, self._there, _ELSEWHERE_M) >= _ELSEWHERE_SHARE

@@ -11,6 +11,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.logs.elsewhere import changed_share
 
 _NEAR_M = 0.8  # as far as a robot reaches from its laser
 _SAME_M = 0.1  # what readings of the body differ by, noise of a few centimetres included
@@ -66,11 +67,8 @@ class OwnBody:
     def _is_elsewhere(self, ranges: FloatArray) -> bool:
         """Whether most beams that see no robot read other distances than at the last place."""
         others = ~self._near & ~(np.isnan(ranges) | np.isnan(self._there))
-        if not others.any():
-            return False
-        with np.errstate(invalid="ignore"):  # inf - inf: no return then and now
-            changed = np.abs(ranges[others] - self._there[others]) > _ELSEWHERE_M
-        return bool(changed.mean() >= _ELSEWHERE_SHARE)
+        changed = changed_share(ranges[others], self._there[others], _ELSEWHERE_M)
+        return changed >= _ELSEWHERE_SHARE
 
     def _is_own(self, ranges: FloatArray) -> BoolArray:
         """Readings (B,) near those of the robot, on its beams and those beside: edges flicker."""

@@ -26,10 +26,7 @@ from specmap_cli.logs.frames import (
     read_frames,
 )
 from specmap_cli.logs.log import Log
-from specmap_cli.logs.messages import (
-    BadMessageError,
-    decode_odometry,
-)
+from specmap_cli.logs.messages import BadMessageError, decode_odometry
 from specmap_cli.logs.readers.recording import Message, TopicInfo
 from specmap_cli.logs.sensors import Glimpse, ScanSensor, choose_sensor, sensors_of
 from specmap_cli.logs.topics import choose_odometry_topic, choose_scan_topic, dynamic_topics
