@@ -84,7 +84,7 @@ def _unpacked(data: bytes, path: Path, limits: LimitsConfig) -> dict[str, NDArra
             raise _damaged(path, "is packed in a way that is not read")
         if sum(info.file_size for info in infos) > limits.text_max_mb * 1e6:
             raise MapError(f"{path}: unpacked larger than {_MOST_MB}", code=TOO_LARGE)
-        return {**_NONE} | {name.removesuffix(_END): _array(packed.read(name)) for name in held}
+        return dict(_NONE) | {name.removesuffix(_END): _array(packed.read(name)) for name in held}
 
 
 def _files(names: Iterable[str]) -> list[str]:

@@ -176,7 +176,7 @@ def learn(
     raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
     with ahead(
         lambda: _without_grids(store, known, submaps, poses, config, raw_rng, revisits)
-    ) as beside:
+    ) as meanwhile:
         progress.start("grids", len(store))
         with clock.stage("grids"):
             grids = submap_grids(store, submaps, poses, config, progress)
@@ -187,10 +187,10 @@ def learn(
                 cast = cast_samples(
                     submaps, poses, grids, config.localization, virtual_rng, known.lessons.cast
                 )
-                along = next(beside)
+                along = next(meanwhile)
                 learned = train_virtual(along, cast, poses, config, virtual_rng, revisits)
                 virtual = _Virtual(along, cast, *learned)
-            taught = beside.result
+            taught = meanwhile.result
             classifiers = ClassifierSet(
                 sensor=sensor_of(store, submaps),
                 raw=taught.raw,
