@@ -1,10 +1,13 @@
 """A map that is kept: what updates and merges leave of ids, borders and accuracy, and their cost.
 
-    SPECMAP_DATA=... python -m benchmarks.keeping [--only second cut tours]
+    SPECMAP_DATA=... python -m benchmarks.keeping [--only second cut tours like]
 
 `second`: the sample office and its second log. `cut`: fr079 cut in three by time, each piece added
 to the map of those before, and the three maps merged in all six orders. `tours`: another tour of
-simulated plans added to the map of the first, and five more in turn. A line an update: submaps that
+simulated plans added to the map of the first, and five more in turn. `like`: the takes of
+benchmarks.stability of three buildings, each built with `--like` the map of the first: the share of
+submaps that have the id of the one that they share more than half of their ground with. Of the
+others a line an update: submaps that
 kept their ids, the least and the mean IoU of their borders over cells that both maps knew, the
 least apart from floor that submaps entered now took, how far old keyframes moved, new ids, the
 error of the layout against that of one build over everything (`kept / once`), keyframes before and
@@ -24,8 +27,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.data import log_file, plan, truth_file
+from benchmarks.hard_logs.recordings import write
 from benchmarks.processes import SCRIPTS, measure
 from benchmarks.replays import write_pieces
+from benchmarks.stability.comparing import SAME
+from benchmarks.stability.recordings import takes
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.evaluation.trajectories import (
     read_relations,
@@ -42,13 +48,14 @@ SPECMAP = str(SCRIPTS / "specmap")
 SAMPLES = Path("sample_logs")
 PLANS = (("Freiburg79_scan", 360.0), ("office_h_furnitures", 270.0))
 UPDATES = 5
+LIKE = ("sample office", "fr079", "mit_csail")
 
 Error = Callable[[Path], float]  # of the trajectory of a map, metres
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    sections = {"second": second_log, "cut": cut_log, "tours": more_tours}
+    sections = {"second": second_log, "cut": cut_log, "tours": more_tours, "like": like_first}
     parser.add_argument("--only", nargs="*", choices=sections, default=list(sections))
     arguments = parser.parse_args()
     for name in arguments.only:
@@ -111,9 +118,31 @@ def more_tours(folder: Path) -> None:
             update(folder, k, tours[k + 1].log, partial(tour_error, truths=truths[: k + 2]))
 
 
-def build(log: Path, out: Path) -> float:
+def like_first(folder: Path) -> None:
+    """Other takes of a building, built with the frame and the ids of the map of the first one."""
+    log, first, like = folder / "take.mcap", folder / "map0", folder / "like"
+    for building in LIKE:
+        others = takes(building)
+        write(next(others).sweeps, iter, log)
+        build(log, first)
+        before = read_map(first)
+        for take in others:
+            write(take.sweeps, iter, log)
+            build(log, like, "--like", str(first), "--set", f"seed={take.seed}")
+            after = read_map(like)
+            changes = border_changes(before.regions, after.regions)
+            same = sum(change.iou > SAME for change in changes)
+            share = same / max(len(before.ids), len(after.ids))
+            print(
+                f"{building:13} {take.kind} {take.name:6} {len(before.ids):3}/{len(after.ids):<3} "
+                f"same id {same:3}, {share:.3f}",
+                flush=True,
+            )
+
+
+def build(log: Path, out: Path, *options: str) -> float:
     """Build a map; processor seconds."""
-    command = [SPECMAP, "build", str(log), "-o", str(out), "--overwrite", "-q"]
+    command = [SPECMAP, "build", str(log), "-o", str(out), "--overwrite", "-q", *options]
     return measure(command, out.parent).processor_s
 
 
