@@ -25,8 +25,6 @@ from specmap_cli.core.errors import (
 )
 from specmap_cli.core.shortage import is_of_the_machine, is_of_the_place, reason
 
-# The matrices here are small: threads of BLAS would wait for each other, and burn time doing so.
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _YES = {"1", "true", "t", "yes", "y", "on"}  # as Typer reads a flag
 _NO_TEMPORARY = "No usable temporary directory"  # how Python's own error begins
 _OPENCV_NO_MEMORY = -4  # its code StsNoMem
@@ -58,8 +56,6 @@ def _asks_for_json(arguments: Sequence[str]) -> bool:
 
 
 def _run(arguments: Sequence[str] | None, as_json: bool) -> int:
-    for variable in _THREADS:  # read when numpy is loaded
-        os.environ.setdefault(variable, "1")
     from specmap_cli.cli.app import run
 
     try:

@@ -21,6 +21,7 @@ STANDS_ON = (
     "rich",
     "rosbags",
     "scipy",
+    "threadpoolctl",
     "typer",
     "zstandard",
 )

@@ -17,6 +17,7 @@ from specmap_cli.core.labels import neighbours
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, PosedScan, Trajectory
 from specmap_cli.core.settings import Config, KeyframeConfig
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
 from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
@@ -86,6 +87,7 @@ class HoldOutResult:
         }
 
 
+@one_blas_thread()
 def hold_out(
     logs: Sequence[Path],
     config: Config,

@@ -17,6 +17,7 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
@@ -37,6 +38,7 @@ if TYPE_CHECKING:  # slow to load: it is, while the other process reads and regi
 Accepts = Callable[[PosedScan], bool]
 
 
+@one_blas_thread()
 def build_map(
     logs: Paths,
     out: Path | str,
@@ -95,6 +97,7 @@ def _pictures(directory: Path, config: Config, *, overwrite: bool) -> Observer:
     return split_test_pictures(directory, config.segmentation, overwrite=overwrite)
 
 
+@one_blas_thread()
 def map_log(
     stream: SweepStream,
     config: Config,

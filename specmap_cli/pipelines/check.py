@@ -17,6 +17,7 @@ from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.findings import Severity
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import plain
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.schema_graph import FindingRecord
 from specmap_cli.maps.store import StoredMap, opened_map
@@ -45,6 +46,7 @@ class CheckReport:
         return lines_of(self.record)
 
 
+@one_blas_thread()
 def check_map(
     stored: StoredMap | Path | str,
     rules: Rules | None = None,

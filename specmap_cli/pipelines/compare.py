@@ -14,6 +14,7 @@ from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import to_json
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.drawing.comparison import render_comparison
 from specmap_cli.grids.bent import Anchor, BentMotion
 from specmap_cli.grids.map_server import write_png
@@ -58,6 +59,7 @@ class Comparison:
         return lines_of(self.record)
 
 
+@one_blas_thread()
 def compare_maps(
     old: StoredMap | Path | str,
     new: StoredMap | Path | str,

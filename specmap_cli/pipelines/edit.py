@@ -20,6 +20,7 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.core.versions import versions
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
@@ -93,6 +94,7 @@ class EditReport:
         return [*told, f"look at {self.out / filenames.OVERVIEW}"]
 
 
+@one_blas_thread()
 def edit_map(
     map_: StoredMap | Path | str,
     wishes: Wishes | None = None,

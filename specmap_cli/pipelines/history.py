@@ -13,6 +13,7 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.text import plain, to_json
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.history.page import render_history
 from specmap_cli.history.record import SCHEMA_VERSION, HistoryRecord
 from specmap_cli.history.tables import TABLES, lines_of
@@ -62,6 +63,7 @@ class _Building:
     changes: list[dict[str, Any]] = field(default_factory=list)
 
 
+@one_blas_thread()
 def history_of(
     maps: Sequence[Path | str],
     timezone: str = "UTC",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from specmap_cli.core.settings import Config
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.localize import classifiers_of
@@ -27,6 +28,7 @@ class PairOfMaps:
     config: Config
 
 
+@one_blas_thread()
 def align_pair(pair: PairOfMaps) -> Alignment:
     """The same of two directories. Raises MapError for a damaged map."""
     old, new = (read_map(path, pair.config.limits) for path in (pair.old, pair.new))

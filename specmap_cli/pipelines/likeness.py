@@ -12,6 +12,7 @@ from specmap_cli.core.errors import NOT_ALIGNED, NoResultError
 from specmap_cli.core.geometry import Pose2, compose
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.joining import placed
 from specmap_cli.logs import open_log
@@ -32,6 +33,7 @@ from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.topology.redrawing import carried
 
 
+@one_blas_thread()
 def build_like(
     logs: Paths,
     like: StoredMap | Path | str,

@@ -15,6 +15,7 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.core.text import legible
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.core.tomltext import read_toml
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
@@ -37,6 +38,7 @@ _NO_MISFIT = (
 )
 
 
+@one_blas_thread()
 def localize_log(
     logs: Paths,
     map_: StoredMap | Path | str,

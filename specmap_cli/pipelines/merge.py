@@ -21,6 +21,7 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Audit
@@ -46,6 +47,7 @@ from specmap_cli.topology.borders import fences_of
 from specmap_cli.topology.regions import divide
 
 
+@one_blas_thread()
 def merge_maps(
     maps: Sequence[StoredMap | Path | str],
     out: Path | str,

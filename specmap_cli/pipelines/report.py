@@ -6,6 +6,7 @@ from pathlib import Path
 
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.pipelines.comparison_report import lines_of
@@ -14,6 +15,7 @@ from specmap_cli.report.evidence import Changes
 from specmap_cli.report.page import render
 
 
+@one_blas_thread()
 def report_map(
     map_: StoredMap | Path | str,
     compare: StoredMap | Path | str | None = None,

@@ -18,6 +18,7 @@ from specmap_cli.core.errors import NOT_ALIGNED, InputError, NoResultError
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
@@ -48,6 +49,7 @@ _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
 _SAME_SHARE = 0.5  # of the readings; those of a scan in motion stand at other bearings
 
 
+@one_blas_thread()
 def update_map(
     map_: StoredMap | Path | str,
     logs: Paths,
