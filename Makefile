@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 LOWEST := .venv-lowest
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo paper pictures docs dist test test-lowest lint format bench fuzz sample-logs constraints-lowest clean
+.PHONY: demo paper pictures docs dist test test-lowest lint format scoreboard fuzz sample-logs constraints-lowest clean
 
 demo: $(VENV)/installed
 	$(BIN)/specmap build sample_logs/office.mcap --out demo/map --overwrite
@@ -19,6 +19,7 @@ demo: $(VENV)/installed
 
 test: lint
 	$(BIN)/python -m pytest -n 2
+	@$(BIN)/python -m benchmarks.scoreboard --state
 
 test-lowest: $(LOWEST)/installed-dev
 	$(LOWEST)/bin/python -m pytest -n 2 --ignore tests/fuzz
@@ -32,20 +33,15 @@ format: $(VENV)/installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(VENV)/installed-dev
-	$(BIN)/python -m benchmarks.speed
-	$(BIN)/python -m benchmarks.registration
-	$(BIN)/python -m benchmarks.rooms
-	$(BIN)/python -m benchmarks.online
-	$(BIN)/python -m benchmarks.recognition
-	$(BIN)/python -m benchmarks.localizing
-	$(BIN)/python -m benchmarks.reading
-	$(BIN)/python -m benchmarks.resolutions
+# Every figure of this tree on one page: 40 minutes on two processors, nothing beside it. SPECMAP_DATA
+# names the folder with the real recordings. `python -m benchmarks.scoreboard --help` has more.
+scoreboard: $(VENV)/installed-dev
+	$(BIN)/python -m benchmarks.scoreboard
 
 # Every table and figure of the paper on one page, computed anew: 20 minutes. SPECMAP_DATA names the
 # folder with the real recordings; without it only simulated buildings are shown.
 paper: $(VENV)/installed-dev
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.paper --out paper
+	$(BIN)/python -m benchmarks.paper --out paper
 
 # A mutation fuzzer of our own over logs and maps: see docs/reliability.md.
 CASES ?= 20000

@@ -1,6 +1,6 @@
 """The paper by one command: every table and figure of it on one page, computed anew.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.paper [--only figure2 table2 ...] [-o DIR]
+    python -m benchmarks.paper [--only figure2 table2 ...] [-o DIR]
 
 Brunskill, Kollar and Roy (IROS 2007), with the paper's choices (`--preset paper`) and with ours,
 on the real recordings of $SPECMAP_DATA and on simulated ones of the same kind, which need nothing.
@@ -21,6 +21,7 @@ from benchmarks.paper.cases import cases
 from benchmarks.paper.page import Done, render
 from benchmarks.paper.parts import PARTS, Part
 from benchmarks.paper.workshop import Workshop
+from specmap_cli.core.threads import one_blas_thread
 
 _DEFAULT = Path("paper")
 
@@ -37,6 +38,7 @@ def main() -> None:
     with (
         tempfile.TemporaryDirectory(prefix="specmap-") as folder,
         Workshop(cases(Path(folder))) as workshop,
+        one_blas_thread(),
     ):
         done = [_made(part, workshop) for part in chosen]
     page = arguments.out / "index.html"

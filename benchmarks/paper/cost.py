@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 
@@ -10,9 +11,11 @@ import numpy as np
 from benchmarks.paper.blocks import Block, Chart, Found, Row, Series, Table, figure
 from benchmarks.paper.samples import Samples, fitted, the_papers
 from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Workshop, beside
-from benchmarks.recognition import closing_seconds
 from specmap_cli.core.config import load_config
-from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.core.settings import Config, RecognitionConfig
+from specmap_cli.grids.gridmap import GridMap, PackedGrid
+from specmap_cli.recognition.closure.loop_closer import LoopCloser
+from specmap_cli.recognition.closure.stay import Stay
 from specmap_cli.recognition.features.sets import feature_names
 
 MOST = {PAPER: 40, OURS: 160}
@@ -78,3 +81,22 @@ def _training_s(config: RecognitionConfig, submaps: int) -> float:
     started = time.process_time()
     fitted(samples, config)
     return time.process_time() - started
+
+
+def closing_seconds(count: int, config: Config, limit_s: float = math.inf) -> list[float]:
+    """Processor seconds up to each of `count` submaps, of closing alone; at most some `limit_s`.
+
+    They are synthetic, of 150 scans with features around their own centres.
+    """
+    rng = np.random.default_rng(0)
+    width = len(feature_names(config.recognition.feature_set))
+    loop = LoopCloser(config.recognition, rng)
+    empty = PackedGrid.of(GridMap(np.full((4, 4), 2, dtype=np.uint8), 0.05))
+    started, marks = time.process_time(), []
+    for number in range(count):
+        features = rng.normal(rng.normal(0.0, 1.0, width), 0.7, (_SCANS, width))
+        loop.consider(Stay(number=number, features=features, packed=empty, track=np.zeros((5, 3))))
+        marks.append(time.process_time() - started)
+        if marks[-1] > limit_s:
+            break
+    return marks

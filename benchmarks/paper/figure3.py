@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.closure_truth import true_poses
-from benchmarks.online import Row as Score
-from benchmarks.online import Tour, score
 from benchmarks.paper import pictures
 from benchmarks.paper.blocks import (
     Block,
@@ -24,7 +22,10 @@ from benchmarks.paper.blocks import (
 )
 from benchmarks.paper.cases import FREIBURG, STATA, Case, Drawing
 from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Built, Workshop, beside
+from benchmarks.real.closure_truth import true_poses
+from benchmarks.simulated.online import Tour, scored
 from specmap_cli.drawing.split_tests import draw_test
+from specmap_cli.evaluation.scores import VisitScores
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter
 from specmap_cli.segmentation.splitting import SplitTest
 
@@ -101,24 +102,33 @@ def _chart(case: Case, workshop: Workshop) -> Chart:
     return Chart(series, "seconds", "eigenvalue", caption, top=1.0)
 
 
+class Score(NamedTuple):
+    """How a tour was split while the robot moved, in so many tests."""
+
+    plan: str
+    scores: VisitScores
+    tests: int
+
+
 def _score(case: Case, drawing: Drawing, preset: str, workshop: Workshop) -> Score:
     built = workshop.built(case, preset)
     truth = true_poses(case.truth, built.store, of_laser=False)
     tour = Tour(built.store, truth, sorted(built.explored.breaks))
-    return score(case.name, "", tour, drawing.rooms, built.config)
+    found, durations = scored(tour, drawing.rooms, built.config)
+    return Score(case.name, found, len(durations))
 
 
 def _row(preset: str, found: Score) -> Row:
-    figures = figure(found.homogeneity), figure(found.completeness)
-    visits = figure(found.segments_per_visit, 2)
+    figures = figure(found.scores.homogeneity), figure(found.scores.completeness)
+    visits = figure(found.scores.segments_per_visit, 2)
     return Row((found.plan, WORDS[preset], *figures, visits, str(found.tests)))
 
 
 def _found(scores: Mapping[str, Sequence[Score]]) -> Found:
     means = {
         preset: (
-            f"{float(np.mean([each.homogeneity for each in found])):.3f} and "
-            f"{float(np.mean([each.completeness for each in found])):.3f}"
+            f"{float(np.mean([each.scores.homogeneity for each in found])):.3f} and "
+            f"{float(np.mean([each.scores.completeness for each in found])):.3f}"
         )
         for preset, found in scores.items()
     }

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.closure_truth import true_poses
 from benchmarks.paper import pictures
 from benchmarks.paper.blocks import (
     Block,
@@ -21,6 +20,7 @@ from benchmarks.paper.blocks import (
 from benchmarks.paper.cases import Case
 from benchmarks.paper.samples import Samples, fitted, of_keyframes, scored, the_papers
 from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Built, Workshop
+from benchmarks.real.closure_truth import true_poses
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
 from specmap_cli.core.labels import neighbours
 from specmap_cli.core.records import NO_SUBMAP, IntArray

@@ -57,7 +57,10 @@ PARTS = (
             "figures for it."
         ),
         make=figure2.make,
-        commands=("specmap segment MAP.yaml -o DIR", "python -m benchmarks.rooms"),
+        commands=(
+            "specmap segment MAP.yaml -o DIR",
+            "python -m benchmarks.scoreboard --only plans",
+        ),
     ),
     Part(
         name="figure3",
@@ -68,7 +71,10 @@ PARTS = (
             "of each: it steps up in the second map and in the fifth. The threshold is 0.8."
         ),
         make=figure3.make,
-        commands=("specmap build LOG -o DIR --explain PICTURES", "python -m benchmarks.online"),
+        commands=(
+            "specmap build LOG -o DIR --explain PICTURES",
+            "python -m benchmarks.scoreboard --only online",
+        ),
     ),
     Part(
         name="figure4",
@@ -79,7 +85,10 @@ PARTS = (
             "is recognised (c), and the final topology (d): all three returns are closed."
         ),
         make=partial(topology.make, manner=FREIBURG),
-        commands=("specmap build LOG -o DIR", "python -m benchmarks.recognition --only closures"),
+        commands=(
+            "specmap build LOG -o DIR",
+            "python -m benchmarks.scoreboard --only recognition",
+        ),
     ),
     Part(
         name="figure5",
@@ -90,7 +99,10 @@ PARTS = (
             "second lap new submaps are merged with old ones, and a few overlapping ones stay."
         ),
         make=partial(topology.make, manner=STATA),
-        commands=("specmap build LOG -o DIR", "python -m benchmarks.recognition --only closures"),
+        commands=(
+            "specmap build LOG -o DIR",
+            "python -m benchmarks.scoreboard --only recognition",
+        ),
     ),
     Part(
         name="figure5c",
@@ -122,7 +134,7 @@ PARTS = (
         make=table2.make,
         commands=(
             "specmap evaluate LOG --protocol holdout",
-            "python -m benchmarks.recognition --only table2",
+            "python -m benchmarks.scoreboard --only recognition",
         ),
     ),
     Part(
@@ -141,6 +153,6 @@ PARTS = (
             "gives no times."
         ),
         make=cost.make,
-        commands=("python -m benchmarks.recognition --only cost",),
+        commands=("python -m benchmarks.paper --only cost",),
     ),
 )

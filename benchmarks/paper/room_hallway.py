@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.closure_truth import true_poses
+from benchmarks.making.tours import tour_of
 from benchmarks.paper import pictures
 from benchmarks.paper.blocks import Block, Found, Gallery, Picture, Row, Table, Words, figure
 from benchmarks.paper.cases import FREIBURG, STATA, Case, Drawing
 from benchmarks.paper.workshop import OURS, Built, Workshop
-from benchmarks.recognition import tour_of
+from benchmarks.real.closure_truth import true_poses
 from specmap_cli.core.records import IntArray
 from specmap_cli.evaluation.semantic import (
     HALLWAY,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from benchmarks.closure_truth import STEADY, Judged, judged, true_poses
 from benchmarks.paper import pictures
 from benchmarks.paper.blocks import Block, Found, Picture, Row, Table, gallery
 from benchmarks.paper.cases import Case
 from benchmarks.paper.first_return import first_return
 from benchmarks.paper.workshop import OURS, PRESETS, WORDS, Built, Workshop, beside
+from benchmarks.real.closure_truth import STEADY, Judged, judged, true_poses
 from specmap_cli.core.records import Labels
 from specmap_cli.pipelines.exploration import online_labels
 

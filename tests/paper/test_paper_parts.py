@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.closure_truth import judged, true_poses
 from benchmarks.paper import (
     cost,
     figure1,
@@ -30,6 +29,7 @@ from benchmarks.paper.cases import FREIBURG, LACKING, STATA, Cases, Drawing, cas
 from benchmarks.paper.first_return import first_return
 from benchmarks.paper.samples import Samples, fitted, samples_of, scored, the_papers
 from benchmarks.paper.workshop import OURS, PAPER, Workshop
+from benchmarks.real.closure_truth import judged, true_poses
 from specmap_cli.evaluation.protocols import HoldOut
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.simulation.room_truth import RoomTruth

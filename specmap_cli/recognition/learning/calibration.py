@@ -48,8 +48,8 @@ class Claim:
 
 
 # Usual values, fitted by the likelihood of the truth on simulated tours of other ways through
-# furnished plans, on single scans and blocks of scans held out of real logs: python -m
-# benchmarks.calibration. Alone a scan says more than beside the virtual scan that it is part of.
+# furnished plans, on single scans and blocks of scans held out of real logs: see `benchmarks/real/
+# reliability.py`. Alone a scan says more than beside the virtual scan that it is part of.
 RAW_ALONE, VIRTUAL_ALONE = Claim(0.284, 3.49), Claim(0.217, 4.71)
 RAW, VIRTUAL = Claim(0.247, 0.41), Claim(0.202, 3.0)
 # Scans that are held out of a map together with the pieces of the way around them are surer by

@@ -1,0 +1,163 @@
+"""Batches: nothing lost, nothing half-written, nothing done twice, whoever is killed; and speed.
+
+Makes short logs (logs.py), one in ten of them damaged or in want of memory, and does them on two
+workers. Then every fourth log on one worker and on two, for the wall times. Then all of them again
+while the client or a worker is killed at random, and started again until the batch is whole.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import psutil
+
+from benchmarks.batches.logs import make_logs
+from benchmarks.scoreboard.bench import Bench
+from benchmarks.scoreboard.rows import Figures, Row
+
+MEMORY_MB = 420  # what the short logs need, and not what the hungry ones need, even twice
+LOGS, KILLS, WORKERS = 40, 8, 2
+STEPS = ("--step", "build", "--step", "report")
+_PROGRAM = (sys.executable, "-m", "specmap_cli", "batch")
+_NOT_OF_THE_RESULT = {"run.json"}  # times and memory of a map
+
+ROWS = (
+    Row("wrong", "short logs of 40 that end wrongly", 0, 0, "less", ".0f"),
+    Row("two_workers", "wall time of two workers, times one", 0.6, None, "less", ".2f"),
+    Row(
+        "killed_wrong",
+        "of the 40 after 8 kills: results that are wrong or differ",
+        0,
+        0,
+        "less",
+        ".0f",
+    ),
+    Row("twice", "jobs that were done twice", 0, 0, "less", ".0f"),
+)
+
+
+def measure(bench: Bench) -> Figures:
+    """The same logs in peace, by one worker and by two, and with somebody killed now and then."""
+    with bench.scratch("batches") as folder:
+        logs, out, again = folder / "logs", folder / "maps", folder / "again"
+        bad = make_logs(logs, LOGS)
+        wall = whole(logs, out, "--workers", str(WORKERS))
+        expected, wrong = results(out), judge(out, bad, LOGS)
+        some = sorted(logs.iterdir())[::4]
+        one, two = (whole(some, folder / f"by-{n}", "--workers", str(n)) for n in (1, WORKERS))
+        killed = tormented(logs, again, wall / KILLS)
+        after, found = judge(again, bad, LOGS), results(again)
+        after += [f"differs: {name}" for name in expected if found.get(name) != expected[name]]
+        again_done = twice(again)
+    print(f"{LOGS} logs in {wall:.0f} s; one worker {one:.0f} s, two {two:.0f} s; killed {killed}")
+    print("\n".join([*wrong, *after, *again_done]))
+    return {
+        "wrong": len(wrong),
+        "two_workers": two / one,
+        "killed_wrong": len(after),
+        "twice": len(again_done),
+    }
+
+
+def batch(logs: list[Path] | Path, out: str | Path, *options: str) -> subprocess.Popen[bytes]:
+    """A batch that was started."""
+    given = [str(log) for log in (logs if isinstance(logs, list) else [logs])]
+    command = [*_PROGRAM, *given, "-o", str(out), *STEPS, "--memory-limit", str(MEMORY_MB)]
+    return subprocess.Popen(
+        [*command, *options, "--quiet"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
+
+
+def whole(logs: list[Path] | Path, out: str | Path, *options: str) -> float:
+    """Run a batch to its end; seconds that it took."""
+    began = time.monotonic()
+    process = batch(logs, out, *options)
+    _, said = process.communicate()
+    if process.returncode not in (0, 5):
+        raise RuntimeError(f"batch ended with {process.returncode}: {said.decode()}")
+    return time.monotonic() - began
+
+
+def results(out: Path) -> dict[str, tuple[str, str]]:
+    """Kind of failure, or a hash of the map but for its times, of each job; with its reason."""
+    found = {}
+    for record in sorted(out.glob("*/job.json")):
+        told = json.loads(record.read_text(encoding="utf-8"))
+        state = told["kind"] or _hash(record.parent / "map")
+        found[told["name"]] = (state, told["reason"] or "")
+    return found
+
+
+def judge(out: Path, bad: dict[str, str], count: int) -> list[str]:
+    """What is wrong with the results of a batch."""
+    found, wrong = results(out), []
+    if len(found) != count:
+        wrong.append(f"{len(found)} results of {count}")
+    for name, (state, reason) in found.items():
+        kind = state if reason else None
+        if kind != bad.get(name):
+            wrong.append(f"{name}: {kind or 'done'}, expected {bad.get(name, 'done')}: {reason}")
+    left = sorted(path.name for path in out.iterdir() if ".partial" in path.name)
+    return [*wrong, *(f"left behind: {name}" for name in left)]
+
+
+def tormented(logs: Path, out: Path, pace_s: float, seed: int = 1) -> Counter[str]:
+    """Run a batch, killing somebody now and then; whoever was killed starts again."""
+    chance, killed = random.Random(seed), Counter[str]()
+    process = None
+    while process is None or process.returncode not in (0, 5):
+        process = batch(logs, out, "--workers", str(WORKERS), "--retries", "50")
+        while process.poll() is None and sum(killed.values()) < KILLS:
+            until = time.monotonic() + chance.uniform(0.4, 1.6) * pace_s
+            while process.poll() is None and time.monotonic() < until:
+                time.sleep(0.2)
+            victim = ("client", "worker")[sum(killed.values()) % 2]
+            if process.poll() is None and _killed(victim, process, chance):
+                killed[victim] += 1
+        process.wait()
+        if process.returncode not in (0, 4, 5, -signal.SIGKILL):
+            raise RuntimeError(f"batch ended with {process.returncode}: {_said(process)}")
+    return killed
+
+
+def twice(out: Path) -> list[str]:
+    """Jobs that were finished more than once without being interrupted: there must be none."""
+    done: Counter[str] = Counter()
+    for line in (out / "events.jsonl").read_text(encoding="utf-8").splitlines():
+        event = json.loads(line)
+        if event["event"] in ("done", "failed"):
+            done[event["job"]] += 1
+    return sorted(name for name, times in done.items() if times > 1)
+
+
+def _killed(victim: str, process: subprocess.Popen[bytes], chance: random.Random) -> bool:
+    if victim == "client":
+        process.kill()  # its workers and their steps must end by themselves
+        process.wait()
+        return True
+    children = psutil.Process(process.pid).children()
+    workers = [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+    if not workers:
+        return False
+    chance.choice(workers).kill()
+    return True
+
+
+def _hash(folder: Path) -> str:
+    found = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and path.name not in _NOT_OF_THE_RESULT:
+            found.update(f"{path.relative_to(folder)}\n".encode() + path.read_bytes())
+    return found.hexdigest()
+
+
+def _said(process: subprocess.Popen[bytes]) -> str:
+    return "" if process.stderr is None else process.stderr.read().decode()

@@ -1,0 +1,63 @@
+"""What a command costs: wall time, processor time and memory of a process and its children."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+SCRIPTS = Path(sys.executable).parent
+SPECMAP = str(SCRIPTS / "specmap")
+_SAMPLED_EVERY_S = 0.05
+
+
+class Cost(NamedTuple):
+    """What a command took: wall and processor seconds, and megabytes at the peak.
+
+    `memory_mb` is the resident memory of its largest process; `together_mb` the memory of all its
+    processes at once, pages they share counted once.
+    """
+
+    wall_s: float
+    processor_s: float
+    memory_mb: float
+    together_mb: float
+
+
+def measure(command: list[str], folder: Path, *, may_fail: bool = False, **settings: str) -> Cost:
+    """Run a process to its end; raises RuntimeError with its last words when it fails."""
+    own = {name: value for name, value in os.environ.items() if name[:8] != "SPECMAP_"}
+    start = time.perf_counter()
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(
+            command, cwd=folder, env=own | settings, stdout=output, stderr=subprocess.STDOUT
+        )
+        ended, together = 0, 0.0
+        while not ended:
+            together = max(together, proportional_mb(process.pid))
+            time.sleep(_SAMPLED_EVERY_S)
+            ended, status, usage = os.wait4(process.pid, os.WNOHANG)
+        seconds = time.perf_counter() - start
+        output.seek(0)
+        told = output.read().decode("utf-8", "replace").strip().splitlines()
+    if status != 0 and not may_fail:
+        last = told[-1] if told else "nothing"
+        raise RuntimeError(f"{' '.join(command)} ended with status {status}: {last}")
+    return Cost(seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0, together)
+
+
+def proportional_mb(pid: int) -> float:
+    """Memory of a process and its children now, pages they share counted once."""
+    total = 0.0
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+        for process in (str(pid), *children):
+            lines = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii").splitlines()
+            total += sum(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
+    except (FileNotFoundError, ProcessLookupError):  # one has just ended
+        return 0.0
+    return total / 1024.0

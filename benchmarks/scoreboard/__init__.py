@@ -1,0 +1,1 @@
+"""One page with every figure of one tree: its rows, how they are measured, and what got worse."""

@@ -1,0 +1,87 @@
+"""Maps laid on each other by their walls, held against motions that are known."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from benchmarks.localized import Localized, judged, nearest, scored
+from benchmarks.real.laying import Walls, lay, search, spaced, thinned
+from specmap_cli.core.geometry import FloatArray, Pose2
+
+TRUE = Pose2(3.2, -1.4, 2.1)
+
+
+def room() -> FloatArray:
+    """Points on the walls of an L-shaped room with a pillar, 2 cm apart."""
+    corners = [(0, 0), (6, 0), (6, 3), (2.5, 3), (2.5, 5), (0, 5), (0, 0)]
+    sides = [*pairwise(corners), ((4, 1), (4.5, 1)), ((4, 1), (4, 1.6))]
+    pieces = []
+    for a, b in sides:
+        count = int(math.dist(a, b) / 0.02)
+        pieces.append(np.array(a) + np.linspace(0, 1, count)[:, None] * np.subtract(b, a))
+    return np.concatenate(pieces)
+
+
+def test_a_view_is_found_wherever_it_is_turned() -> None:
+    rng = np.random.default_rng(4)
+    walls = Walls(TRUE.apply(room()))
+    view = thinned(room() + rng.normal(0.0, 0.01, (len(room()), 2)), 0.05)
+    found = lay(view, walls, search(view, walls))
+    off = TRUE.inverse() @ found.pose
+    assert off.distance < 0.02
+    assert abs(math.degrees(off.theta)) < 0.3
+    assert found.share > 0.95
+
+
+def test_a_search_within_reach_finds_nothing_beyond_it() -> None:
+    walls = Walls(room())
+    near = search(room(), walls, Pose2(3.0, 0.0, 0.0), reach_m=1.0, turn_deg=10.0)
+    assert abs(near.x - 3.0) <= 1.1
+    here = search(room(), walls, Pose2(0.5, -0.5, 0.05), reach_m=1.0, turn_deg=10.0)
+    assert math.hypot(here.x, here.y) < 0.2
+
+
+def test_a_view_of_another_room_does_not_fit() -> None:
+    angles = np.linspace(0, 2 * np.pi, 400)
+    circle = 2.2 * np.column_stack([np.cos(angles), np.sin(angles)])
+    walls = Walls(room())
+    assert lay(circle, walls, search(circle, walls)).share < 0.5
+    assert lay(circle + 100.0, walls, Pose2(0, 0, 0)).share == 0.0
+
+
+def test_keyframes_are_looked_at_every_quarter_of_a_metre_or_radian() -> None:
+    way = np.column_stack([np.arange(0, 2, 0.1), np.zeros(20), np.zeros(20)])
+    assert spaced(way).tolist() == [0, 3, 6, 9, 12, 15, 18]
+    turn = np.column_stack([np.zeros(20), np.zeros(20), np.arange(0, 2, 0.1)])
+    assert spaced(turn).tolist() == [0, 3, 6, 9, 12, 15, 18]
+
+
+def test_poses_are_right_wrong_or_neither() -> None:
+    true = np.zeros((5, 3))
+    said = np.array(
+        [
+            (0.09, 0.0, math.radians(0.9)),
+            (0.2, 0.0, 0.0),
+            (0.0, 0.0, 2 * math.pi + math.radians(11)),
+            (0.6, 0.0, 0.0),
+            (np.nan, np.nan, np.nan),
+        ]
+    )
+    right, wrong = judged(said, true)
+    assert right.tolist() == [True, False, False, False, False]
+    assert wrong.tolist() == [False, False, True, True, False]
+
+
+@pytest.mark.parametrize(("stamp", "row"), [(-5, 0), (4, 0), (6, 1), (14, 1), (16, 2), (99, 2)])
+def test_the_nearest_stamp(stamp: int, row: int) -> None:
+    assert nearest(np.array([0, 10, 20]), np.array([stamp])).tolist() == [row]
+
+
+def test_scans_without_a_truth_do_not_count() -> None:
+    none = np.zeros(2, dtype=np.int64)
+    said = Localized(none, none, none, np.zeros((2, 3)))
+    assert scored(None, said, np.full((2, 3), np.nan)).scans == 0  # type: ignore[arg-type]
