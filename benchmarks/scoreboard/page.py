@@ -114,7 +114,7 @@ def markdown(page: Page) -> str:
         f"{machine['processors']} processors ({machine['processor']}).",
     ]
     for section in page["sections"]:
-        lines += ["", f"## {section['title']} {{ #{section['name']} }}"]
+        lines += ["", f"## {section['title']}"]
         lines += [
             f"`{section['command']}`" + (f" ({section['why']})" if section["why"] else ""),
             "",

@@ -129,7 +129,7 @@ class TestPage:
     def test_the_text_has_bars_spreads_and_peers(self) -> None:
         text = page.markdown(page_of(made(0.95, [3.9, 4.5, 4.1])))
         assert f"`{digest()}`" in text
-        assert "## What was made { #made }\n`python -m benchmarks.scoreboard --only made`" in text
+        assert "## What was made\n`python -m benchmarks.scoreboard --only made`" in text
         assert "| walls that agree | **0.950** | 0.900 | 1.000 |  |  |" in text
         assert "| the time | 4.1 s (3.9 to 4.5) | 4.0 s |  |  | KISS-ICP \\| 2.0 s |" in text
 
