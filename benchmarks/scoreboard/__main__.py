@@ -46,7 +46,7 @@ def main() -> int:
         return _compare(given.compare)
     named = {section.name: section for section in SECTIONS}
     if given.section:
-        measure(named[given.section], folder_of(given.work))
+        measure(named[given.section], given.work)
         return 0
     if given.list:
         for section in SECTIONS:
@@ -96,10 +96,11 @@ def _told(section: Section, done: Done, key: str = "") -> list[str]:
 
 def _all(sections: list[Section], work: Path, again: bool, *, write: bool) -> int:
     """Measure the sections, print all rows, and write the page."""
+    folder = folder_of(work)
     if again:
-        for path in (folder_of(work) / "sections").glob("*.json"):
+        for path in (folder / "sections").glob("*.json"):
             path.unlink()
-    done = run(sections, work)
+    done = run(sections, folder)
     for section in sections:
         print("\n".join(_told(section, done[section.name])))
     failed = [name for name, each in done.items() if each.why.startswith("failed")]

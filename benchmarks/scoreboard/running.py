@@ -102,9 +102,12 @@ def folder_of(work: Path) -> Path:
     return mine
 
 
-def run(sections: Sequence[Section], work: Path) -> dict[str, Done]:
-    """Measure what is not measured yet: the timed sections first, one at a time."""
-    folder, found = folder_of(work), dict[str, Done]()
+def run(sections: Sequence[Section], folder: Path) -> dict[str, Done]:
+    """Measure what is not measured yet: the timed sections first, one at a time.
+
+    Raises RuntimeError when the tree is changed meanwhile.
+    """
+    found = dict[str, Done]()
     waiting = []
     for section in sections:
         lacking = missing(section.needs)
@@ -117,16 +120,18 @@ def run(sections: Sequence[Section], work: Path) -> dict[str, Done]:
         ([section for section in waiting if section.timed], 1),
         ([section for section in waiting if not section.timed], AT_ONCE),
     ):
-        found |= _run(some, folder, work, at_once)
+        found |= _run(some, folder, at_once)
+    if digest() != folder.name:
+        raise RuntimeError("the sources were changed while they were measured: start again")
     return found
 
 
-def _run(sections: list[Section], folder: Path, work: Path, at_once: int) -> dict[str, Done]:
+def _run(sections: list[Section], folder: Path, at_once: int) -> dict[str, Done]:
     """Some sections, so many at a time, in their order."""
     waiting, running, found = list(sections), list[_Running](), dict[str, Done]()
     while waiting or running:
         while waiting and len(running) < at_once:
-            running.append(_Running(waiting.pop(0), folder, work))
+            running.append(_Running(waiting.pop(0), folder))
         for each in [each for each in running if each.process.poll() is not None]:
             running.remove(each)
             found[each.section.name] = each.done(folder)
@@ -137,13 +142,13 @@ def _run(sections: list[Section], folder: Path, work: Path, at_once: int) -> dic
 class _Running:
     """A section that is being measured by a process."""
 
-    def __init__(self, section: Section, folder: Path, work: Path) -> None:
+    def __init__(self, section: Section, folder: Path) -> None:
         self.section, self.start = section, time.perf_counter()
         self.log = _file(folder, section, "log")
         command = [sys.executable, "-m", "benchmarks.scoreboard", "--section", section.name]
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
-                [*command, "--work", str(work)],
+                [*command, "--work", str(folder)],
                 cwd=ROOT,
                 env=os.environ,
                 stdout=log,

@@ -16,7 +16,7 @@ from benchmarks.scoreboard.__main__ import main
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.digest import digest
 from benchmarks.scoreboard.rows import Figure, Figures, Row, Section
-from benchmarks.scoreboard.running import Done, measure, read, rows_of, run
+from benchmarks.scoreboard.running import Done, folder_of, measure, read, rows_of, run
 from benchmarks.scoreboard.sections import SECTIONS
 
 WALLS = Row("walls", "walls that agree", 0.9, 1.0)
@@ -84,7 +84,7 @@ class TestRunning:
         assert kept is not None
         assert kept.figures == done.figures
         (tmp_path / "another tree").mkdir()
-        assert run([SECTION], tmp_path)["made"].figures == done.figures
+        assert run([SECTION], folder_of(tmp_path))["made"].figures == done.figures
         assert not (tmp_path / "another tree").exists()
 
     def test_rows_without_data_say_so(
@@ -92,7 +92,11 @@ class TestRunning:
     ) -> None:
         monkeypatch.setenv("SPECMAP_DATA", str(tmp_path / "nowhere"))
         lacking = Section("cold", "Rooms", "benchmarks.real.cold", ("cold", "rooms"))
-        assert run([lacking], tmp_path)["cold"].why == "no data: cold, rooms"
+        assert run([lacking], folder_of(tmp_path))["cold"].why == "no data: cold, rooms"
+
+    def test_a_tree_that_is_changed_meanwhile_has_no_page(self, tmp_path: Path) -> None:
+        with pytest.raises(RuntimeError, match="changed while they were measured"):
+            run([], tmp_path / "another tree")
 
     @pytest.mark.parametrize("wrong", [{"walls": 1.0}, made(1.0, [1.0], more=Figure(1.0))])
     def test_figures_of_other_rows_are_a_mistake(
