@@ -16,12 +16,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from benchmarks.scoreboard.sections import SECTIONS
-
 from benchmarks.scoreboard import page
 from benchmarks.scoreboard.digest import ROOT
 from benchmarks.scoreboard.rows import Section
 from benchmarks.scoreboard.running import Done, folder_of, measure, read, rows_of, run
+from benchmarks.scoreboard.sections import SECTIONS
 
 
 def main() -> int:
