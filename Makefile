@@ -9,6 +9,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 LOWEST := .venv-lowest
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Compiled modules are kept: else each of the many processes of the tests compiles all of them.
+unexport PYTHONDONTWRITEBYTECODE
+# A file of tests stays with one worker, which makes once what its tests share.
+PYTEST := -m pytest -n 2 --dist loadfile
 
 .PHONY: demo paper pictures docs dist test test-lowest lint format scoreboard fuzz sample-logs constraints-lowest clean
 
@@ -18,11 +22,13 @@ demo: $(VENV)/installed
 	@echo "The map is in demo/map (look at demo/map/overview.png); where the second log was taken: demo/office_again.csv, demo/office_again.png"
 
 test: lint
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python $(PYTEST)
 	@$(BIN)/python -m benchmarks.scoreboard --state
 
+# What no version of a library can change is left out: CONTRIBUTING.md says what, and why.
+SAME_FOR_ALL := tests/test_architecture.py tests/test_dependencies.py tests/test_docs.py tests/fuzz tests/paper
 test-lowest: $(LOWEST)/installed-dev
-	$(LOWEST)/bin/python -m pytest -n 2 --ignore tests/fuzz
+	$(LOWEST)/bin/python $(PYTEST) $(addprefix --ignore=,$(SAME_FOR_ALL))
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .
@@ -43,12 +49,15 @@ scoreboard: $(VENV)/installed-dev
 paper: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.paper --out paper
 
-# A mutation fuzzer of our own over logs and maps: see docs/reliability.md.
+# A mutation fuzzer of our own over logs and maps, then the tests of random inputs with many cases
+# each: see docs/reliability.md.
 CASES ?= 20000
 SEED ?= 1
 JOBS ?= 2
 fuzz: $(VENV)/installed-dev
 	$(BIN)/python -m fuzz --cases $(CASES) --seed $(SEED) --jobs $(JOBS)
+	SPECMAP_CASES=many $(BIN)/python $(PYTEST) -m hypothesis --hypothesis-seed=$(SEED)
+	SPECMAP_CASES=many $(BIN)/python $(PYTEST) tests/logs/readers/test_nothing_lost.py
 
 # The site of the documents, in site/: every link is checked.
 docs: $(VENV)/installed-docs

@@ -3,28 +3,40 @@
 from __future__ import annotations
 
 import signal
+import sys
+from collections.abc import Iterator
+from functools import cache
+from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from hypothesis import HealthCheck, settings
 
+from specmap_cli.core import plugins
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
+from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.map_server import read_grid
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.simulation.room_truth import RoomTruth, read_rooms
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from tests.flats import TRAINED, Explained, Mapped, mapped, record_tour
 from tests.house import result
+from tests.sharing import made_once
+from tests.strategies import FEW_CASES, MANY, MANY_CASES
 
 __all__ = ["result"]  # a fixture for all
 
 settings.register_profile(
     "specmap",
-    derandomize=True,
+    derandomize=not MANY,  # those are of `--hypothesis-seed`
     deadline=None,
-    max_examples=40,
+    max_examples=MANY_CASES if MANY else FEW_CASES,
     suppress_health_check=[HealthCheck.too_slow],  # a busy machine is no failure
 )
 settings.load_profile("specmap")
@@ -36,6 +48,30 @@ SAMPLE_LOGS = Path(__file__).parent.parent / "sample_logs"
 
 # bottom, top, left and right cell of the three rooms and the corridor of `flat`
 FLAT_ROOMS = ((42, 116, 4, 64), (42, 100, 68, 116), (42, 116, 120, 176), (4, 38, 4, 176))
+
+
+@cache
+def _offered(group: str, _path: tuple[str, ...]) -> EntryPoints:
+    return entry_points(group=group)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _what_stays_the_same_is_found_once() -> Iterator[None]:
+    """Some thousand times a log is opened, and some hundred times a command run in this process.
+
+    Each log asks which packages add readers, 3 ms; each command makes all commands anew, 15 ms.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plugins, "entry_points", lambda group: _offered(group, tuple(sys.path)))
+        patch.setattr(typer.main, "get_command", cache(typer.main.get_command))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_thread() -> Iterator[None]:
+    """As the commands work; and a worker has one processor."""
+    with one_blas_thread():
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -61,9 +97,9 @@ def flat_rooms() -> RoomTruth:
 
 @pytest.fixture(scope="session")
 def flat_options() -> SimulationOptions:
-    """A coarse full-circle laser at 5 Hz, two laps."""
+    """A coarse full-circle laser at 3 Hz, two laps."""
     return SimulationOptions(
-        field_of_view_deg=360, beams=180, range_max_m=12, rate_hz=5, laps=2, seed=3
+        field_of_view_deg=360, beams=120, range_max_m=12, rate_hz=3, speed_mps=0.9, laps=2, seed=3
     )
 
 
@@ -78,7 +114,57 @@ def flat_log(
     flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
 ) -> SimulationResult:
     """The recording of `flat_tour` as a file, its truth beside it."""
-    return simulate(flat, flat_options, tmp_path_factory.mktemp("flat") / "flat.mcap")
+
+    def make(folder: Path) -> SimulationResult:
+        return simulate(flat, flat_options, folder / "flat.mcap")
+
+    return made_once(tmp_path_factory, "flat", make)
+
+
+@pytest.fixture(scope="session")
+def flat_built(flat_log: SimulationResult, tmp_path_factory: pytest.TempPathFactory) -> Explained:
+    """A build whose paths are given as text."""
+
+    def make(folder: Path) -> Explained:
+        out, pictures = folder / "map", folder / "pictures"
+        report = build_map(str(flat_log.log), str(out), TRAINED, explain=str(pictures))
+        return Explained(report, pictures)
+
+    return made_once(tmp_path_factory, "flat_built", make)
+
+
+@pytest.fixture(scope="session")
+def flat_map(flat_built: Explained) -> StoredMap:
+    """The map of `flat_log`."""
+    return read_map(flat_built.report.out)
+
+
+@pytest.fixture(scope="session")
+def first_tour(
+    flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
+) -> Mapped:
+    """One lap through the flat."""
+    options = flat_options.model_copy(update={"laps": 1})
+    return made_once(tmp_path_factory, "first", lambda folder: mapped(flat, options, folder))
+
+
+@pytest.fixture(scope="session")
+def second_tour(
+    flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
+) -> Mapped:
+    """Another one, on another way."""
+    options = flat_options.model_copy(update={"laps": 1, "seed": 8, "spacing_m": 1.5})
+    return made_once(tmp_path_factory, "second", lambda folder: mapped(flat, options, folder))
+
+
+@pytest.fixture(scope="session")
+def tiny_log(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve seconds of a tour."""
+
+    def make(folder: Path) -> Path:
+        return record_tour(flat, folder / "tiny.mcap", max_duration_s=12)
+
+    return made_once(tmp_path_factory, "tiny", make)
 
 
 @pytest.fixture(scope="session")

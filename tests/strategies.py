@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import math
+import os
 
 import numpy as np
+from hypothesis import settings
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+
+# Cases of a test of random inputs: few in the gate, `make fuzz` asks for many (SPECMAP_CASES=many).
+MANY = os.environ.get("SPECMAP_CASES") == "many"
+FEW_CASES, MANY_CASES = 25, 400
+
+
+def few(cases: int) -> settings:
+    """Another number of cases in the gate: fewer where one is slow, more where most say nothing."""
+    return settings(max_examples=MANY_CASES if MANY else cases)
+
 
 lengths = st.floats(-50.0, 50.0, allow_nan=False).map(lambda v: round(v, 6))
 angles = st.floats(-math.pi, math.pi, exclude_max=True, allow_nan=False)

@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
 import typer
 
 from specmap_cli.cli.app import app
@@ -21,6 +20,7 @@ DOCUMENTS = [
     *(ROOT / "sample_logs").glob("*.md"),
     *sorted((ROOT / "docs").glob("*.md")),
 ]
+TEXTS = {path: path.read_text(encoding="utf-8") for path in DOCUMENTS}
 OPTIONS = {
     name: {option for parameter in command.params for option in parameter.opts} | {"--help"}
     for name, command in typer.main.get_command(app).commands.items()  # type: ignore[attr-defined]
@@ -90,32 +90,40 @@ def test_the_way_to_a_change_leads_to_files_that_exist() -> None:
     assert missing == []
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=named)
-def test_links_lead_somewhere(path: Path) -> None:
-    for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", path.read_text(encoding="utf-8")):
-        if "://" not in target:
-            assert (path.parent / target).exists(), target
+def test_links_lead_somewhere() -> None:
+    broken = [
+        f"{named(path)}: {target}"
+        for path, text in TEXTS.items()
+        for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", text)
+        if "://" not in target and not (path.parent / target).exists()
+    ]
+    assert broken == []
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=named)
-def test_options_shown_exist(path: Path) -> None:
-    text = path.read_text(encoding="utf-8").replace("\\\n", " ")
-    for command, rest in re.findall(r"specmap ([a-z]+)([^`\n#]*)", text):
-        for option in re.findall(r"(?<!\S)--?[a-z][a-z-]*", rest if command in OPTIONS else ""):
-            assert option in OPTIONS[command], f"specmap {command} {option}"
+def test_options_shown_exist() -> None:
     anywhere = set().union(*OPTIONS.values())
-    for words in quoted(text):
-        if words.startswith("--") and path.parent.name != "benchmarks":
-            assert words.split()[0].split("=")[0] in anywhere, words
+    unknown = []
+    for path, text in TEXTS.items():
+        for command, rest in re.findall(r"specmap ([a-z]+)([^`\n#]*)", text.replace("\\\n", " ")):
+            shown = re.findall(r"(?<!\S)--?[a-z][a-z-]*", rest if command in OPTIONS else "")
+            strange = [option for option in shown if option not in OPTIONS[command]]
+            unknown += [f"{named(path)}: specmap {command} {option}" for option in strange]
+        if path.parent.name != "benchmarks":
+            shown = [words.split()[0].split("=")[0] for words in quoted(text) if words[:2] == "--"]
+            unknown += [f"{named(path)}: {option}" for option in shown if option not in anywhere]
+    assert unknown == []
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=named)
-def test_settings_shown_exist(path: Path) -> None:
+def test_settings_shown_exist() -> None:
     dumped = Config().model_dump()
     sections = {name: set(keys) for name, keys in dumped.items() if isinstance(keys, dict)}
-    text = path.read_text(encoding="utf-8")
-    for section, key in re.findall(r"(?<![\w./])([a-z]+)\.([a-z_0-9]+)\b(?!\.|\()", text):
-        module = ROOT / "specmap_cli" / section / f"{key}.py"
-        is_file = module.exists() or key in {"bag", "mcap", "md", "py", "tum", "txt"}
-        if section in sections and not is_file:
-            assert key in sections[section] or exists(f"{section}.{key}"), f"{section}.{key}"
+    unknown = []
+    for path, text in TEXTS.items():
+        for section, key in re.findall(r"(?<![\w./])([a-z]+)\.([a-z_0-9]+)\b(?!\.|\()", text):
+            module = ROOT / "specmap_cli" / section / f"{key}.py"
+            is_file = module.exists() or key in {"bag", "mcap", "md", "py", "tum", "txt"}
+            if section not in sections or is_file or key in sections[section]:
+                continue
+            if not exists(f"{section}.{key}"):
+                unknown.append(f"{named(path)}: {section}.{key}")
+    assert unknown == []

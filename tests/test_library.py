@@ -12,7 +12,6 @@ import pytest
 
 import specmap_cli
 from specmap_cli.core.settings import Config
-from specmap_cli.pipelines.simulate import SimulationResult
 from tests.conftest import SAMPLE_LOGS
 
 ROOT = Path(__file__).parent.parent
@@ -38,13 +37,13 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
 
 
 def test_the_examples_of_the_page_run(
-    flat_log: SimulationResult,
+    tiny_log: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     for name in ("log.mcap", "other.mcap"):
-        shutil.copy(flat_log.log, tmp_path / name)
+        shutil.copy(tiny_log, tmp_path / name)
     shutil.copy(SAMPLE_LOGS / "office.png", tmp_path / "plan.png")
     monkeypatch.chdir(tmp_path)
     assert len(EXAMPLES) == 4

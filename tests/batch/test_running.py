@@ -16,7 +16,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from specmap_cli.batch import work
+from specmap_cli.batch import processes, work
 from specmap_cli.batch.digest import digest_of
 from specmap_cli.batch.folders import folder_at
 from specmap_cli.batch.jobs import jobs_of
@@ -30,9 +30,8 @@ from specmap_cli.batch.records import (
 from specmap_cli.batch.running import failure, may_retry, run_job
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.core.text import to_json
-from specmap_cli.grids.gridmap import GridMap
 from tests.batch import fake_specmap
-from tests.cli.conftest import QUICK, record_tour
+from tests.cli.conftest import QUICK
 
 pytest.importorskip("psutil")
 
@@ -46,6 +45,7 @@ def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     program = (sys.executable, "-I", "-S", fake_specmap.__file__)
     monkeypatch.setattr(work, "PROGRAM", program)
     monkeypatch.setattr(work, "read_map", _no_map)
+    monkeypatch.setattr(processes, "_LOOK_S", 0.01)  # its steps are short
     monkeypatch.setenv("FAKE_NOTE", str(tmp_path / "builds"))
     monkeypatch.setenv("SPECMAP_PRESET", "paper")  # of a worker: no step may see it
     return tmp_path / "builds"
@@ -332,7 +332,7 @@ def test_killed_at_any_instant_it_leaves_a_complete_result_or_none(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of forks with threads
             child.start()
-        time.sleep(chance.uniform(0.0, 0.35))
+        time.sleep(chance.uniform(0.0, 0.25))
         child.kill()
         child.join()
         stored = folder_at(str(tmp_path / "out"), "monday").stored()
@@ -362,41 +362,30 @@ def _lives(pid: int) -> bool:
     return True
 
 
-@pytest.fixture(scope="module")
-def tour(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve seconds of a tour through the flat."""
-    return record_tour(flat, tmp_path_factory.mktemp("tour") / "tour.mcap", max_duration_s=12)
-
-
-def test_a_real_log_becomes_a_map_with_figures(tour: Path, tmp_path: Path) -> None:
-    plan = Plan(("build",), {"build": {"set": list(QUICK[1::2])}})
-    (job,) = jobs_of([str(tour)], plan)
+def test_a_real_log_without_its_end_becomes_a_map_with_figures_and_a_warning(
+    tiny_log: Path, tmp_path: Path
+) -> None:
+    log = tmp_path / "short.mcap"
+    log.write_bytes(tiny_log.read_bytes()[:-40])
+    (job,) = jobs_of([str(log)], Plan(("build",), {"build": {"set": list(QUICK[1::2])}}))
     result = run_job(job, str(tmp_path / "out"), Limits(memory_mb=4000), str(tmp_path / "scratch"))
     assert result.state == "done", result.reason
     assert result.figures["scans"] == 61
     assert result.figures["verdict"] in ("good", "doubtful", "poor")
-    assert (tmp_path / "out" / "tour" / "map" / "topology.json").is_file()
-    assert result.inputs[0].bytes == tour.stat().st_size
+    assert (tmp_path / "out" / "short" / "map" / "topology.json").is_file()
+    assert result.inputs[0].bytes == log.stat().st_size
     assert result.memory_mb is not None
     assert result.memory_mb > 50
     assert os.listdir(tmp_path / "scratch") == []
-
-
-def test_a_log_without_its_end_is_warned_of_in_job_json(tour: Path, tmp_path: Path) -> None:
-    log = tmp_path / "short.mcap"
-    log.write_bytes(tour.read_bytes()[:-40])
-    (job,) = jobs_of([str(log)], Plan(("build",), {"build": {"set": list(QUICK[1::2])}}))
-    result = run_job(job, str(tmp_path / "out"))
-    assert result.state == "done", result.reason
     (build,) = result.steps
     assert any(f"{log}: cut off" in each for each in build.warnings), build.warnings
     stored = json.loads((tmp_path / "out" / "short" / "job.json").read_text())
     assert stored["steps"][0]["warnings"] == list(build.warnings)
 
 
-def test_a_real_log_that_is_cut_off_says_so(tour: Path, tmp_path: Path) -> None:
+def test_a_real_log_that_is_cut_off_says_so(tiny_log: Path, tmp_path: Path) -> None:
     log = tmp_path / "cut.mcap"
-    log.write_bytes(tour.read_bytes()[:100])
+    log.write_bytes(tiny_log.read_bytes()[:100])
     result = run_job(jobs_of([str(log)])[0], str(tmp_path / "out"))
     assert result.kind == "log"
     assert result.reason is not None

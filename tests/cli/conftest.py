@@ -23,8 +23,7 @@ from specmap_cli.core.schemas import name_of_command, read_schema
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
 from specmap_cli.logs.writer import LogWriter
-from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.simulation.simulator import SimulationOptions
+from tests.sharing import made_once
 
 ROOT = Path(__file__).parents[2]
 # training would take most of the time of a tiny build
@@ -124,25 +123,15 @@ def plan(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return stem.with_suffix(".yaml")
 
 
-def record_tour(flat: GridMap, path: Path, **options: float) -> Path:
-    """A short tour of the flat."""
-    settings = {"field_of_view_deg": 270, "beams": 91, "range_max_m": 12, "rate_hz": 5}
-    simulate(flat, SimulationOptions.model_validate({**settings, **options}), path)
-    return path
-
-
-@pytest.fixture(scope="session")
-def tiny_log(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve seconds of a tour."""
-    return record_tour(flat, tmp_path_factory.mktemp("tiny") / "tiny.mcap", max_duration_s=12)
-
-
 @pytest.fixture(scope="session")
 def tiny_map(tiny_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The map of the tiny log: one submap. Not to be changed."""
-    out = tmp_path_factory.mktemp("maps") / "map"
-    assert main(["build", str(tiny_log), "-o", str(out), "--quiet", *QUICK]) == 0
-    return out
+
+    def make(folder: Path) -> Path:
+        assert main(["build", str(tiny_log), "-o", str(folder / "map"), "--quiet", *QUICK]) == 0
+        return folder / "map"
+
+    return made_once(tmp_path_factory, "tiny_map", make)
 
 
 @pytest.fixture

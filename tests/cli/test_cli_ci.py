@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,14 +16,17 @@ from xml.etree import ElementTree
 
 import pytest
 
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import OCCUPIED, GridMap
+from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import SimulationOptions
-from tests.cli.conftest import ROOT, command, validate
+from tests.cli.conftest import ROOT, validate
+from tests.cli.loaded import write_program
 from tests.exports.consumers import consumer
+from tests.flats import QUICK
 
 EXAMPLES = ROOT / "docs" / "examples"
-QUICK = "[recognition]\nrounds = 4\n[localization]\naugmentation = 10\n"
+SETTINGS = "[recognition]\nrounds = 4\n[localization]\naugmentation = 20\n"
 
 
 @dataclass(frozen=True)
@@ -86,29 +90,40 @@ class Server:
 
 
 @pytest.fixture(scope="module")
-def logs(
-    flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
-    """Recordings of yesterday and of tonight, a map of yesterday's, and quick settings."""
+def logs(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recordings of two rooms, yesterday and tonight, a map of yesterday's, and quick settings."""
     folder = tmp_path_factory.mktemp("nights")
-    once = flat_options.model_copy(update={"laps": 1, "rate_hz": 3.0})
-    simulate(flat, once, folder / "yesterday.mcap")
-    again = once.model_copy(update={"seed": 8, "spacing_m": 1.2})
-    simulate(flat, again, folder / "tonight.mcap")
-    (folder / "quick.toml").write_text(QUICK, encoding="utf-8")
-    line = command("build", folder / "yesterday.mcap", "-o", folder / "golden", "-q")
-    config = {"SPECMAP_CONFIG": str(folder / "quick.toml"), "PYTHONPATH": str(ROOT)}
-    subprocess.run(line, check=True, capture_output=True, env={**os.environ, **config})
+    cells = flat.cells[:, :118].copy()
+    cells[:, 114:] = OCCUPIED  # the third room, and the end of the corridor
+    rooms = GridMap(cells, flat.resolution)
+    robot = SimulationOptions(
+        field_of_view_deg=360, beams=120, range_max_m=12, rate_hz=2, speed_mps=0.8, seed=3
+    )
+    yesterday = simulate(rooms, robot, folder / "yesterday.mcap")
+    again = robot.model_copy(update={"seed": 8, "spacing_m": 1.2})
+    simulate(rooms, again, folder / "tonight.mcap")
+    (folder / "quick.toml").write_text(SETTINGS, encoding="utf-8")
+    build_map(yesterday.log, folder / "golden", QUICK)
     return folder
 
 
+@pytest.fixture(scope="module")
+def programs() -> Iterator[Path]:
+    """The directory of `specmap`, a program that is loaded already."""
+    with tempfile.TemporaryDirectory() as folder:  # the path of a socket must be short
+        place = Path(folder) / "socket"
+        write_program(Path(folder) / "specmap", place)
+        command = [sys.executable, "-m", "tests.cli.loaded", str(place)]
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
+        yield Path(folder)
+        process.kill()
+        process.communicate()
+
+
 @pytest.fixture
-def server(logs: Path, tmp_path: Path) -> Server:
-    programs = tmp_path / "bin"
-    programs.mkdir()
-    program = programs / "specmap"
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m specmap_cli "$@"\n', "utf-8")
-    program.chmod(0o755)
+def server(logs: Path, programs: Path, tmp_path: Path) -> Server:
     place = tmp_path / "maps"
     place.mkdir()
     return Server(
@@ -116,7 +131,6 @@ def server(logs: Path, tmp_path: Path) -> Server:
         {
             **os.environ,
             "PATH": f"{programs}:{os.environ['PATH']}",
-            "PYTHONPATH": str(ROOT),
             "HOME": str(tmp_path),
             "LOG": str(logs / "tonight.mcap"),
             "SPECMAP_LOG_LEVEL": "warning",

@@ -170,9 +170,11 @@ def test_a_build(
     assert len(copies) > 30
     assert seeds == sorted(seeds)  # 0 is the old one, 7 the new
     assert {seeds[0], seeds[-1]} == {0, 7}
+    if not at_once:  # what the next run makes of it: tests/maps/test_leftovers.py
+        return
     shutil.rmtree(place)
     shutil.copytree(tiny_map, place / "map")
-    kill_at(len(copies) // 2 if at_once else len(copies) - 1, command, place)
+    kill_at(len(copies) // 2, command, place)
     assert main([*command, "--quiet"]) == 0
     assert seed_of(place / "map") == 7
     assert [path.name for path in place.iterdir()] == ["map"]

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from specmap_cli.grids.gridmap import GridMap
-from tests.cli.conftest import Run, record_tour
+from tests.cli.conftest import Run
+from tests.flats import record_tour
 
 Edit = Callable[[Path], Any]
 

@@ -17,9 +17,7 @@ DOUBTFUL = ("--set", "quality.odometry_share=0.0001")
 @pytest.mark.parametrize(
     ("settings", "asked", "code"),
     [
-        ((), (), 0),
         ((), ("--fail-on", "doubtful"), 0),
-        (DOUBTFUL, (), 0),
         (DOUBTFUL, ("--fail-on", "poor"), 0),
         (DOUBTFUL, ("--fail-on", "doubtful"), 5),
     ],
@@ -51,9 +49,12 @@ def test_other_verdicts_cannot_be_asked_for(run: Run, tmp_path: Path) -> None:
 def test_doubts_come_first_and_are_warned_of(run: Run, tiny_log: Path, tmp_path: Path) -> None:
     out = tmp_path / "map"
     outcome = run("build", tiny_log, "-o", out, *QUICK, *DOUBTFUL)
+    assert outcome.code == 0, "nobody asked it to fail"
     first = outcome.out.splitlines()[0]
     assert first.startswith(f"{out}: this map is doubtful: odometry and the map disagree by ")
     warned = first.removeprefix(f"{out}: this map is doubtful: ")
     assert f"specmap: warning: {warned}" in outcome.err.splitlines()
+    assert warned in read_map(out).run["warnings"]
+    assert "quality: good" not in outcome.out
     quiet = run("build", tiny_log, "-o", out, *QUICK, *DOUBTFUL, "--overwrite", "-q")
     assert (quiet.out.splitlines()[0], quiet.err) == (first, "")

@@ -16,7 +16,6 @@ import jsonschema
 import pytest
 import typer
 
-from specmap_cli.cli import main
 from specmap_cli.cli.app import app
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.schemas import (
@@ -27,29 +26,18 @@ from specmap_cli.core.schemas import (
     read_schema,
     schema_names,
 )
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.simulation.simulator import SimulationOptions
 from tests.cli.conftest import QUICK, Run, validate
+from tests.flats import Mapped
 
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-
-
-@dataclass(frozen=True)
-class Flat:
-    """Two recordings of a flat, and a map of each."""
-
-    log: Path
-    map: Path
-    other: Path
-    other_map: Path
 
 
 @dataclass(frozen=True)
 class Things:
     """What commands are tried on."""
 
-    flat: Flat
+    one: Mapped
+    other: Mapped
     log: Path
     map: Path
     plan: Path
@@ -65,19 +53,19 @@ LINES: dict[str, list[Line]] = {
     "info": [lambda of: [of.log], lambda of: [of.log, "--check"]],
     "build": [
         lambda of: [of.log, "-o", of.out("map"), *QUICK],
-        lambda of: [of.flat.other, "-o", of.out("alike"), "--like", of.flat.map, *QUICK],
+        lambda of: [of.other.log.log, "-o", of.out("alike"), "--like", of.one.map, *QUICK],
     ],
     "localize": [lambda of: [of.log, "--map", of.map, "--metric"]],
-    "update": [lambda of: [of.flat.map, of.flat.other, "-o", of.out("map"), *QUICK]],
-    "merge": [lambda of: [of.flat.map, of.flat.other_map, "-o", of.out("map"), *QUICK]],
+    "update": [lambda of: [of.one.map, of.other.log.log, "-o", of.out("map"), *QUICK]],
+    "merge": [lambda of: [of.one.map, of.other.map, "-o", of.out("map"), *QUICK]],
     "compare": [
         lambda of: [of.map, of.map],
-        lambda of: [of.flat.map, of.flat.other_map, "-o", of.out("comparison")],
+        lambda of: [of.one.map, of.other.map, "-o", of.out("comparison")],
     ],
-    "check": [lambda of: [of.map], lambda of: [of.flat.map, "--against", of.flat.other_map]],
+    "check": [lambda of: [of.map], lambda of: [of.one.map, "--against", of.other.map]],
     "history": [
-        lambda of: [of.flat.map, of.flat.other_map, of.map],
-        lambda of: [of.flat.map, "-o", of.out("history")],
+        lambda of: [of.one.map, of.other.map, of.map],
+        lambda of: [of.one.map, "-o", of.out("history")],
     ],
     "edit": [
         lambda of: [
@@ -119,23 +107,16 @@ def relations(of: Things) -> Path:
 CASES = [(name, line) for name, lines in LINES.items() for line in lines]
 
 
-@pytest.fixture(scope="module")
-def two(
-    flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
-) -> Flat:
-    folder = tmp_path_factory.mktemp("flats")
-    once = flat_options.model_copy(update={"laps": 1})
-    again = once.model_copy(update={"seed": 8, "spacing_m": 1.2})
-    made = Flat(folder / "a.mcap", folder / "a", folder / "b.mcap", folder / "b")
-    for options, log, map_ in ((once, made.log, made.map), (again, made.other, made.other_map)):
-        simulate(flat, options, log)
-        assert main(["build", str(log), "-o", str(map_), "--quiet", *QUICK]) == 0
-    return made
-
-
 @pytest.fixture
-def things(two: Flat, tiny_log: Path, tiny_map: Path, plan: Path, tmp_path: Path) -> Things:
-    return Things(two, tiny_log, tiny_map, plan, tmp_path)
+def things(
+    first_tour: Mapped,
+    second_tour: Mapped,
+    tiny_log: Path,
+    tiny_map: Path,
+    plan: Path,
+    tmp_path: Path,
+) -> Things:
+    return Things(first_tour, second_tour, tiny_log, tiny_map, plan, tmp_path)
 
 
 def test_every_command_is_tried() -> None:

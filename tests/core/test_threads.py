@@ -47,7 +47,9 @@ class Looking(Silent):
 
 looking = Looking()
 threadpoolctl.ThreadpoolController().limit(limits=3)
-specmap_cli.build_map("flat.mcap", "map", progress=looking)
+little = {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
+config = specmap_cli.load_config(overrides=little)
+specmap_cli.build_map("flat.mcap", "map", config, progress=looking)
 assert looking.seen == {1}, looking.seen
 """
 
@@ -69,6 +71,6 @@ def test_a_program_that_builds_a_map_has_one_thread_meanwhile(
     tmp_path: Path, flat: GridMap
 ) -> None:
     simulate(
-        flat, SimulationOptions(beams=180, rate_hz=5, max_duration_s=8), tmp_path / "flat.mcap"
+        flat, SimulationOptions(beams=120, rate_hz=3, max_duration_s=8), tmp_path / "flat.mcap"
     )
     run(UNDER_WAY, tmp_path)

@@ -28,6 +28,12 @@ def near(image: Image, colour: Colour) -> int:
     return int(of_colour(image, colour).sum())
 
 
+def colours_in(image: NDArray[Any]) -> int:
+    """How many colours there are in a picture."""
+    blue, green, red = (image[..., channel].astype(np.int32) for channel in range(3))
+    return len(np.unique(blue << 16 | green << 8 | red))
+
+
 def inked(image: Image, paper: Colour = PAPER) -> BoolArray:
     """(H, W) the pixels that anything was drawn on."""
     return np.asarray((image != np.array(paper, dtype=np.uint8)).any(axis=-1))

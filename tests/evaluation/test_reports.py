@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.settings import Config
@@ -30,65 +29,46 @@ from specmap_cli.evaluation.reports import (
 from specmap_cli.evaluation.semantic import SemanticResult
 from specmap_cli.evaluation.trajectories import ReferenceErrors, RelativeErrors, Spread
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.pipelines.build import build_map
+from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.simulation.simulator import SimulationOptions
-
-
-@pytest.fixture(scope="module")
-def config() -> Config:
-    """Little training: it would take most of the time."""
-    return load_config(
-        overrides={"recognition": {"rounds": 30}, "localization": {"augmentation": 60}}
-    )
-
-
-@pytest.fixture(scope="module")
-def flat_map(
-    flat_log: SimulationResult, config: Config, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
-    """The map of `flat_log`."""
-    out = tmp_path_factory.mktemp("revisit") / "map"
-    build_map([flat_log.log], out, config)
-    return out
+from tests.flats import TRAINED
 
 
 @pytest.fixture(scope="module")
 def again(
     flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
 ) -> SimulationResult:
-    """Another tour of the flat."""
-    options = flat_options.model_copy(update={"seed": 9, "laps": 1})
+    """A part of another tour of the flat."""
+    options = flat_options.model_copy(update={"seed": 9, "max_duration_s": 45.0})
     return simulate(flat, options, tmp_path_factory.mktemp("again") / "again.mcap")
 
 
 def test_another_tour_is_labelled_right(
-    flat_map: Path, flat_log: SimulationResult, again: SimulationResult, config: Config
+    flat_map: StoredMap, flat_log: SimulationResult, again: SimulationResult
 ) -> None:
     progress = Silent()
     truths = (flat_log.truth, again.truth)
-    found = revisit_logs(flat_map, again.log, truths, config, progress)
+    found = revisit_logs(flat_map.path, again.log, truths, TRAINED, progress)
     assert found.filtered.accuracy > 0.8
     assert found.raw.scans > 0.9 * again.scans
     assert progress.warnings == []
     assert [line.split()[0] for line in revisit_lines(found)] == ["scans", "raw,", "filtered"]
 
 
-def test_a_truth_of_another_tour_is_doubted(
-    flat_map: Path, again: SimulationResult, config: Config
-) -> None:
+def test_a_truth_of_another_tour_is_doubted(flat_map: StoredMap, again: SimulationResult) -> None:
     progress = Silent()
-    revisit_logs(flat_map, again.log, (again.truth, again.truth), config, progress)
+    revisit_logs(flat_map.path, again.log, (again.truth, again.truth), TRAINED, progress)
     assert any("off the map on average" in warning for warning in progress.warnings)
 
 
 def test_a_truth_without_common_stamps_is_refused(
-    flat_map: Path, again: SimulationResult, config: Config, tmp_path: Path
+    flat_map: StoredMap, again: SimulationResult, tmp_path: Path
 ) -> None:
     late = tmp_path / "late.tum"
     late.write_text("9000000000 0 0 0 0 0 0 1\n")
     with pytest.raises(LogError, match="another log"):
-        revisit_logs(flat_map, again.log, (late, again.truth), config, Silent())
+        revisit_logs(flat_map.path, again.log, (late, again.truth), TRAINED, Silent())
 
 
 def counted_scores(*pairs: tuple[int, int, int]) -> ClassificationScores:
@@ -179,9 +159,8 @@ def test_the_lines_of_a_reference(lengths: tuple[float, ...]) -> None:
 
 
 def test_a_map_of_the_first_log_is_built_for_the_purpose_and_removed(
-    flat_map: Path,
+    flat_map: StoredMap,
     again: SimulationResult,
-    config: Config,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -190,13 +169,13 @@ def test_a_map_of_the_first_log_is_built_for_the_purpose_and_removed(
 
     def build(logs: list[Path], out: Path, *_: Config, **__: Silent) -> None:
         built.append((logs, out))
-        shutil.copytree(flat_map, out)
+        shutil.copytree(flat_map.path, out)
 
     monkeypatch.setattr(reports, "build_map", build)
     (tmp_path / "late.tum").write_text("9000000000 0 0 0 0 0 0 1\n")
     truths = (str(tmp_path / "late.tum"), str(again.truth))
     with pytest.raises(LogError, match=r"late\.tum: no pose at the stamps of the map's keyframes"):
-        revisit_logs("first.mcap", str(again.log), truths, config, Silent())
+        revisit_logs("first.mcap", str(again.log), truths, TRAINED, Silent())
     ((logs, out),) = built
     assert logs == [Path("first.mcap")]
     assert not out.parent.exists()

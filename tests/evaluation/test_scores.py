@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import completeness_score, homogeneity_score
 
@@ -63,7 +63,6 @@ labels = st.lists(st.integers(0, 4), min_size=1, max_size=40)
 
 
 @given(truth=labels, seed=st.integers(0, 1000))
-@settings(derandomize=True, max_examples=50)
 def test_homogeneity_and_completeness_are_those_of_scikit_learn(
     truth: list[int], seed: int
 ) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.progress import Silent
 from specmap_cli.evaluation.reports import semantic_lines
@@ -21,8 +20,8 @@ from specmap_cli.evaluation.semantic import (
     room_hallway,
     semantic_scores,
 )
-from specmap_cli.pipelines.simulate import SimulationResult
 from specmap_cli.simulation.room_truth import RoomTruth
+from tests.flats import QUICK, Mapped
 
 
 def test_the_corridor_of_the_flat_is_its_hallway(flat_rooms: Any) -> None:
@@ -48,23 +47,18 @@ def test_a_border_between_two_rooms_is_not_seen() -> None:
     assert result.as_dict()["room_hallway"]["accuracy"] == pytest.approx(0.8)
 
 
-def test_rooms_and_hallways_from_file_to_figures(
-    flat_log: SimulationResult, flat_rooms: RoomTruth
-) -> None:
-    labelled = Labelled(flat_log.log, flat_log.truth, flat_rooms)
-    config = load_config(
-        overrides={"recognition": {"rounds": 4}, "localization": {"augmentation": 10}}
-    )
-    found = room_hallway(labelled, labelled, config, Silent())
+def test_rooms_and_hallways_from_file_to_figures(first_tour: Mapped, flat_rooms: RoomTruth) -> None:
+    labelled = Labelled(first_tour.log.log, first_tour.log.truth, flat_rooms)
+    found = room_hallway(labelled, labelled, QUICK, Silent())
     assert found.scores.accuracy > 0.9
     assert found.borders >= 3
     assert any("hallways" in line for line in semantic_lines(found))
 
 
 def test_a_building_without_both_kinds_is_refused(
-    flat_log: SimulationResult, flat_rooms: RoomTruth
+    first_tour: Mapped, flat_rooms: RoomTruth
 ) -> None:
     rooms = RoomTruth(np.where(flat_rooms.labels == 4, 0, flat_rooms.labels), 0.05)
-    labelled = Labelled(flat_log.log, flat_log.truth, rooms)
+    labelled = Labelled(first_tour.log.log, first_tour.log.truth, rooms)
     with pytest.raises(InputError, match="not of both rooms and hallways"):
-        room_hallway(labelled, labelled, load_config(), Silent())
+        room_hallway(labelled, labelled, QUICK, Silent())

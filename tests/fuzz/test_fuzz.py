@@ -1,4 +1,4 @@
-"""The fuzzer: some hundred of its cases pass, and it notices every kind of failure."""
+"""The fuzzer: some of its cases pass, and it notices every kind of failure."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import fuzz.__main__
 from fuzz.__main__ import main
 from fuzz.cases import KEEPERS, LogCase, MapCase, case_of
 from fuzz.judging import Failure, judge
@@ -21,7 +22,7 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.logs.readers.chunked import ChunkedFile
 from specmap_cli.logs.readers.recording import Message
 
-SEED, CASES = 2026, 500
+SEED, CASES = 2026, 100
 CHUNKED = range(0, 40)  # cases of which most are MCAP files or bags
 
 _intact = ChunkedFile.messages
@@ -140,10 +141,11 @@ def test_a_planted_fault_is_noticed(
 
 def test_a_worker_that_dies_is_replaced(seeds: Seeds, monkeypatch: pytest.MonkeyPatch) -> None:
     plant(monkeypatch, "crash")
-    found = outcomes(seeds, CHUNKED, jobs=1)
-    assert sorted(outcome.number for outcome in found) == list(CHUNKED)
+    numbers = CHUNKED[:20]
+    found = outcomes(seeds, numbers, jobs=1)
+    assert sorted(outcome.number for outcome in found) == list(numbers)
     died = [outcome for outcome in found if "died" in kinds([outcome])]
-    assert 1 < len(died) < len(CHUNKED)
+    assert 1 < len(died) < len(numbers)
 
 
 def test_an_output_beside_an_error_is_noticed(
@@ -205,20 +207,21 @@ def test_an_intact_map_passes(seeds: Seeds, tmp_path: Path) -> None:
     files = dict(seeds.map_files)
     assert "edits.toml" in files
     for keeper in KEEPERS:
+        plot = keeper == KEEPERS[0]
         case = MapCase(
-            number=0, name="map", notes=(), files=files, deeds=(), plot=True, keeper=keeper
+            number=0, name="map", notes=(), files=files, deeds=(), plot=plot, keeper=keeper
         )
         folder = tmp_path / keeper
         folder.mkdir()
         assert judge(case, folder, (), tmp_path) == [], keeper
-        assert (folder / "out.png").exists()
+        assert (folder / "out.png").exists() == plot
         assert (folder / "out.made").exists() == (keeper in {"compare", "update", "edit"})
 
 
 def test_only_damage_without_a_trace_is_excused(seeds: Seeds) -> None:
     cut = [
         case
-        for case in (case_of(seeds, SEED, number) for number in range(3000))
+        for case in (case_of(seeds, SEED, number) for number in range(2000))
         if isinstance(case, LogCase) and len(case.notes) == 1 and "taken out" in case.notes[0]
     ]
     excused = {case.name.split()[0] for case in cut if case.excused}
@@ -228,8 +231,12 @@ def test_only_damage_without_a_trace_is_excused(seeds: Seeds) -> None:
 
 
 def test_a_case_can_be_kept_and_is_told(
-    seeds: Seeds, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    seeds: Seeds,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(fuzz.__main__, "make_seeds", lambda **_: seeds)
     number = first_chunked(seeds)
     main(["--seed", str(SEED), "--case", str(number), "--keep", str(tmp_path / "kept")])
     told = capsys.readouterr().out

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize
@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.grids.gauss_newton import Sample, _solved, approach, descend
 from specmap_cli.grids.score_field import SIGMA_M, ScoreField
-from tests.strategies import seeds
+from tests.strategies import few, seeds
 
 small = st.floats(-0.06, 0.06)
 
@@ -62,7 +62,7 @@ def test_the_derivative_is_that_of_finite_differences(seed: int) -> None:
 
 
 @given(small, small, small)
-@settings(max_examples=15)
+@few(15)
 def test_the_descent_ends_where_scipy_s_does(
     field: ScoreField, room: FloatArray, dx: float, dy: float, turn: float
 ) -> None:
@@ -78,7 +78,6 @@ def test_the_descent_ends_where_scipy_s_does(
 
 
 @given(seeds, st.floats(0.0, 0.5), st.integers(0, 6))
-@settings(max_examples=25)
 def test_the_descent_never_makes_it_worse_nor_leaves_its_reach(
     field: ScoreField, room: FloatArray, seed: int, reach: float, iterations: int
 ) -> None:

@@ -10,13 +10,14 @@ import cv2
 import numpy as np
 import pytest
 import ruamel.yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import read_grid, write_grid, write_png
+from tests.strategies import few
 
 YAML = "image: m.png\nresolution: 0.1\norigin: [-1.0, 2.5, 0.0]\nnegate: 0\n"
 
@@ -27,7 +28,6 @@ def write_image(directory: Path, image: NDArray[Any], yaml: str = YAML) -> Path:
     return directory / "m.yaml"
 
 
-@settings(max_examples=25, derandomize=True)
 @given(
     st.integers(1, 9),
     st.integers(1, 9),
@@ -180,7 +180,7 @@ def test_thresholds_are_those_of_map_server(tmp_path: Path, grey: int, state: in
 
 
 @given(st.integers(0, 255), st.integers(1, 99), st.integers(1, 99), st.booleans())
-@settings(max_examples=30)
+@few(30)
 def test_any_thresholds_count_and_so_does_negate(
     tmp_path_factory: pytest.TempPathFactory, grey: int, one: int, other: int, negate: bool
 ) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, wrap_angle
@@ -18,7 +18,7 @@ from specmap_cli.grids.matching import (
     search,
     search_everywhere,
 )
-from tests.strategies import seeds
+from tests.strategies import few, seeds
 
 WIDE = Window(distance_m=1.0, angle_rad=0.3, step_m=0.1)
 NARROW = Window(distance_m=0.3, angle_rad=0.1, step_m=0.1)
@@ -39,7 +39,7 @@ def test_without_points_every_answer_is_the_guess(field: ScoreField) -> None:
     assert ScoreField.from_points(nothing).score(np.ones((3, 2)), IDENTITY) == 0.0
 
 
-@settings(max_examples=15, derandomize=True, deadline=None)
+@few(15)
 @given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-3.1, 3.1))
 def test_a_scan_is_found_from_a_guess(
     field: ScoreField, room: FloatArray, dx: float, dy: float, turn: float, heading: float
@@ -126,7 +126,7 @@ def lattice(window: Window, resolution: float, turns: int) -> list[tuple[float, 
 
 
 @given(seeds, st.sampled_from([0.0, 0.4]))
-@settings(max_examples=12)
+@few(12)
 def test_the_search_finds_what_trying_every_pose_finds(seed: int, penalty: float) -> None:
     rng = np.random.default_rng(seed)
     resolution = 0.0625  # a power of two, so that shifts by whole cells are exact
@@ -161,7 +161,7 @@ def test_of_poses_that_fit_alike_the_search_takes_the_nearest(corridor: FloatArr
 
 
 @given(seeds)
-@settings(max_examples=10)
+@few(10)
 def test_a_wider_or_finer_window_never_fits_worse(
     field: ScoreField, room: FloatArray, seed: int
 ) -> None:
@@ -175,7 +175,7 @@ def test_a_wider_or_finer_window_never_fits_worse(
 
 
 @given(seeds)
-@settings(max_examples=8)
+@few(8)
 def test_covariance_is_that_of_weights_summed_pose_by_pose(seed: int) -> None:
     rng = np.random.default_rng(seed)
     resolution = 0.0625

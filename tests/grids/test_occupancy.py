@@ -15,7 +15,7 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
-from tests.strategies import planar_scans, poses, seeds
+from tests.strategies import few, planar_scans, poses, seeds
 
 CELL = 0.0625  # a power of two, so that shifts by whole cells are exact
 CONFIG = GridConfig(resolution_m=CELL)
@@ -99,6 +99,7 @@ def test_a_wall_is_given_up_when_most_scans_pass_through_it(passes: int, state: 
     assert grid.values_at(np.array([[2.0, 0.0]]))[0] == state
 
 
+@few(15)
 @given(st.lists(st.tuples(planar_scans(beams=24), poses), min_size=2, max_size=4))
 def test_neither_order_nor_growth_changes_what_was_counted(
     taken: list[tuple[PlanarScan, Pose2]],
@@ -287,6 +288,7 @@ def counts_of(taken: Taken, config: GridConfig = CONFIG) -> OccupancyGrid:
     return grid
 
 
+@few(12)
 @given(st.lists(st.tuples(planar_scans(beams=24), poses), max_size=5), st.integers(0, 5))
 def test_grids_are_added_and_taken_from_each_other(taken: Taken, cut: int) -> None:
     one, other = taken[:cut], taken[cut:]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
@@ -103,7 +103,6 @@ def test_the_sharper_field_has_half_the_sigma(room: FloatArray) -> None:
     assert np.allclose(wide.sharper().at(places), sharp.at(places), atol=1e-3)
 
 
-@settings(max_examples=25, derandomize=True, deadline=None)
 @given(st.integers(0, 200), st.floats(0.02, 1.0), st.sampled_from([2, 3]))
 def test_thinning_keeps_one_point_a_cell(count: int, cell: float, dimensions: int) -> None:
     points = np.random.default_rng(count).uniform(-3, 3, (count, dimensions))

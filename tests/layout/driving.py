@@ -11,10 +11,10 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, inve
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.ray_casting import cast_ranges
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import Link, LinkKind
 from specmap_cli.layout.relaxation import Constraint
+from tests.casting import ranges_at
 
 STIFF = np.diag([1 / 0.04**2, 1 / 0.04**2, 1 / 0.01**2])
 SOFT = np.diag([1 / 0.05**2, 1 / 0.05**2, 1 / 0.03**2])
@@ -63,10 +63,8 @@ def round_trip(laps: float) -> FloatArray:
 def scans_of(grid: GridMap, poses: FloatArray, beams: int = 120) -> list[PlanarScan]:
     """What a noisy full-circle laser sees at true poses."""
     bearings = np.linspace(-np.pi, np.pi, beams, endpoint=False)
-    distance = grid.obstacle_distance()
     rng, scans = np.random.default_rng(0), []
-    for k, (x, y, heading) in enumerate(poses):
-        ranges = cast_ranges(distance, grid, np.array([[x, y]]), bearings + heading, 10.0)[0]
+    for k, ranges in enumerate(ranges_at(grid, poses, bearings, 10.0)):
         scans.append(
             PlanarScan(
                 stamp_ns=k * 10**8,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.grids.matching import ScoreField
 from specmap_cli.layout.place_search import Pyramid, Wanted, best_places
-from tests.strategies import seeds
+from tests.strategies import few, seeds
 
 ANGLES = np.arange(0.0, 2 * np.pi, 0.4)
 CELL_M = 0.25
@@ -41,7 +41,7 @@ def tried_everywhere(field: ScoreField, points: FloatArray) -> float:
     return float(best)
 
 
-@settings(max_examples=2)
+@few(2)
 @given(seeds)
 def test_the_best_score_is_that_of_trying_everything(seed: int) -> None:
     field, source = field_of(scatter(seed)), scatter(seed + 1, 12, 4.0)
@@ -51,7 +51,7 @@ def test_the_best_score_is_that_of_trying_everything(seed: int) -> None:
     assert found[0].score >= tried_everywhere(field, source) - 1e-12
 
 
-@settings(max_examples=10)
+@few(10)
 @given(seeds)
 def test_levels_are_maxima_of_the_cells_they_stand_for(seed: int) -> None:
     pyramid = Pyramid.of(field_of(scatter(seed)), 2.0)
@@ -87,7 +87,7 @@ def test_a_search_that_follows_too_few_blocks_says_so() -> None:
     assert len(found) == 2
 
 
-@settings(max_examples=4)
+@few(4)
 @given(seeds)
 def test_the_robot_stands_in_free_cells_alone(seed: int) -> None:
     """The best score is that of trying every cell from which the robot stands in a free one."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, compose, invert
@@ -15,6 +15,7 @@ from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.pose_graph import Link, LinkArrays, solve
 from specmap_cli.layout.solving import renewed, settle, solved, tighten
 from tests.layout.driving import as_tracked, drifted, graph_by_hand, link, true_link
+from tests.strategies import few
 
 CONFIG = RelaxationConfig()
 LAP = 60
@@ -56,7 +57,7 @@ def test_loops_pull_the_laps_together() -> None:
     assert after.loops == draft.loops
 
 
-@settings(max_examples=10)
+@few(10)
 @given(st.integers(0, LAP - 1), st.floats(1.5, 20), st.floats(-3, 3))
 def test_a_dropped_outlier_leaves_the_others_alone(at: int, away: float, turn: float) -> None:
     truth, graph = driven()
@@ -117,7 +118,7 @@ def test_solutions_that_were_cut_short_are_counted() -> None:
     assert solved(graph, draft, long).limits == {}
 
 
-@settings(max_examples=8)
+@few(8)
 @given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-3, 3))
 def test_the_frame_of_the_map_does_not_matter(x: float, y: float, turn: float) -> None:
     truth, graph = driven()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose
 from specmap_cli.core.records import BoolArray
@@ -16,7 +16,7 @@ from specmap_cli.layout.path_graph import Draft, Graph, graph_of
 from specmap_cli.layout.strays import OlderWalls, Search, rejoin
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import between, building, round_trip, scans_of, stored, worst
-from tests.strategies import angles
+from tests.strategies import angles, few
 
 CONFIG = RelaxationConfig()
 Perfect = tuple[KeyframeStore, Graph]
@@ -31,7 +31,7 @@ def older(perfect: Perfect) -> OlderWalls:
     return OlderWalls.of(1, points, CONFIG)
 
 
-@settings(max_examples=6)
+@few(6)
 @given(angles)
 def test_a_place_is_found_at_any_angle(perfect: Perfect, older: OlderWalls, turn: float) -> None:
     store, graph = perfect

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -37,6 +37,7 @@ from specmap_cli.logs.readers.typestore import (
     message_class,
     typestore,
 )
+from tests.strategies import few
 
 DATATYPES = {"u1": 2, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 STAMP = 1_700_000_000_250_000_000
@@ -84,7 +85,7 @@ def decoded_cloud(message: Message) -> CloudRecord:
     return record
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@few(40)
 @given(
     order=st.permutations(["x", "y", "z", "intensity", "ring", "time"]),
     gaps=st.lists(st.integers(0, 9), min_size=6, max_size=6),

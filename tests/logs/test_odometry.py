@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import Pose2
@@ -17,7 +17,6 @@ from tests.strategies import poses
 MS = 1_000_000
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
 @given(share=st.floats(0.0, 1.0), start=st.floats(-3.1, 3.1), turn=st.floats(-1.5, 1.5))
 def test_poses_between_stamps_lie_on_the_way(share: float, start: float, turn: float) -> None:
     buffer = OdometryBuffer()

@@ -15,7 +15,7 @@ from specmap_cli.logs.own_body import OwnBody
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
 
-POST = slice(20, 26)  # beams that see a post of the robot
+POST = slice(13, 19)  # beams that see a post of the robot
 POST_M = 0.4
 
 

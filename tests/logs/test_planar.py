@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
@@ -23,6 +23,7 @@ from specmap_cli.logs.planar import (
     duration_s,
     lowest_returns,
 )
+from tests.strategies import few
 
 LEVEL = Mount.from_matrix(np.eye(4))
 SETTINGS = LogConfig()
@@ -66,7 +67,7 @@ def mounted(roll: float, pitch: float, yaw: float, x: float, y: float, z: float)
     return matrix
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@few(30)
 @given(
     flip=st.sampled_from([(0.0, 0.0), (math.pi, 0.0), (0.0, math.pi), (math.pi, math.pi)]),
     yaw=st.floats(-3.1, 3.1),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import MapError
@@ -22,11 +22,12 @@ from specmap_cli.core.text import (
     to_json,
 )
 from specmap_cli.maps.tables import labels_text, read_labels
+from tests.strategies import few
 
 STAMPS = st.integers(-(2**62), 2**62)
 
 
-@settings(max_examples=60, derandomize=True)
+@few(30)
 @given(STAMPS)
 def test_stamps_there_and_back(stamp: int) -> None:
     assert stamp_ns(stamp_text(stamp)) == stamp
@@ -39,7 +40,7 @@ def test_stamps_near_zero() -> None:
     assert stamp_ns("0.1234567891") == 123_456_789
 
 
-@settings(max_examples=60, derandomize=True)
+@few(30)
 @given(st.integers(0, 4_000_000_000_000_000_000))
 def test_seconds_are_exact_to_the_microsecond(stamp: int) -> None:
     assert nanoseconds(seconds(stamp)) == stamp // 1000 * 1000
@@ -93,7 +94,7 @@ ROWS = st.tuples(
 )
 
 
-@settings(max_examples=60)
+@few(30)
 @given(st.lists(ROWS, max_size=20))
 def test_keyframes_there_and_back(rows: list[tuple[int, float, float, float, int]]) -> None:
     columns = list(zip(*rows, strict=True)) or [()] * 5

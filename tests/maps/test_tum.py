@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -16,11 +16,11 @@ from specmap_cli.core.records import Trajectory
 from specmap_cli.core.text import stamp_ns
 from specmap_cli.evaluation.trajectories import read_tum
 from specmap_cli.maps.tum import planar_trajectory_text, read_trajectory, trajectory_text
+from tests.strategies import few
 
 FINITE = st.floats(-1e6, 1e6, allow_nan=False)
 
 
-@settings(max_examples=40, derandomize=True)
 @given(*(st.floats(-3.1, 3.1) for _ in range(3)))
 def test_quaternions_against_scipy(roll: float, pitch: float, yaw: float) -> None:
     ours = quaternions_from_rpy(*(np.array([angle]) for angle in (roll, pitch, yaw)))[0]
@@ -39,7 +39,7 @@ def test_tilt_of_a_3d_lidar_is_kept() -> None:
     assert turn.as_euler("ZYX") == pytest.approx([3.0, -0.2, 0.1])
 
 
-@settings(max_examples=60)
+@few(30)
 @given(st.lists(st.tuples(st.integers(0, 2**40), FINITE, FINITE, st.floats(-3.2, 3.2)), max_size=9))
 def test_true_poses_are_written_to_the_nanometre(
     rows: list[tuple[int, float, float, float]],
@@ -131,7 +131,7 @@ def test_what_is_no_trajectory(tmp_path: Path, content: bytes | None, complaint:
         read_trajectory(file)
 
 
-@settings(max_examples=60, derandomize=True)
+@few(30)
 @given(*(st.floats(-3.1, 3.1) for _ in range(3)))
 def test_angles_of_quaternions(roll: float, pitch: float, yaw: float) -> None:
     there = quaternions_from_rpy(*(np.array([angle]) for angle in (roll, pitch, yaw)))

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import MapError
@@ -185,7 +185,6 @@ def test_the_picture_is_written_as_it_is(tmp_path: Path, result: MapResult) -> N
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "overview.png")), picture)
 
 
-@settings(max_examples=25)
 @given(seeds, st.integers(2, 30), st.integers(2, 30))
 def test_labels_png_holds_any_division(seed: int, height: int, width: int) -> None:
     """Ids up to 65534 there and back, the picture upside down: its first row is the highest y."""

@@ -36,7 +36,7 @@ from specmap_cli.simulation.room_truth import RoomTruth
 from specmap_cli.simulation.simulator import SimulationOptions
 
 QUICK = SimulationOptions(
-    field_of_view_deg=360, beams=90, range_max_m=12, rate_hz=4, speed_mps=0.8, spacing_m=2.5
+    field_of_view_deg=360, beams=90, range_max_m=12, rate_hz=3, speed_mps=0.8, spacing_m=2.5
 )
 
 

@@ -13,9 +13,8 @@ import pytest
 from specmap_cli.cli import main
 from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.core.schemas import read_schema
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.gridmap import FREE
 from specmap_cli.maps.writing import MapResult, write_map
-from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.compare import (
     COMPARISON,
     PICTURE,
@@ -25,38 +24,24 @@ from specmap_cli.pipelines.compare import (
     write_comparison,
 )
 from specmap_cli.pipelines.comparison_report import lines_of
-from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.simulation.simulator import SimulationOptions
+from tests.flats import Mapped
 
 
-def mapped(grid: GridMap, folder: Path, seed: int, view_deg: float = 360.0) -> Path:
-    options = SimulationOptions(
-        field_of_view_deg=view_deg, beams=180, range_max_m=12, rate_hz=3, speed_mps=0.8, seed=seed
-    )
-    log = simulate(grid, options, folder / "tour.mcap").log
-    build_map([log], folder / "map")
-    return folder / "map"
-
-
-@pytest.fixture(scope="module")
-def before(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def before(week: Path) -> Path:
     """The map of the flat."""
-    return mapped(flat, tmp_path_factory.mktemp("before"), 3)
+    return week / "monday"
 
 
-@pytest.fixture(scope="module")
-def changed(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def changed(week: Path) -> Path:
     """The map of the flat with a closed door, a cabinet more, and a hole in a wall."""
-    cells = flat.cells.copy()
-    cells[39:41, 140:158] = OCCUPIED  # the door of the third room
-    cells[60:76, 108:116] = OCCUPIED  # a cabinet of 0.4 m x 0.8 m in the second room
-    cells[70:90, 116:120] = FREE  # from the second room to the third
-    return mapped(GridMap(cells, flat.resolution), tmp_path_factory.mktemp("changed"), 9)
+    return week / "wednesday"
 
 
 @pytest.fixture(scope="module")
-def told(before: Path, changed: Path) -> Comparison:
-    return compare_maps(before, changed)
+def told(week: Path) -> Comparison:
+    return compare_maps(week / "monday", week / "wednesday")
 
 
 def test_what_changed_is_told(told: Comparison) -> None:
@@ -96,10 +81,10 @@ def test_the_other_way_round_things_vanish(before: Path, changed: Path) -> None:
 
 
 def test_two_recordings_of_one_building_differ_in_nothing(
-    flat: GridMap, before: Path, tmp_path: Path
+    before: Path, second_tour: Mapped
 ) -> None:
-    again = mapped(flat, tmp_path, 21, 270.0)
-    found = compare_maps(before, again)
+    """Of two lasers: one sees three quarters of the circle, the other all of it."""
+    found = compare_maps(before, second_tour.map)
     assert found.differences.changes == 0
     assert "the building: no change found" in found.lines()
 

@@ -12,27 +12,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli import build_map, read_map
-from specmap_cli.core.config import load_config
+from specmap_cli import read_map
 from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.geometry import nearest_motion
 from specmap_cli.core.progress import Silent
 from specmap_cli.exports.table import export_map
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.edit import EditReport, edit_map
 from specmap_cli.pipelines.likeness import build_like
 from specmap_cli.pipelines.merge import merge_maps
 from specmap_cli.pipelines.segment import segment_map
-from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.pipelines.update import update_map
 from specmap_cli.pipelines.wishes import Wishes
-from specmap_cli.simulation.simulator import SimulationOptions
 from tests.conftest import SAMPLE_LOGS
+from tests.flats import QUICK, Mapped
 
-QUICK = load_config(
-    None, None, {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
-)
 LAYOUT = ("keyframes.mcap", "trajectory.tum", "trajectory.g2o")
 
 
@@ -51,26 +45,22 @@ class Built:
     """A map of the flat, and another recording of it."""
 
     map: Path
-    again: Path
+    again: Mapped
     corridor: int
     rooms: tuple[int, ...]
 
 
 @pytest.fixture(scope="module")
-def built(
-    flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
-) -> Built:
-    folder = tmp_path_factory.mktemp("edit")
-    once = flat_options.model_copy(update={"laps": 1})
-    again = once.model_copy(update={"seed": 8, "spacing_m": 1.2})
-    first = simulate(flat, once, folder / "first.mcap")
-    second = simulate(flat, again, folder / "second.mcap")
-    build_map(first.log, folder / "map", QUICK)
-    record = read_map(folder / "map").record
-    ends = [end for edge in record.edges for end in (edge.source, edge.target)]
-    corridor = max(set(ends), key=ends.count)
-    rooms = tuple(node.id for node in record.nodes if node.id != corridor)
-    return Built(folder / "map", second.log, corridor, rooms)
+def built(first_tour: Mapped, second_tour: Mapped) -> Built:
+    corridor = corridor_of(first_tour.stored)
+    rooms = tuple(id_ for id_ in first_tour.stored.ids if id_ != corridor)
+    return Built(first_tour.map, second_tour, corridor, rooms)
+
+
+def corridor_of(stored: StoredMap) -> int:
+    """The submap that most links lead to."""
+    ends = [end for edge in stored.record.edges for end in (edge.source, edge.target)]
+    return max(set(ends), key=ends.count)
 
 
 @pytest.fixture
@@ -167,33 +157,50 @@ class TestNames:
             edit_map(tmp_path / "seg", Wishes(changes=({"merge": pair},)))
 
 
+@dataclass(frozen=True)
+class Remade:
+    """The map before, with the corridor divided at a line, a room merged into it, and undone."""
+
+    before: StoredMap
+    divided: StoredMap
+    merged: StoredMap
+    undone: StoredMap
+    line: list[list[float]]
+
+
+@pytest.fixture(scope="module")
+def remade(built: Built, tmp_path_factory: pytest.TempPathFactory) -> Remade:
+    """Each change goes into a directory of its own."""
+    folder = tmp_path_factory.mktemp("remade")
+    old = Path(shutil.copytree(built.map, folder / "old"))
+    run = json.loads((old / "run.json").read_text(encoding="utf-8"))
+    run["versions"]["specmap"] = "0.0.1"
+    (old / "run.json").write_text(json.dumps(run), encoding="utf-8")
+    wish = split(read_map(old), built.corridor)
+    divided = edit_map(
+        old, Wishes(changes=(wish,), names={built.rooms[0]: "Lab"}), folder / "divided"
+    )
+    joined = Wishes(changes=({"merge": [built.corridor, built.rooms[0]]},))
+    merged = edit_map(divided.out, joined, folder / "merged")
+    undone = edit_map(merged.out, Wishes(undo=(1, 2)), folder / "undone")
+    assert all(report.remade for report in (divided, merged, undone))
+    return Remade(
+        before=read_map(built.map),
+        divided=read_map(divided.out),
+        merged=read_map(merged.out),
+        undone=read_map(undone.out),
+        line=wish["line"],
+    )
+
+
 class TestBorders:
     """Merges and splits: grids, classifiers, regions and links are new, the layout is not."""
 
-    def test_a_merge(self, built: Built, own: Path) -> None:
-        room = built.rooms[0]
-        report = edit_map(own, Wishes(changes=({"merge": [built.corridor, room]},)))
-        before, stored = read_map(built.map), read_map(own)
-        assert report.remade
-        assert stored.ids == sorted({built.corridor, *built.rooms[1:]})
-        assert stored.topology.next_id == before.topology.next_id
-        areas = {node.id: node.area_m2 for node in before.record.nodes}
-        merged = next(n for n in stored.record.nodes if n.id == built.corridor)
-        assert merged.area_m2 == pytest.approx(areas[built.corridor] + areas[room], abs=0.5)
-        assert json.loads(stored.classifiers)["schema_version"] >= 1
-        for name in LAYOUT:
-            assert bytes_of(own, name) == bytes_of(built.map, name)
-        assert stored.run["counts"]["submaps"] == len(stored.ids)
-
-    def test_a_split_follows_its_line(self, built: Built, own: Path) -> None:
-        before = read_map(built.map)
-        wish = split(before, built.corridor)
-        edit_map(own, Wishes(changes=(wish,), names={built.rooms[0]: "Lab"}))
-        stored = read_map(own)
-        new = before.topology.next_id
-        assert set(stored.ids) == {*before.ids, new}
-        assert f"new = {new}" in (own / "edits.toml").read_text(encoding="utf-8")
-        (x, y), (x2, y2) = wish["line"]
+    def test_a_split_follows_its_line(self, built: Built, remade: Remade) -> None:
+        stored, new = remade.divided, remade.before.topology.next_id
+        assert set(stored.ids) == {*remade.before.ids, new}
+        assert f"new = {new}" in (stored.path / "edits.toml").read_text(encoding="utf-8")
+        (x, y), (x2, y2) = remade.line
         length = float(np.hypot(x2 - x, y2 - y))
         for id_, side in ((built.corridor, 1.0), (new, -1.0)):
             cells = np.argwhere(stored.regions.owner == id_)
@@ -203,15 +210,27 @@ class TestBorders:
         pair = (min(new, built.corridor), max(new, built.corridor))
         assert pair in stored.topology.edges
 
-    def test_undone_the_map_is_as_before(self, built: Built, own: Path) -> None:
-        stored = read_map(built.map)
-        changes = ({"merge": [built.corridor, built.rooms[0]]}, split(stored, built.corridor))
-        edit_map(own, Wishes(changes=changes))
-        edit_map(own, Wishes(undo=(1, 2)))
-        back = read_map(own)
+    def test_a_merge(self, built: Built, remade: Remade) -> None:
+        room, before, stored = built.rooms[0], remade.divided, remade.merged
+        assert stored.ids == sorted({*before.ids} - {room})
+        assert stored.topology.next_id == before.topology.next_id
+        areas = {node.id: node.area_m2 for node in before.record.nodes}
+        merged = next(n for n in stored.record.nodes if n.id == built.corridor)
+        assert merged.area_m2 == pytest.approx(areas[built.corridor] + areas[room], abs=0.5)
+        assert json.loads(stored.classifiers)["schema_version"] >= 1
+        for name in LAYOUT:
+            assert bytes_of(stored.path, name) == bytes_of(built.map, name)
+        assert stored.run["counts"]["submaps"] == len(stored.ids)
+
+    def test_undone_the_map_is_as_before(self, remade: Remade) -> None:
+        stored, back = remade.before, remade.undone
         assert back.labels.submaps.tolist() == stored.labels.submaps.tolist()
         assert back.regions.owner.tolist() == stored.regions.owner.tolist()
         assert back.topology.next_id == stored.topology.next_id + 1  # an id is given once
+
+    def test_a_map_made_anew_is_of_the_version_that_made_it(self, remade: Remade) -> None:
+        """Or its features would be taken for those of the version before."""
+        assert remade.divided.run["versions"] == remade.before.run["versions"]
 
     def test_the_map_stays_when_a_wish_does_not_apply(self, built: Built, own: Path) -> None:
         before = {path.name: path.read_bytes() for path in own.iterdir() if path.is_file()}
@@ -257,12 +276,14 @@ class TestBorders:
         assert "  not applied: submaps.99: there is no submap 99" in report.lines()
 
 
+@pytest.fixture(scope="module")
+def shut(built: Built, tmp_path_factory: pytest.TempPathFactory) -> EditReport:
+    wishes = Wishes(changes=({"forbid": [built.rooms[0], built.corridor]},))
+    return edit_map(built.map, wishes, tmp_path_factory.mktemp("shut") / "map")
+
+
 class TestForbiddenDoors:
     """The link stays in the map, and nobody goes there."""
-
-    @pytest.fixture
-    def shut(self, built: Built, own: Path) -> EditReport:
-        return edit_map(own, Wishes(changes=({"forbid": [built.rooms[0], built.corridor]},)))
 
     def test_the_link_and_its_doors_are_marked(self, built: Built, shut: EditReport) -> None:
         pair = tuple(sorted((built.rooms[0], built.corridor)))
@@ -291,9 +312,12 @@ class TestForbiddenDoors:
         near = Wishes(changes=({"forbid": pair, "at": [x + 0.2, y]},))
         assert edit_map(own, near).forbidden == ((min(pair), max(pair)),)
 
-    def test_it_holds_for_what_the_submaps_become(self, built: Built, shut: EditReport) -> None:
+    def test_it_holds_for_what_the_submaps_become(
+        self, built: Built, shut: EditReport, tmp_path: Path
+    ) -> None:
         room, other = built.rooms[:2]
-        report = edit_map(shut.out, Wishes(changes=({"merge": [other, room]},)))
+        wishes = Wishes(changes=({"merge": [other, room]},))
+        report = edit_map(shut.out, wishes, tmp_path / "map")
         assert report.forbidden == (tuple(sorted((other, built.corridor))),)
 
     def test_it_holds_when_the_split_that_made_its_submap_is_undone(
@@ -313,6 +337,23 @@ class TestForbiddenDoors:
         assert report.forbidden == ((min(room, built.corridor), max(room, built.corridor)),)
 
 
+@pytest.fixture(scope="module")
+def edited(built: Built, tmp_path_factory: pytest.TempPathFactory) -> EditReport:
+    """A room named, described and shut off, the corridor divided, and a word about no submap."""
+    room, before = built.rooms[0], read_map(built.map)
+    wishes = Wishes(
+        names={room: "Küche"},
+        kinds={room: "hall"},
+        properties={room: {"floor": 2}},
+        changes=(split(before, built.corridor), {"forbid": [room, built.corridor]}),
+    )
+    made = edit_map(before, wishes, tmp_path_factory.mktemp("edited") / "own")
+    text = (made.out / "edits.toml").read_text(encoding="utf-8")
+    text = f"# by Ann\n{text}\n[submaps.99]\nname = 'Attic'\n"
+    (made.out / "edits.toml").write_text(text, encoding="utf-8")
+    return made
+
+
 Rebuilt = Callable[[Path, Path, Path], Any]
 
 
@@ -325,63 +366,51 @@ Rebuilt = Callable[[Path, Path, Path], Any]
     ids=["update", "build --like"],
 )
 def test_edits_survive_another_recording(
-    built: Built, own: Path, tmp_path: Path, rebuilt: Rebuilt
+    built: Built, edited: EditReport, tmp_path: Path, rebuilt: Rebuilt
 ) -> None:
-    before = read_map(own)
     room, other = built.rooms[:2]
-    wishes = Wishes(
-        names={room: "Küche"},
-        kinds={room: "hall"},
-        properties={room: {"floor": 2}},
-        changes=(split(before, built.corridor), {"forbid": [room, built.corridor]}),
-    )
-    made = edit_map(own, wishes)
-    text = (own / "edits.toml").read_text(encoding="utf-8")
-    (own / "edits.toml").write_text(f"# by Ann\n{text}\n[submaps.99]\nname = 'Attic'\n", "utf-8")
-    rebuilt(own, built.again, tmp_path / "new")
-    stored, edited = read_map(tmp_path / "new"), read_map(own)
+    rebuilt(edited.out, built.again.log.log, tmp_path / "new")
+    stored, old = read_map(tmp_path / "new"), read_map(edited.out)
     submap = stored.topology.submaps[room]
     assert (submap.name, submap.kind, dict(submap.properties)) == ("Küche", "hall", {"floor": 2})
-    assert set(stored.ids) == set(edited.ids)
+    assert set(stored.ids) == set(old.ids)
     assert {pair for pair, edge in stored.topology.edges.items() if edge.forbidden} >= set(
-        made.forbidden
+        edited.forbidden
     )
     kept = (tmp_path / "new" / "edits.toml").read_text(encoding="utf-8")
     assert kept.startswith("# by Ann\n")
     assert "'Attic'" in kept
-    new = before.topology.next_id
-    cells = np.argwhere(edited.regions.owner == new)
-    there = stored.regions.owners(edited.map_grid.centres_of(cells))
+    new = read_map(built.map).topology.next_id
+    cells = np.argwhere(old.regions.owner == new)
+    there = stored.regions.owners(old.map_grid.centres_of(cells))
     assert (there == new).mean() > 0.9
     undone = edit_map(stored, Wishes(undo=(1,)), tmp_path / "undone")
     assert new not in undone.names
     assert other in undone.names
 
 
-def test_a_merged_map_has_the_edits_of_both(built: Built, own: Path, tmp_path: Path) -> None:
-    build_map(built.again, tmp_path / "second", QUICK)
-    second = read_map(tmp_path / "second")
-    edge = next(edge for edge in second.record.edges if edge.x is not None)
-    wish = {"forbid": [edge.source, edge.target], "at": [edge.x, edge.y]}
-    edit_map(second, Wishes(names={edge.source: "Annex", edge.target: "Annex 2"}, changes=(wish,)))
-    room = built.rooms[0]
-    edit_map(own, Wishes(names={room: "Küche"}, changes=(split(read_map(own), built.corridor),)))
-    merge_maps([own, tmp_path / "second"], tmp_path / "both", QUICK)
+def test_a_merged_map_has_the_edits_of_both(
+    built: Built, edited: EditReport, tmp_path: Path
+) -> None:
+    second = built.again.stored
+    (link,) = (edge for edge in second.record.edges if edge.target == max(second.ids))
+    wish = {"forbid": [link.source, link.target], "at": [link.x, link.y]}
+    names = {link.source: "Annex", link.target: "Annex 2"}
+    edit_map(second, Wishes(names=names, changes=(wish,)), tmp_path / "second")
+    merge_maps([edited.out, tmp_path / "second"], tmp_path / "both", QUICK)
     both = read_map(tmp_path / "both")
-    assert both.names[room] == "Küche"
+    assert both.names[built.rooms[0]] == "Küche"
     assert "Annex" in both.names.values()
-    assert sum(edge.forbidden for edge in both.record.edges) == 1
-    assert read_map(own).topology.next_id - 1 in both.ids
+    assert sum(edge.forbidden for edge in both.record.edges) == 2
+    assert read_map(built.map).topology.next_id in both.ids, "the corridor is divided"
 
 
 def test_borders_moved_in_a_later_map_are_moved_in_the_merged_one(
     built: Built, own: Path, tmp_path: Path
 ) -> None:
     """Though the first map divides the same place in its own way; and they can be undone there."""
-    build_map(built.again, tmp_path / "second", QUICK)
-    second = read_map(tmp_path / "second")
-    ends = [end for edge in second.record.edges for end in (edge.source, edge.target)]
-    corridor = max(set(ends), key=ends.count)
+    second = read_map(shutil.copytree(built.again.map, tmp_path / "second"))
+    corridor = corridor_of(second)
     room = next(id_ for id_ in second.ids if id_ != corridor)
     plain = merge_maps([own, second], tmp_path / "plain", QUICK)
     changes = (split(second, corridor), {"merge": [corridor, room]})
@@ -409,13 +438,3 @@ def test_borders_moved_in_a_later_map_are_moved_in_the_merged_one(
     assert (edited.regions.owners(motion.inverse().apply(places)) == new).mean() > 0.8
     undone = edit_map(both, Wishes(undo=(1, 2)), tmp_path / "undone")
     assert sorted(undone.names) == read_map(tmp_path / "plain").ids
-
-
-def test_a_map_made_anew_is_of_the_version_that_made_it(own: Path, built: Built) -> None:
-    """Or its features would be taken for those of the version before."""
-    run = json.loads((own / "run.json").read_text(encoding="utf-8"))
-    now = dict(run["versions"])
-    run["versions"]["specmap"] = "0.0.1"
-    (own / "run.json").write_text(json.dumps(run), encoding="utf-8")
-    edit_map(own, Wishes(changes=({"merge": [built.corridor, built.rooms[0]]},)))
-    assert read_map(own).run["versions"] == now

@@ -14,45 +14,9 @@ import pytest
 from specmap_cli.cli import main
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.schemas import read_schema
-from specmap_cli.grids.gridmap import OCCUPIED, GridMap
 from specmap_cli.maps.writing import MapResult, write_map
-from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.history import HistoryReport, history_of, write_history
-from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.pipelines.update import update_map
-from specmap_cli.simulation import simulator
-from specmap_cli.simulation.simulator import SimulationOptions
-
-_DAY_NS = 86_400 * 1_000_000_000
-_FIRST_NS = 1_764_000_000 * 1_000_000_000  # 2025-11-24 in UTC
-
-
-def toured(grid: GridMap, folder: Path, seed: int, day: int) -> Path:
-    """The recording of a tour on some day."""
-    options = SimulationOptions(beams=180, range_max_m=12, rate_hz=3, speed_mps=0.8, seed=seed)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulator, "START_NS", _FIRST_NS + day * _DAY_NS)
-        return simulate(grid, options, folder / f"day{day}.mcap").log
-
-
-def refurnished(flat: GridMap) -> GridMap:
-    """The flat with a closed door and a cabinet more."""
-    cells = flat.cells.copy()
-    cells[39:41, 140:158] = OCCUPIED  # the door of the third room
-    cells[60:76, 108:116] = OCCUPIED  # a cabinet of 0.4 m x 0.8 m in the second room
-    return GridMap(cells, flat.resolution)
-
-
-@pytest.fixture(scope="module")
-def week(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three days of the flat: a map, the same with another log, one after the changes."""
-    folder = tmp_path_factory.mktemp("week")
-    logs = [toured(flat, folder, 3, 0), toured(flat, folder, 21, 1)]
-    logs.append(toured(refurnished(flat), folder, 9, 2))
-    build_map([logs[0]], folder / "maps" / "monday")
-    update_map(folder / "maps" / "monday", [logs[1]], folder / "maps" / "tuesday")
-    build_map([logs[2]], folder / "maps" / "wednesday")
-    return folder / "maps"
+from tests.flats import Mapped
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +53,11 @@ def test_a_room_stays_the_same_room(report: HistoryReport) -> None:
 
 def test_what_changed_has_its_days_and_rooms(report: HistoryReport) -> None:
     (building,) = report.record.buildings
-    assert sorted(change.kind for change in building.changes) == ["appeared", "door-closed"]
+    assert sorted(change.kind for change in building.changes) == [
+        "appeared",
+        "door-closed",
+        "door-opened",
+    ]
     assert {(change.since, change.day) for change in building.changes} == {
         ("2025-11-25", "2025-11-26")
     }
@@ -107,21 +75,14 @@ def test_the_last_name_that_a_person_gave_is_used(week: Path, tmp_path: Path) ->
     assert [room.name for room in building.rooms].count("Kitchen") == 1
 
 
-def test_another_building_is_one_of_its_own(week: Path, flat: GridMap, tmp_path: Path) -> None:
-    cells = flat.cells.copy()
-    cells[:, :118] = OCCUPIED  # the eastern half alone, and mirrored: no room is where it was
-    other = GridMap(cells[::-1, 100:].copy(), 1.4 * flat.resolution)
-    build_map([toured(other, tmp_path, 5, 4)], tmp_path / "annex")
-    record = history_of([week / "monday", tmp_path / "annex"]).record
-    assert [building.name for building in record.buildings] == ["monday", "annex"]
+def test_another_building_is_one_of_its_own(week: Path, other: Mapped) -> None:
+    record = history_of([week / "monday", other.map]).record
+    assert [building.name for building in record.buildings] == ["other", "monday"]
     assert [map_.number for building in record.buildings for map_ in building.maps] == [0, 1]
 
 
-def test_new_space_is_a_new_room(flat: GridMap, week: Path, tmp_path: Path) -> None:
-    cells = flat.cells.copy()
-    cells[39:41, 140:158] = OCCUPIED  # the third room cannot be entered, nor be seen
-    build_map([toured(GridMap(cells, flat.resolution), tmp_path, 9, -1)], tmp_path / "sunday")
-    (building,) = history_of([tmp_path / "sunday", week / "monday"]).record.buildings
+def test_new_space_is_a_new_room(sunday: Mapped, week: Path) -> None:
+    (building,) = history_of([sunday.map, week / "monday"]).record.buildings
     added = [change for change in building.changes if change.kind == "room-added"]
     assert len(added) == 1
     (number,) = added[0].rooms
@@ -179,7 +140,7 @@ def test_the_command_writes_all_of_it(
         room["visits"] for room in printed["buildings"][0]["rooms"]
     )
     with (out / "changes.csv").open(encoding="utf-8", newline="") as file:
-        assert [row["since"] for row in csv.DictReader(file)] == ["2025-11-25"] * 2
+        assert [row["since"] for row in csv.DictReader(file)] == ["2025-11-25"] * 3
     assert main(["history", str(week), "-o", str(out), "-q"]) == 2  # only with --overwrite
 
 

@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 
 from specmap_cli import build_map, read_map
-from specmap_cli.core.config import load_config
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.localize import classifiers_of
-from specmap_cli.pipelines.simulate import SimulationResult
 from specmap_cli.pipelines.stored_lessons import (
     arrays_of,
     comparable,
@@ -25,18 +23,7 @@ from specmap_cli.pipelines.stored_lessons import (
 )
 from specmap_cli.recognition.learning.holding_out import Samples
 from specmap_cli.recognition.learning.lessons import Lessons
-
-QUICK = load_config(
-    None, None, {"recognition": {"rounds": 2}, "localization": {"augmentation": 20}}
-)
-
-
-@pytest.fixture(scope="module")
-def house(flat_log: SimulationResult, tmp_path_factory: pytest.TempPathFactory) -> StoredMap:
-    """The map of the flat, which keeps its lessons."""
-    out = tmp_path_factory.mktemp("lessons") / "map"
-    build_map(flat_log.log, out, QUICK)
-    return read_map(out)
+from tests.flats import QUICK
 
 
 def samples(*keyframes: int) -> Samples:
@@ -52,8 +39,8 @@ def test_features_survive_the_file_in_half_precision() -> None:
     assert arrays["raw"].dtype == np.float16
 
 
-def test_a_map_keeps_what_its_classifiers_learned_from(house: StoredMap) -> None:
-    lessons = lessons_of_stored(house, house.config)
+def test_a_map_keeps_what_its_classifiers_learned_from(flat_map: StoredMap) -> None:
+    lessons = lessons_of_stored(flat_map, flat_map.config)
     for kept in lessons.kinds:
         assert len(kept.features) == len(kept.keyframes) > 0
     assert len(np.unique(lessons.raw.keyframes)) == len(lessons.raw.keyframes)
@@ -66,65 +53,65 @@ def test_a_map_keeps_what_its_classifiers_learned_from(house: StoredMap) -> None
         {"localization": {"virtual_range_m": 5.0}},
     ],
 )
-def test_other_settings_learn_anew(house: StoredMap, changed: dict[str, Any]) -> None:
-    values = house.config.model_dump()
+def test_other_settings_learn_anew(flat_map: StoredMap, changed: dict[str, Any]) -> None:
+    values = flat_map.config.model_dump()
     for section, settings in changed.items():
         values[section] |= settings
     config = Config.model_validate(values)
-    assert len(lessons_of_stored(house, config).raw.keyframes) == 0
+    assert len(lessons_of_stored(flat_map, config).raw.keyframes) == 0
 
 
-def test_what_was_cast_in_other_grids_is_cast_anew(house: StoredMap) -> None:
-    values = house.config.model_dump()
+def test_what_was_cast_in_other_grids_is_cast_anew(flat_map: StoredMap) -> None:
+    values = flat_map.config.model_dump()
     values["grid"] |= {"occupied_share": 0.5}
-    found = lessons_of_stored(house, Config.model_validate(values))
+    found = lessons_of_stored(flat_map, Config.model_validate(values))
     assert len(found.cast.keyframes) == 0 < len(found.along.keyframes)
 
 
 @pytest.mark.parametrize("without", [{"virtual": False}, {"augmentation": 0}])
 def test_a_map_without_some_kind_of_scans_keeps_the_others(
-    flat_log: SimulationResult, tmp_path: Path, without: dict[str, Any]
+    tiny_log: Path, tmp_path: Path, without: dict[str, Any]
 ) -> None:
     values = QUICK.model_dump()
     values["localization"] |= without
-    build_map(flat_log.log, tmp_path / "map", Config.model_validate(values))
+    build_map(tiny_log, tmp_path / "map", Config.model_validate(values))
     stored = read_map(tmp_path / "map")
     found = lessons_of_stored(stored, stored.config)
     assert len(found.raw.keyframes) > 0 == len(found.cast.keyframes)
 
 
 def test_another_version_and_a_map_without_the_file_learn_anew(
-    house: StoredMap, tmp_path: Path
+    flat_map: StoredMap, tmp_path: Path
 ) -> None:
-    shutil.copytree(house.path, tmp_path / "other")
+    shutil.copytree(flat_map.path, tmp_path / "other")
     run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
     run["versions"]["specmap"] = "0.0.1"
     (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
     other = read_map(tmp_path / "other")
-    assert len(lessons_of_stored(other, house.config).raw.keyframes) == 0
-    shutil.copyfile(house.path / "run.json", tmp_path / "other" / "run.json")
+    assert len(lessons_of_stored(other, flat_map.config).raw.keyframes) == 0
+    shutil.copyfile(flat_map.path / "run.json", tmp_path / "other" / "run.json")
     (tmp_path / "other" / "features.npz").unlink()
-    assert len(lessons_of_stored(read_map(tmp_path / "other"), house.config).raw.keyframes) == 0
+    assert len(lessons_of_stored(read_map(tmp_path / "other"), flat_map.config).raw.keyframes) == 0
 
 
-def test_settings_of_another_version_need_not_be_known(house: StoredMap, tmp_path: Path) -> None:
-    shutil.copytree(house.path, tmp_path / "other")
+def test_settings_of_another_version_need_not_be_known(flat_map: StoredMap, tmp_path: Path) -> None:
+    shutil.copytree(flat_map.path, tmp_path / "other")
     run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
     run["versions"]["specmap"] = "0.0.1"
     run["config"]["grid"]["occupied_share"] = 7
     (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
     other = read_map(tmp_path / "other")
-    assert len(lessons_of_stored(other, house.config).raw.keyframes) == 0
-    assert comparable(classifiers_of(other), other, house.config) is None
+    assert len(lessons_of_stored(other, flat_map.config).raw.keyframes) == 0
+    assert comparable(classifiers_of(other), other, flat_map.config) is None
 
 
-def test_classifiers_of_other_settings_are_no_test(house: StoredMap) -> None:
-    classifiers = classifiers_of(house)
-    assert comparable(classifiers, house, house.config) is classifiers
-    values = house.config.model_dump()
-    values["recognition"] |= {"rounds": 1 + house.config.recognition.rounds}
-    assert comparable(classifiers, house, Config.model_validate(values)) is None
-    assert comparable(None, house, house.config) is None
+def test_classifiers_of_other_settings_are_no_test(flat_map: StoredMap) -> None:
+    classifiers = classifiers_of(flat_map)
+    assert comparable(classifiers, flat_map, flat_map.config) is classifiers
+    values = flat_map.config.model_dump()
+    values["recognition"] |= {"rounds": 1 + flat_map.config.recognition.rounds}
+    assert comparable(classifiers, flat_map, Config.model_validate(values)) is None
+    assert comparable(None, flat_map, flat_map.config) is None
 
 
 def labels(poses: list[tuple[float, float, float]], submaps: list[int]) -> Labels:

@@ -10,33 +10,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from specmap_cli import build_map, read_map
-from specmap_cli.core.config import load_config
+from specmap_cli import read_map
 from specmap_cli.core.errors import InputError, MapError, NoResultError
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import UpdateConfig
 from specmap_cli.evaluation.trajectories import read_tum, reference_errors
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.features_file import write_features
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.pipelines.update import update_map
 from specmap_cli.pipelines.update_report import UpdateReport
-from specmap_cli.simulation import simulator
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.topology.border_changes import BorderChange
 from specmap_cli.topology.regions import NOBODY
-
-QUICK = load_config(
-    None, None, {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
-)
-THIRD_DOOR = (slice(38, 42), slice(140, 158))
+from tests.flats import QUICK, Mapped
+from tests.pipelines.conftest import day
 
 
 @dataclass(frozen=True)
 class Kept:
-    """A map of the flat with its third room closed, and what an update with the open flat made."""
+    """A map of the flat with its third room closed, and what an update with the open flat made.
+
+    The scans that the old map learned from are all ones there, which no scan of the new log is.
+    """
 
     first: SimulationResult
     second: SimulationResult
@@ -59,24 +57,26 @@ class Kept:
 
 @pytest.fixture(scope="module")
 def kept(
-    flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
+    sunday: Mapped,
+    flat: GridMap,
+    flat_options: SimulationOptions,
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> Kept:
     folder = tmp_path_factory.mktemp("update")
-    cells = flat.cells.copy()
-    cells[THIRD_DOOR] = OCCUPIED
-    once = flat_options.model_copy(update={"laps": 1})
-    again = once.model_copy(update={"seed": 8, "spacing_m": 1.2})
-    with pytest.MonkeyPatch.context() as patch:  # stamps that are no whole microseconds
-        patch.setattr(simulator, "START_NS", simulator.START_NS + 123_456_789)
-        first = simulate(GridMap(cells, flat.resolution), once, folder / "first.mcap")
-        second = simulate(flat, again, folder / "second.mcap")
-    build_map(first.log, folder / "old", QUICK)
+    again = {"laps": 1, "seed": 8, "spacing_m": 1.5, "rate_hz": 6.0}
+    with day(0):
+        second = simulate(flat, flat_options.model_copy(update=again), folder / "second.mcap")
+    shutil.copytree(sunday.map, folder / "old")
     document = json.loads((folder / "old" / "topology.json").read_text(encoding="utf-8"))
     document["nodes"][1] |= {"name": "Hallway", "properties": {"floor": 2}}
     document["graph"]["next_id"] = 7  # some submaps are no more
     (folder / "old" / "topology.json").write_text(json.dumps(document), encoding="utf-8")
+    features = read_map(folder / "old").features
+    assert features is not None
+    ones = {kind: np.ones_like(features[kind]) for kind in ("raw", "along")}
+    write_features(folder / "old" / "features.npz", {**features, **ones})
     report = update_map(folder / "old", second.log, folder / "new", QUICK)
-    return Kept(first, second, read_map(folder / "old"), read_map(folder / "new"), report)
+    return Kept(sunday.log, second, read_map(folder / "old"), read_map(folder / "new"), report)
 
 
 def test_old_submaps_keep_ids_names_and_keyframes(kept: Kept) -> None:
@@ -116,14 +116,8 @@ def test_visits_stays_and_closures_of_the_old_recording_are_as_they_were(kept: K
     assert kept.new.topology.closures[:count] == kept.old.topology.closures
 
 
-def test_scans_that_were_learned_from_are_learned_from_again(kept: Kept, tmp_path: Path) -> None:
-    shutil.copytree(kept.old.path, tmp_path / "old")
-    arrays = {name: values.copy() for name, values in (kept.old.features or {}).items()}
-    for kind in ("raw", "along"):
-        arrays[kind][:] = 1.0
-    write_features(tmp_path / "old" / "features.npz", arrays)
-    update_map(tmp_path / "old", kept.second.log, tmp_path / "new", QUICK)
-    found = read_map(tmp_path / "new").features
+def test_scans_that_were_learned_from_are_learned_from_again(kept: Kept) -> None:
+    found = kept.new.features
     assert found is not None
     for kind in ("raw", "along"):
         old = found[kind + "_keyframes"] < kept.first_new
@@ -150,28 +144,35 @@ def test_damaged_features_are_refused_before_the_recording_is_read(
     assert not (tmp_path / "new").exists()
 
 
-def test_the_new_recording_tells_how_sure_the_classifiers_are(kept: Kept, tmp_path: Path) -> None:
-    calibration = json.loads(kept.new.classifiers)["calibration"]
-    assert calibration["views"] > 0
-    apart = QUICK.model_copy(
-        update={"recognition": QUICK.recognition.model_copy(update={"rounds": 5})}
+@pytest.fixture(scope="module")
+def whole(kept: Kept, tmp_path_factory: pytest.TempPathFactory) -> UpdateReport:
+    """The same update with another number of rounds, and with the setting that keeps all."""
+    recognition = QUICK.recognition.model_copy(update={"rounds": 5})
+    changed = {"recognition": recognition, "update": UpdateConfig(keep_all=True)}
+    out = tmp_path_factory.mktemp("whole") / "map"
+    return update_map(kept.old, kept.second.log, out, QUICK.model_copy(update=changed))
+
+
+def test_the_new_recording_tells_how_sure_the_classifiers_are(
+    kept: Kept, whole: UpdateReport
+) -> None:
+    views, held_out = (
+        json.loads(stored.classifiers)["calibration"]["views"]
+        for stored in (kept.new, read_map(whole.out))
     )
-    update_map(kept.old, kept.second.log, tmp_path / "held", apart)
-    held_out = json.loads(read_map(tmp_path / "held").classifiers)["calibration"]
-    assert held_out["views"] != calibration["views"]  # other settings: pieces are held out again
+    assert views > 0
+    assert held_out != views  # other settings: pieces are held out again
 
 
-def test_with_a_setting_every_keyframe_stays(kept: Kept, tmp_path: Path) -> None:
-    everything = QUICK.model_copy(update={"update": UpdateConfig(keep_all=True)})
-    report = update_map(kept.old, kept.second.log, tmp_path / "all", everything)
-    whole, count = read_map(tmp_path / "all"), len(kept.old.labels.submaps)
-    assert report.as_dict()["keyframes_dropped"] == 0
-    assert not any("dropped" in line for line in report.lines())
-    assert whole.labels.submaps[:count].tolist() == kept.old.labels.submaps.tolist()
-    assert report.run["counts"]["path_m"] == pytest.approx(
+def test_with_a_setting_every_keyframe_stays(kept: Kept, whole: UpdateReport) -> None:
+    stored, count = read_map(whole.out), len(kept.old.labels.submaps)
+    assert whole.as_dict()["keyframes_dropped"] == 0
+    assert not any("dropped" in line for line in whole.lines())
+    assert stored.labels.submaps[:count].tolist() == kept.old.labels.submaps.tolist()
+    assert whole.run["counts"]["path_m"] == pytest.approx(
         kept.report.run["counts"]["path_m"], abs=0.1
     )
-    apart = np.abs(whole.labels.poses[kept.left] - kept.new.labels.poses[: kept.first_new])
+    apart = np.abs(stored.labels.poses[kept.left] - kept.new.labels.poses[: kept.first_new])
     assert apart.max() < 1e-6  # fewer keyframes, the same layout
 
 
@@ -197,7 +198,7 @@ def test_the_room_that_opened_gets_an_id_that_was_never_given(kept: Kept) -> Non
 def test_both_logs_are_in_the_map(kept: Kept) -> None:
     logs = kept.new.record.graph.logs
     count = kept.first_new
-    assert [log.name for log in logs] == ["first.mcap", "second.mcap"]
+    assert [log.name for log in logs] == ["sunday.mcap", "second.mcap"]
     assert logs[0].keyframes == (0, count - 1)
     assert logs[1].keyframes == (count, len(kept.new.labels.submaps) - 1)
     total = kept.first.scans + kept.second.scans
@@ -250,19 +251,12 @@ def test_an_updated_map_can_be_updated_and_a_log_is_taken_once(kept: Kept, tmp_p
 
 
 def test_a_log_of_another_building_is_refused_or_stands_apart(
-    kept: Kept, flat_options: SimulationOptions, tmp_path: Path
+    kept: Kept, other: Mapped, tmp_path: Path
 ) -> None:
-    cells = np.full((200, 120), OCCUPIED, dtype=np.uint8)
-    cells[4:90, 4:60] = FREE
-    cells[94:196, 4:116] = FREE
-    cells[90:94, 30:50] = FREE
-    cells[120:140, 60:70] = OCCUPIED
-    once = flat_options.model_copy(update={"laps": 1})
-    other = simulate(GridMap(cells, 0.05), once, tmp_path / "other.mcap")
     with pytest.raises(NoResultError, match=r"other\.mcap: fits nowhere .* --allow-apart"):
-        update_map(kept.old, other.log, tmp_path / "out", QUICK)
+        update_map(kept.old, other.log.log, tmp_path / "out", QUICK)
     assert not (tmp_path / "out").exists()
-    report = update_map(kept.old, other.log, tmp_path / "out", QUICK, allow_apart=True)
+    report = update_map(kept.old, other.log.log, tmp_path / "out", QUICK, allow_apart=True)
     apart = read_map(tmp_path / "out")
     assert report.visited == ()
     assert report.quality.verdict != "good"

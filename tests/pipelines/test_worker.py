@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import multiprocessing
 import os
 import signal
@@ -20,14 +21,12 @@ import cv2
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import InputError, LogError, SpecmapError
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.pipelines import worker as module
 from specmap_cli.pipelines.build import build_map
-from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.pipelines.worker import ahead
-from specmap_cli.simulation.simulator import SimulationOptions
+from tests.flats import QUICK, record_tour
 
 
 @pytest.fixture
@@ -165,7 +164,12 @@ class TestChild:
             next(running)
             assert running.result == 3  # what was not taken is skipped
 
-    def test_an_error_that_cannot_be_sent_is_told_as_itself(self) -> None:
+    def test_an_error_that_cannot_be_sent_is_told_as_itself(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        # Dask, imported after this module, can send every error that there is by then
+        monkeypatch.delitem(copyreg.dispatch_table, StubbornError, raising=False)
+
         def work() -> Work:
             yield 1
             raise StubbornError("this", "that")
@@ -298,13 +302,10 @@ def alive(pid: int) -> bool:
 def test_a_map_is_the_same_with_and_without_the_child(
     flat: GridMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    log = tmp_path / "tour.mcap"
-    robot = SimulationOptions(beams=91, rate_hz=5, max_duration_s=60, seed=2)
-    simulate(flat, robot, log)
-    quick = {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
+    log = record_tour(flat, tmp_path / "tour.mcap", rate_hz=3, max_duration_s=50)
     for processors, name in ((1, "one"), (2, "two")):
         monkeypatch.setattr(module, "_processors", lambda n=processors: n)
-        build_map([log], tmp_path / name, load_config(None, None, quick))
+        build_map(log, tmp_path / name, QUICK)
     files = [path for path in sorted((tmp_path / "one").rglob("*")) if path.is_file()]
     assert len(files) > 5
     for path in files:

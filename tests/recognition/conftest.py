@@ -15,10 +15,10 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, PackedGrid
 from specmap_cli.grids.occupancy import OccupancyGrid
-from specmap_cli.grids.ray_casting import cast_ranges
 from specmap_cli.recognition.closure.stay import Stay
 from specmap_cli.recognition.features.sets import ENTRY_POINTS, feature_sets, scans_features
 from tests import plugins
+from tests.casting import ranges_at
 
 BEARINGS = np.linspace(-np.pi, np.pi, 180, endpoint=False)
 
@@ -37,7 +37,6 @@ class Building:
             cells[24 + 3 * odd : 34 + 3 * odd, left + 14 + 9 * odd : left + 26 + 9 * odd] = OCCUPIED
             cells[20 + height - 12 : 20 + height, left + 6 : left + 14 + 6 * odd] = OCCUPIED
         self.plan = GridMap(cells, 0.05)
-        self.distance = self.plan.obstacle_distance()
         self.corners = [(0.05 * (20 + 190 * k), 1.0) for k in range(4)]
         self.sizes = [(5.0, 4.5), (5.0, 4.5) if twins else (3.0, 7.0), (6.5, 3.0), (4.5, 6.0)]
 
@@ -54,13 +53,10 @@ class Building:
 
     def scans(self, poses: FloatArray) -> list[PlanarScan]:
         """What a laser sees all round from each pose."""
-        made = []
-        for pose in poses:
-            ranges = cast_ranges(
-                self.distance, self.plan, pose[None, :2], BEARINGS + pose[2], 20.0
-            )[0]
-            made.append(PlanarScan(0, BEARINGS, ranges, range_max=20.0, full_circle=True))
-        return made
+        return [
+            PlanarScan(0, BEARINGS, ranges, range_max=20.0, full_circle=True)
+            for ranges in ranges_at(self.plan, poses, BEARINGS, 20.0)
+        ]
 
     @cache  # noqa: B019 (one building lasts for the session)
     def walk(self, room: int, seed: int, feature_set: str) -> Stay:

@@ -100,10 +100,11 @@ def test_a_build_gives_the_same_bytes_under_every_kernel(flat: GridMap, tmp_path
     if len(set(kernels_in_use())) < len(KERNELS):
         pytest.skip(NO_CHOICE)
     log, written = tmp_path / "flat.mcap", []
-    simulate(flat, SimulationOptions(field_of_view_deg=360, beams=120, rate_hz=3, seed=3), log)
+    robot = {"field_of_view_deg": 360, "beams": 120, "rate_hz": 2, "speed_mps": 0.9}
+    simulate(flat, SimulationOptions.model_validate({**robot, "max_duration_s": 45}), log)
     for kernel in (*KERNELS, WIDEST):
         out = tmp_path / kernel
-        settings = ("recognition.rounds=8", "localization.augmentation=40")
+        settings = ("recognition.rounds=6", "localization.augmentation=20")
         sets = [part for setting in settings for part in ("--set", setting)]
         run_under(kernel, "-m", "specmap_cli", "build", str(log), "-o", str(out), "-q", *sets)
         files = sorted(path for path in out.rglob("*") if path.is_file())

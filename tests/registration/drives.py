@@ -11,11 +11,11 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, inve
 from specmap_cli.core.records import PlanarScan, PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.ray_casting import cast_ranges
 from specmap_cli.registration import Aligner, FrontEnd, SensorKind
 from specmap_cli.registration.local_map import LocalMap
 from specmap_cli.registration.scene import Scene
 from specmap_cli.registration.sweep_view import SweepView
+from tests.casting import ranges_at
 
 Setting = float | str | tuple[float, ...]
 LASER = Pose2(0.2, -0.1, 0.5)
@@ -41,13 +41,11 @@ def sweeps(
     full = field_of_view > 6.2
     half = field_of_view / 2
     bearings = np.linspace(-half, half, beams, endpoint=not full)
-    distance, rng = world.obstacle_distance(), np.random.default_rng(0)
+    lasers = compose(truth, np.array(LASER))
+    seen, rng = ranges_at(world, lasers, bearings, reach), np.random.default_rng(0)
     odom, result = np.array([3.0, -2.0, 1.0]), []
     steps = compose(invert(truth[:-1]), truth[1:])
-    for k, pose in enumerate(truth):
-        laser = Pose2(*pose.tolist()) @ LASER
-        origin = np.array([[laser.x, laser.y]])
-        ranges = cast_ranges(distance, world, origin, bearings + laser.theta, reach)[0]
+    for k, ranges in enumerate(seen):
         ranges += rng.normal(0, 0.01, beams)
         stamp = (k + 1) * 10**8
         scan = PlanarScan(
@@ -98,8 +96,7 @@ def worst(scans: Sequence[PosedScan], truth: FloatArray) -> tuple[float, float]:
 def cloud_of(world: GridMap, pose: FloatArray) -> FloatArray:
     """Walls from floor to ceiling and the floor itself, as a 3D lidar 0.5 m up would see them."""
     bearings = np.linspace(-np.pi, np.pi, 180, endpoint=False)
-    distance = world.obstacle_distance()
-    ranges = cast_ranges(distance, world, pose[None, :2], bearings + pose[2], 15.0)[0]
+    ranges = ranges_at(world, pose[None], bearings, 15.0)[0]
     rings = [
         np.column_stack(
             [ranges * np.cos(bearings), ranges * np.sin(bearings), 0.5 + ranges * np.tan(slope)]

@@ -6,14 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.grids.gridmap import GridMap
 from tests.registration.drives import circle, cloud_of, path, run, sweeps, worst
-from tests.strategies import poses
+from tests.strategies import few, poses
 
 
 @pytest.mark.parametrize("odometry", [True, False])
@@ -178,7 +178,7 @@ def test_a_3d_lidar_is_tracked_in_space(world: GridMap) -> None:
         assert scan.map_from_base_3d[2, 2] > np.cos(0.05)
 
 
-@settings(max_examples=8)
+@few(8)
 @given(poses)
 def test_the_frame_of_odometry_does_not_matter(world: GridMap, frame: Pose2) -> None:
     items = sweeps(world, path()[:6])

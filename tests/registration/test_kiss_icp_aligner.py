@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2
@@ -12,6 +12,7 @@ from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration import Aligner, SensorKind
 from specmap_cli.registration.kiss_icp_aligner import KissIcpAligner
 from tests.registration.drives import turned
+from tests.strategies import few
 
 KERNELS_M = (0.4, 0.2, 0.1, 0.05)
 
@@ -43,7 +44,7 @@ def aligned(method: Aligner, points: FloatArray, guess: FloatArray) -> FloatArra
     return guess
 
 
-@settings(max_examples=15)
+@few(15)
 @given(
     st.floats(-0.15, 0.15), st.floats(-0.15, 0.15), st.floats(-0.08, 0.08), st.floats(-0.03, 0.03)
 )

@@ -9,19 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import load_config
 from specmap_cli.core.findings import Finding, Quality
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.writing import MapResult, write_map
-from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.report import report_map
-from specmap_cli.pipelines.simulate import SimulationResult
 from specmap_cli.report.evidence import Evidence, Learned, Likeness, Look, SplitLook
 from specmap_cli.report.page import render
 from specmap_cli.topology.topological_map import Door
 from tests.report.browser import Browser, BrowserGoneError, installed
+from tests.sharing import made_once
 
 # A name that somebody typed, and that would be markup if nobody minded.
 HOSTILE = "\"'><script>alert(1)</script>&"
@@ -90,15 +88,6 @@ def page(house: StoredMap, evidence: Evidence) -> str:
     return render(house, evidence)
 
 
-@pytest.fixture(scope="session")
-def flat_map(flat_log: SimulationResult, tmp_path_factory: pytest.TempPathFactory) -> StoredMap:
-    """The map of two laps through the flat. Not to be changed."""
-    out = tmp_path_factory.mktemp("report") / "flat"
-    overrides = {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
-    build_map(flat_log.log, out, load_config(overrides=overrides))
-    return read_map(out)
-
-
 @pytest.fixture
 def plan_yaml(flat: GridMap, tmp_path: Path) -> Path:
     """The plan of the flat as a map file."""
@@ -109,9 +98,12 @@ def plan_yaml(flat: GridMap, tmp_path: Path) -> Path:
 @pytest.fixture(scope="session")
 def flat_page(flat_map: StoredMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its page as a file."""
-    path = tmp_path_factory.mktemp("page") / "flat.html"
-    path.write_text(report_map(flat_map), encoding="utf-8")
-    return path
+
+    def make(folder: Path) -> Path:
+        (folder / "flat.html").write_text(report_map(flat_map), encoding="utf-8")
+        return folder / "flat.html"
+
+    return made_once(tmp_path_factory, "page", make)
 
 
 @pytest.fixture(scope="session")

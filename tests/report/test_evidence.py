@@ -12,14 +12,13 @@ import pytest
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.progress import Silent
 from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.map_evidence import evidence_of
 from specmap_cli.pipelines.report import report_map
 from specmap_cli.pipelines.segment import segment_map
-from specmap_cli.pipelines.simulate import SimulationResult
 from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost
 from specmap_cli.recognition.learning.looks import feature_shares
 from specmap_cli.report.evidence import Evidence
+from tests.flats import Explained
 
 
 @pytest.fixture(scope="module")
@@ -47,11 +46,9 @@ def test_every_submap_is_told_and_likened_to_others(found: Evidence, flat_map: S
 
 
 def test_the_tests_are_those_of_the_build(
-    found: Evidence, flat_map: StoredMap, flat_log: SimulationResult, tmp_path: Path
+    found: Evidence, flat_map: StoredMap, flat_built: Explained
 ) -> None:
-    pictures = tmp_path / "tests"
-    build_map(flat_log.log, tmp_path / "map", flat_map.config, explain=pictures)
-    assert len(found.tests) == len(list(pictures.iterdir()))
+    assert len(found.tests) == len(list(flat_built.pictures.iterdir()))
     assert any(one.split for one in found.tests)
     grid = flat_map.map_grid
     for one in found.tests:
@@ -93,7 +90,7 @@ def test_a_plan_torn_apart_is_refused(plan_yaml: Path, tmp_path: Path) -> None:
 def test_the_older_map_is_drawn(flat_map: StoredMap) -> None:
     page = report_map(flat_map, flat_map)
     assert 'class="old-walls"' in page
-    assert "flat: identical to flat" in page
+    assert "map: identical to map" in page
     assert str(flat_map.path) not in page
 
 

@@ -21,18 +21,18 @@ def _plan(width_m: float, height_m: float, *open_boxes: tuple[float, ...]) -> Gr
     return GridMap(cells, 0.05)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def plan() -> PlanBuilder:
     return _plan
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def two_rooms() -> GridMap:
     """Rooms of 5 x 4 and 4 x 4 m, a wall of 0.2 m, a door of 0.9 m."""
     return _plan(9.8, 4.6, (0.3, 0.3, 5.3, 4.3), (5.5, 0.3, 9.5, 4.3), (5.3, 1.5, 5.5, 2.4))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def office() -> GridMap:
     """Three rooms of different sizes on either side of a corridor."""
     rooms = [(0.3, 0.3, 4.3, 4.5), (4.5, 0.3, 9.3, 4.5), (9.5, 0.3, 14.6, 4.5)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 from scipy.spatial import cKDTree
@@ -32,6 +32,7 @@ from specmap_cli.segmentation.visibility import (
     visibility_graph,
     visible,
 )
+from tests.strategies import few
 
 seeds = st.integers(0, 10_000)
 
@@ -81,7 +82,7 @@ def test_near_pairs_are_all_pairs_in_reach() -> None:
 
 
 @given(seed=seeds)
-@settings(max_examples=15)
+@few(15)
 def test_sight_lines_are_those_of_a_cell_by_cell_check(seed: int) -> None:
     clearance = clearance_of(cluttered(seed))
     nodes = sample_nodes(clearance, 7, 1.5, "clearest")
@@ -295,7 +296,7 @@ def narrowest(clearance: FloatArray, nodes: np.ndarray) -> FloatArray:
 
 
 @given(seed=seeds)
-@settings(max_examples=15)
+@few(15)
 def test_a_flooded_cell_belongs_to_the_node_with_the_widest_way_to_it(seed: int) -> None:
     free = cluttered(seed)
     clearance = np.round(clearance_of(free), 1)

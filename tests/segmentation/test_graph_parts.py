@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
@@ -55,7 +55,6 @@ def test_no_nodes_are_no_parts() -> None:
 
 
 @given(sizes=st.lists(st.integers(4, 20), min_size=2, max_size=12), seed=st.integers(0, 1000))
-@settings(max_examples=40)
 def test_cuts_go_through_the_weak_edges_and_through_no_room(sizes: list[int], seed: int) -> None:
     place = np.random.default_rng(seed).permutation(sum(sizes))
     S, room = rooms(sizes)[place][:, place], room_of(sizes)[place]

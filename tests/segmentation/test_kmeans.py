@@ -6,12 +6,13 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.cluster import KMeans
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.segmentation.kmeans import LabelArray, bisect, kmeans_unit, unit_rows
+from tests.strategies import few
 
 seeds = st.integers(0, 10_000)
 
@@ -39,7 +40,7 @@ def farthest_first(rows: FloatArray, clusters: int, first: int) -> list[int]:
 
 
 @given(seeds, st.integers(2, 5))
-@settings(max_examples=15)
+@few(15)
 def test_labels_are_scikit_learn_s_from_the_same_start(seed: int, clusters: int) -> None:
     rows = directions(seed)
     start = rows[farthest_first(rows, clusters, 3)]
@@ -85,7 +86,7 @@ def test_rows_of_unit_length_point_where_they_did(seed: int) -> None:
 
 
 @given(seeds)
-@settings(max_examples=10)
+@few(10)
 def test_two_clusters_are_the_best_of_all_cuts_when_they_stand_apart(seed: int) -> None:
     rng = np.random.default_rng(seed)
     side = rng.random(10) < 0.5

@@ -17,10 +17,10 @@ from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.split_tests import draw_test
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.ray_casting import cast_ranges
 from specmap_cli.segmentation.coarse_submap import CoarseSubmap, way_driven
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, Region
 from specmap_cli.segmentation.splitting import SplitTest, examine
+from tests.casting import ranges_at
 
 DEFAULT = SegmentationConfig()
 PAPER = load_config(preset="paper").segmentation
@@ -41,11 +41,9 @@ def waypoints_to_poses(*points: tuple[float, float]) -> list[Pose2]:
 
 def record(grid: GridMap, poses: list[Pose2]) -> KeyframeStore:
     """Perfect scans from perfect poses."""
-    store, distance = KeyframeStore(), grid.obstacle_distance()
-    for number, pose in enumerate(poses):
-        ranges = cast_ranges(distance, grid, np.array([pose[:2]]), BEARINGS + pose.theta, RANGE_M)[
-            0
-        ]
+    store = KeyframeStore()
+    seen = ranges_at(grid, np.array(poses), BEARINGS, RANGE_M)
+    for number, (pose, ranges) in enumerate(zip(poses, seen, strict=True)):
         scan = PlanarScan(number, BEARINGS, ranges, RANGE_M, True)
         store.append(
             PosedScan(
@@ -70,7 +68,7 @@ THERE_AND_BACK = waypoints_to_poses(
 )  # fmt: skip
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def two_room_tour(two_rooms: GridMap) -> Iterator[KeyframeStore]:
     with record(two_rooms, THERE_AND_BACK) as store:
         yield store
@@ -101,7 +99,7 @@ def test_without_regrowing_the_return_is_a_region_of_its_own(
     assert [region.continues for region in regions] == [None, None, None]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def three_rooms(plan: Callable[..., GridMap]) -> Iterator[KeyframeStore]:
     """A way round a corner through three rooms; the first door is too narrow for a sight line."""
     rooms = [(0.3, 0.3, 4.3, 4.3), (4.5, 0.3, 9.5, 4.3), (4.5, 4.5, 9.5, 8.5)]
@@ -181,22 +179,22 @@ def test_the_longer_the_way_in_one_submap_the_rarer_the_tests(
     grid = plan(30.6, 2.6, (0.3, 0.3, 30.3, 2.3))
     poses = waypoints_to_poses((1.0, 1.0), (29.0, 1.0), (1.0, 1.6))
 
-    def ways_at_tests(share: float) -> list[float]:
+    def ways_at_tests(store: KeyframeStore, share: float) -> list[float]:
         ways: list[float] = []
         config = DEFAULT.model_copy(update={"split_share": share})
-        with record(grid, poses) as store:
-            segmenter = OnlineSegmenter(
-                config,
-                GridConfig(),
-                store,
-                lambda test, *_: ways.append(float(step_lengths(test.poses).sum())),
-            )
-            assert len(run(segmenter, len(store))) == 1
+        segmenter = OnlineSegmenter(
+            config,
+            GridConfig(),
+            store,
+            lambda test, *_: ways.append(float(step_lengths(test.poses).sum())),
+        )
+        assert len(run(segmenter, len(store))) == 1
         return ways
 
-    # one a metre, as few metres are split off
-    assert len(ways_at_tests(0.1)) == pytest.approx(50, abs=8)
-    rare = ways_at_tests(0.4)
+    with record(grid, poses) as store:
+        # one a metre, as few metres are split off
+        assert len(ways_at_tests(store, 0.1)) == pytest.approx(50, abs=8)
+        rare = ways_at_tests(store, 0.4)
     gaps = np.diff(rare)
     assert gaps[:4] == pytest.approx(1.0, abs=0.3)
     assert gaps[-1] == pytest.approx(0.1 * rare[-1], rel=0.15)

@@ -6,12 +6,13 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.refinement import regions_of
+from tests.strategies import few
 
 CONFIG = SegmentationConfig()
 
@@ -72,7 +73,7 @@ def without_grazed(labels: list[int], poses: np.ndarray, way_m: float) -> list[i
 
 
 @given(seed=st.integers(0, 10_000), way_m=st.sampled_from([0.5, 1.5, 4.0, 1e3]))
-@settings(max_examples=8)
+@few(8)
 def test_regions_hardly_driven_through_go_to_the_one_before(seed: int, way_m: float) -> None:
     rng = np.random.default_rng(seed)
     stops = np.concatenate([[rng.uniform(0.5, 7.5)], rng.uniform(3.0, 5.5, 4)])

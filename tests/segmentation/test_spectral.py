@@ -7,7 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from sklearn.metrics import adjusted_rand_score
@@ -16,6 +16,7 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.division import segment
+from tests.strategies import few
 
 DEFAULT = SegmentationConfig()
 PAPER = load_config(preset="paper").segmentation
@@ -80,7 +81,7 @@ def test_turning_the_map_turns_the_labels(
 
 
 @given(up=st.integers(0, 17), right=st.integers(0, 17))
-@settings(derandomize=True, max_examples=8)
+@few(8)
 def test_shifting_the_map_shifts_the_labels(up: int, right: int) -> None:
     cells = np.full((110, 190), OCCUPIED, dtype=np.uint8)
     cells[6:86, 6:106] = cells[6:86, 110:180] = cells[30:48, 106:110] = FREE

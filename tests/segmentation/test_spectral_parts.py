@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
@@ -29,6 +29,7 @@ from specmap_cli.segmentation.spectrum import (
     with_fixed_signs,
 )
 from specmap_cli.segmentation.visibility import VisibilityGraph, near_pairs
+from tests.strategies import few
 
 seeds = st.integers(0, 10_000)
 
@@ -164,7 +165,7 @@ def test_bisect_cuts_at_the_step_of_an_eigenvector() -> None:
 
 
 @given(seed=seeds)
-@settings(max_examples=15)
+@few(15)
 def test_clusters_are_the_groups_whatever_the_order_of_the_nodes(seed: int) -> None:
     graph = blobs(seed)
     config = SegmentationConfig()
@@ -225,7 +226,7 @@ def by_the_paper(graph: VisibilityGraph, least: float) -> tuple[list[float], lis
 
 
 @given(seed=seeds, clusters=st.integers(1, 4))
-@settings(max_examples=8)
+@few(8)
 def test_algorithm_2_is_the_paper_s_in_dense_matrices(seed: int, clusters: int) -> None:
     graph = blobs(seed, clusters, each=12)
     config = SegmentationConfig()
@@ -238,7 +239,7 @@ def test_algorithm_2_is_the_paper_s_in_dense_matrices(seed: int, clusters: int) 
 
 
 @given(seed=seeds)
-@settings(max_examples=15)
+@few(15)
 def test_the_spectrum_of_a_graph_in_pieces_is_that_of_the_whole(seed: int) -> None:
     graph = in_pieces(seed)
     count = len(graph.nodes)
@@ -355,7 +356,7 @@ def test_the_sign_of_an_eigenvector_is_its_cubes(seed: int) -> None:
 
 
 @given(seed=seeds, level=st.sampled_from([0.5, 0.7, 0.95]))
-@settings(max_examples=20)
+@few(20)
 def test_halving_only_divides_and_every_piece_hangs_together(seed: int, level: float) -> None:
     graph = blobs(seed, clusters=4, each=7)
     before = np.repeat([0, 0, 1, 1], 7).astype(np.int32)

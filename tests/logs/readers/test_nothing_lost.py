@@ -16,8 +16,9 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message, lost_text
 from specmap_cli.logs.stream import SweepStream
+from tests.strategies import MANY
 
-PLACES = 60  # of a byte that is damaged, a file and kind of damage
+PLACES = 300 if MANY else 30  # of a byte that is damaged, a file and kind of damage
 PLAIN = CompressionType.NONE
 
 MCAP_STYLES: dict[str, dict[str, object]] = {

@@ -120,7 +120,7 @@ def test_furniture_that_was_moved_does_not_matter() -> None:
     assert_right(found, frame)
 
 
-@pytest.mark.parametrize(("one", "other"), [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (6, 7)])
+@pytest.mark.parametrize(("one", "other"), [(0, 1), (2, 3), (4, 5), (6, 7)])
 def test_other_buildings_are_refused(one: int, other: int) -> None:
     old = seen(random_floor(one), ALL, IDENTITY)
     for rooms in (range(7), (0, 1), (2,)):
@@ -152,7 +152,7 @@ def turned_twice(plan: Floor) -> Floor:
     return Floor(cells, (*above, *below))
 
 
-@pytest.mark.parametrize(("furnished", "known"), [(0, False), (1, False), (5, True)])
+@pytest.mark.parametrize(("furnished", "known"), [(1, False), (5, True)])
 def test_a_building_that_is_nearly_the_same_when_turned(furnished: int, known: bool) -> None:
     plain = turned_twice(random_floor(7, rooms=7))
     boxes = [(a + 0.4, b + 0.9, a + 1.6, b + 1.9) for a, b, _, _ in plain.rooms[:furnished]]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
@@ -17,7 +17,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.recognition.closure.prepared import PreparedGrid, prepared
 from specmap_cli.recognition.closure.verification import judge, tracks_overlap, verify
-from tests.strategies import pose_arrays, poses
+from tests.strategies import few, pose_arrays, poses
 
 CONFIG = RecognitionConfig()
 
@@ -77,7 +77,7 @@ def test_verification_needs_no_guess(building: Any, turn: float) -> None:
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-math.pi, math.pi, exclude_max=True))
-@settings(max_examples=8)
+@few(8)
 def test_a_room_is_found_however_it_lies(x: float, y: float, theta: float) -> None:
     """The frame of the second grid lies anywhere; its rows and columns cut the walls otherwise."""
     truth = Pose2(x, y, theta)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.ensemble import AdaBoostClassifier
@@ -17,6 +17,7 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost, booster_from_dict
 from specmap_cli.recognition.learning.quantiser import Quantiser
+from tests.strategies import few
 
 NAMES = tuple(f"f{k}" for k in range(6))
 
@@ -51,7 +52,7 @@ class BruteStump(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
 
 @given(st.integers(0, 1000))
-@settings(max_examples=8)
+@few(8)
 def test_the_first_round_is_the_best_of_all_weak_classifiers(seed: int) -> None:
     X, y = blobs(seed, n=40)
     stump = StumpBoost(NAMES, 1).fit(X, y).rounds_[0]
@@ -92,7 +93,7 @@ def test_a_separable_set_ends_early_and_chance_ends_at_once() -> None:
 
 
 @given(st.integers(0, 1000), st.integers(1, 12))
-@settings(max_examples=10)
+@few(10)
 def test_weights_sum_to_one_and_make_the_last_classifier_worthless(seed: int, rounds: int) -> None:
     """Eq. 3 by a loop: after its round every weak classifier is as good as a coin."""
     X, y = blobs(seed, n=50)
@@ -108,7 +109,7 @@ def test_weights_sum_to_one_and_make_the_last_classifier_worthless(seed: int, ro
 
 
 @given(st.integers(0, 1000))
-@settings(max_examples=10)
+@few(10)
 def test_the_training_error_keeps_its_bound(seed: int) -> None:
     """At most the product of 2 sqrt(error (1 - error)) over the rounds (Freund and Schapire)."""
     X, y = blobs(seed, n=60)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.recognition.learning import growing
 from specmap_cli.recognition.learning.forest import Forest
 from specmap_cli.recognition.learning.growing import Growth, Question, grown, shares
 from specmap_cli.recognition.learning.quantiser import CodeArray, Quantiser
-from tests.strategies import seeds
+from tests.strategies import few, seeds
 
 GROWTH = Growth(rounds=12, shrinkage=0.5, feature_share=0.5, seed=3)
 
@@ -70,7 +70,7 @@ def test_no_question_has_no_answer_and_no_round_leaves_a_bare_forest() -> None:
 
 
 @given(seeds, st.integers(1, 4))
-@settings(max_examples=20)
+@few(20)
 def test_shares_sum_to_one_for_each_owner_and_sums_are_exact(seed: int, owners: int) -> None:
     rng = np.random.default_rng(seed)
     owner = rng.permutation(np.repeat(np.arange(owners), 50))

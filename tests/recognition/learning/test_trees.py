@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -12,7 +12,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.learning.forest import Forest
 from specmap_cli.recognition.learning.quantiser import BINS, CodeArray, Quantiser
 from specmap_cli.recognition.learning.trees import TreeBoost
-from tests.strategies import seeds
+from tests.strategies import few, seeds
 
 BoolArray = NDArray[np.bool_]
 NAMES = ("a", "b", "c")
@@ -77,7 +77,7 @@ def best_split(
 
 
 @given(seeds)
-@settings(max_examples=10)
+@few(10)
 def test_the_first_tree_s_splits_are_the_best_of_all(seed: int) -> None:
     X, y = data(seed, n=60)
     positive = y > 0.0
@@ -159,7 +159,7 @@ def test_joined_forests_vote_side_by_side() -> None:
 
 
 @given(seeds)
-@settings(max_examples=10)
+@few(10)
 def test_the_order_of_the_samples_changes_no_bit(seed: int) -> None:
     """Sums of weights are exact. Equal columns are equally good: the first of them is taken."""
     X, y = data(seed)
