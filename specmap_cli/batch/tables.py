@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections import Counter
 from collections.abc import Sequence
-from xml.etree import ElementTree
 
 from specmap_cli.batch.columns import COLUMNS, WAITING, Row
-from specmap_cli.checking.reports import cell, xml_text
+from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.core.text import counted
 from specmap_cli.report.words import lasting
 
@@ -18,11 +16,9 @@ _MOST = 20  # rows of a table that a person reads
 
 def as_csv(rows: Sequence[Row]) -> bytes:
     """A line a job under the names of the columns; empty where nothing is known."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [column.name for column in COLUMNS], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue().encode("utf-8", "backslashreplace")
+    names = [column.name for column in COLUMNS]
+    text = csv_text(names, ([row[name] for name in names] for row in rows))
+    return text.encode("utf-8", "backslashreplace")
 
 
 def as_parquet(rows: Sequence[Row]) -> bytes:
@@ -57,22 +53,18 @@ def as_markdown(rows: Sequence[Row]) -> bytes:
 
 def as_junit(rows: Sequence[Row]) -> bytes:
     """A test suite with a test case a job; one that waits is skipped."""
-    states = Counter(row["state"] for row in rows)
-    suite = ElementTree.Element(
-        "testsuite",
-        name="specmap batch",
-        tests=str(len(rows)),
-        failures=str(states["failed"]),
-        errors="0",
-        skipped=str(states[WAITING]),
-        time=f"{sum(float(row['wall_s'] or 0.0) for row in rows):.3f}",
+    return junit("specmap batch", "specmap batch", [_case(row) for row in rows])
+
+
+def _case(row: Row) -> Case:
+    failed = row["state"] == "failed"
+    return Case(
+        name=str(row["name"]),
+        seconds=float(row["wall_s"] or 0.0),
+        skipped=row["state"] == WAITING,
+        failure=str(row["reason"]) if failed else None,
+        kind=str(row["kind"]),
     )
-    for row in rows:
-        suite.append(_case(row))
-    root = ElementTree.Element("testsuites")
-    root.append(suite)
-    ElementTree.indent(root)
-    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
 
 def headline(rows: Sequence[Row]) -> str:
@@ -115,35 +107,15 @@ def _section(title: str, rows: Sequence[Row], columns: Sequence[str]) -> list[st
         return []
     known = {column.name: column.type for column in COLUMNS}
     more = [f"... and {len(rows) - _MOST:,} more: see summary.csv", ""] if rows[_MOST:] else []
-    return [
-        f"#### {title}",
-        "",
-        "| " + " | ".join(column.replace("_", " ") for column in columns) + " |",
-        "|" + "".join("---|" if known[column] == "text" else "---:|" for column in columns),
-        *(
-            "| " + " | ".join(cell(str(_shown(row, column))) for column in columns) + " |"
-            for row in rows[:_MOST]
-        ),
-        "",
-        *more,
-    ]
+    heads = {column: column.replace("_", " ") for column in columns}
+    table = markdown_table(
+        list(heads.values()),
+        ([markdown_text(_shown(row, column)) for column in columns] for row in rows[:_MOST]),
+        {head for column, head in heads.items() if known[column] != "text"},
+    )
+    return [f"#### {title}", "", *table, "", *more]
 
 
 def _shown(row: Row, column: str) -> str:
     value = row[column]
     return "" if value is None else f"{value:,}" if isinstance(value, int | float) else value
-
-
-def _case(row: Row) -> ElementTree.Element:
-    case = ElementTree.Element(
-        "testcase",
-        classname="specmap batch",
-        name=xml_text(str(row["name"])),
-        time=f"{float(row['wall_s'] or 0.0):.3f}",
-    )
-    if row["state"] == "failed":
-        told = xml_text(str(row["reason"]))
-        ElementTree.SubElement(case, "failure", message=told, type=str(row["kind"]))
-    elif row["state"] == WAITING:
-        ElementTree.SubElement(case, "skipped")
-    return case
