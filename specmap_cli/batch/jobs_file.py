@@ -19,9 +19,12 @@ Paths are relative to the file.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from specmap_cli.batch.discovery import Found, logs_at
 from specmap_cli.batch.naming import Names
@@ -29,10 +32,59 @@ from specmap_cli.batch.places import path_at
 from specmap_cli.batch.records import Command, Job, Plan
 from specmap_cli.batch.steps import steps_of
 from specmap_cli.core.errors import SETTING, UsageError
-from specmap_cli.core.tomltext import read_toml
+from specmap_cli.core.toml import TomlFormat, said, unless
 
-_OF_THE_FILE = ("steps", "options", "logs", "job")
-_OF_A_JOB = ("name", "logs", "steps", "options")
+
+def _are_texts(value: Any) -> bool:
+    return isinstance(value, str) or _are(str, value)
+
+
+def _are(kind: type, value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(each, kind) for each in value)
+
+
+def _some(texts: tuple[str, ...]) -> tuple[str, ...]:
+    if not texts:
+        raise said("empty: name one at least")
+    return texts
+
+
+# A list of texts; a single one stands for itself.
+_Texts = Annotated[
+    tuple[str, ...],
+    AfterValidator(_some),
+    BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
+    unless(_are_texts, 'expected a list such as ["one", "two"]'),
+]
+
+
+class _Table(BaseModel):
+    """What the whole file and each [[job]] may say."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    steps: _Texts | None = None
+    options: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    logs: _Texts | None = None
+
+
+class _JobTable(_Table):
+    """A table [[job]]."""
+
+    name: Any = None
+
+
+class _File(_Table):
+    """The whole file."""
+
+    job: Annotated[
+        tuple[dict[str, Any], ...],
+        unless(lambda value: _are(Mapping, value), "expected tables [[job]]"),
+    ] = ()
+
+
+_FILE: TomlFormat[_File] = TomlFormat(model=_File, error=partial(UsageError, code=SETTING))
+_JOB: TomlFormat[_JobTable] = TomlFormat(model=_JobTable, error=UsageError)
 
 
 def jobs_in(path: Path, defaults: Plan, names: Names) -> list[Job]:
@@ -40,23 +92,22 @@ def jobs_in(path: Path, defaults: Plan, names: Names) -> list[Job]:
 
     Raises UsageError, naming file and place, for what cannot be.
     """
+    file = _FILE.read(path)
     try:
-        return _jobs(path, defaults, names)
+        return _jobs(file, path, defaults, names)
     except UsageError as error:
         raise UsageError(str(error), code=SETTING) from None
 
 
-def _jobs(path: Path, defaults: Plan, names: Names) -> list[Job]:
-    written, where = read_toml(path), f"{path}: "
-    _check_keys(written, _OF_THE_FILE, where)
-    plan = _plan(written, defaults, where)
-    tables = written.get("job", [])
-    if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
-        raise UsageError(f"{where}job is {tables!r:.60}: expected tables [[job]]")
-    chosen = [_name(table, names, f"{where}{_place(table, n)}") for n, table in enumerate(tables)]
-    jobs = list(_each(written, path.parent, plan, names, where)) if "logs" in written else []
-    for number, (table, name) in enumerate(zip(tables, chosen, strict=True)):
-        jobs.append(_job(table, name, path.parent, plan, names, f"{where}{_place(table, number)}"))
+def _jobs(file: _File, path: Path, defaults: Plan, names: Names) -> list[Job]:
+    where = f"{path}: "
+    plan = _plan(file, defaults)
+    places = [f"{where}{_place(table, number)}" for number, table in enumerate(file.job)]
+    tables = [_JOB.value(table, place) for table, place in zip(file.job, places, strict=True)]
+    chosen = [_name(table, names, place) for table, place in zip(tables, places, strict=True)]
+    jobs = list(_each(file.logs, path.parent, plan, names, where)) if file.logs else []
+    for table, name, place in zip(tables, chosen, places, strict=True):
+        jobs.append(_job(table, name, path.parent, plan, names, place))
     if not jobs:
         raise UsageError(f"{where}no jobs: give logs = [...], or tables [[job]] with logs")
     return jobs
@@ -68,37 +119,36 @@ def _place(table: Mapping[str, Any], number: int) -> str:
     return f"job {number + 1}{f' ({name})' if isinstance(name, str) else ''}: "
 
 
-def _name(table: Mapping[str, Any], names: Names, where: str) -> str | None:
+def _name(table: _JobTable, names: Names, where: str) -> str | None:
     """The name that a person gave; those of all jobs are taken before any is made."""
-    _check_keys(table, _OF_A_JOB, where)
-    return names.of_person(table["name"], where) if "name" in table else None
+    return None if table.name is None else names.of_person(table.name, where)
 
 
 def _each(
-    written: Mapping[str, Any], base: Path, plan: Plan, names: Names, where: str
+    places: tuple[str, ...], base: Path, plan: Plan, names: Names, where: str
 ) -> Iterator[Job]:
     """A job for each log of the whole file."""
     steps = steps_of(plan, base, where)
-    for found in _logs(written, base, where):
+    for found in _logs(places, base, where):
         yield Job(names.of_log(found.name, found.log), (found.log,), steps)
 
 
 def _job(
-    table: Mapping[str, Any], name: str | None, base: Path, plan: Plan, names: Names, where: str
+    table: _JobTable, name: str | None, base: Path, plan: Plan, names: Names, where: str
 ) -> Job:
     """One job; all its logs are one recording."""
-    if "logs" not in table:
+    if table.logs is None:
         raise UsageError(f'{where}logs: missing: say which, such as logs = ["lobby.mcap"]')
-    found = _logs(table, base, where)
-    steps = steps_of(_plan(table, plan, where), base, where)
+    found = _logs(table.logs, base, where)
+    steps = steps_of(_plan(table, plan), base, where)
     logs = tuple(each.log for each in found)
     return Job(name or names.of_log(found[0].name, found[0].log), logs, steps)
 
 
-def _logs(table: Mapping[str, Any], base: Path, where: str) -> list[Found]:
-    """The recordings that `logs` names, each once."""
+def _logs(places: tuple[str, ...], base: Path, where: str) -> list[Found]:
+    """The recordings at some places, each once."""
     found: dict[str, Found] = {}
-    for place in _texts(table["logs"], f"{where}logs"):
+    for place in places:
         path = path_at(place)
         try:
             logs = logs_at(place if path is None else str(base / path))
@@ -108,32 +158,9 @@ def _logs(table: Mapping[str, Any], base: Path, where: str) -> list[Found]:
     return list(found.values())
 
 
-def _plan(table: Mapping[str, Any], over: Plan, where: str) -> Plan:
+def _plan(table: _Table, over: Plan) -> Plan:
     """What a table says of steps and options, over what holds where it is silent."""
-    steps = _texts(table["steps"], f"{where}steps") if "steps" in table else over.steps
     options = {command: dict(values) for command, values in over.options.items()}
-    for command, values in _table(table.get("options", {}), f"{where}options").items():
-        options.setdefault(command, {}).update(_table(values, f"{where}options.{command}"))
-    return Plan(cast(tuple[Command, ...], tuple(steps)), options)
-
-
-def _table(value: Any, place: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise UsageError(f"{place} is {value!r:.60}: expected a table [{place.split()[-1]}]")
-    return value
-
-
-def _texts(value: Any, place: str) -> Sequence[str]:
-    """A list of texts; a single one stands for itself."""
-    values = [value] if isinstance(value, str) else value
-    if not isinstance(values, list) or not all(isinstance(each, str) for each in values):
-        raise UsageError(f'{place} is {value!r:.60}: expected a list such as ["one", "two"]')
-    if not values:
-        raise UsageError(f"{place}: empty: name one at least")
-    return values
-
-
-def _check_keys(table: Mapping[str, Any], known: Sequence[str], where: str) -> None:
-    for key in table:
-        if key not in known:
-            raise UsageError(f"{where}{key}: no such key: use {', '.join(known)}")
+    for command, values in table.options.items():
+        options.setdefault(command, {}).update(values)
+    return Plan(cast(tuple[Command, ...], table.steps or over.steps), options)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -176,10 +175,6 @@ def _property(assignment: str) -> tuple[str, Any]:
     key, separator, text = (part.strip() for part in assignment.partition("="))
     if not separator or not key:
         raise UsageError(f"--set-property {assignment}: expected KEY=VALUE, such as floor=2")
-    if not text:
-        return key, None
-    try:
-        found = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
-        return key, text
-    return key, found["value"] if len(found) == 1 else text
+    from specmap_cli.core.toml import value_of
+
+    return key, value_of(text) if text else None

@@ -6,7 +6,6 @@ Every command takes `Common`. One that computes with settings takes `Settings`; 
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -174,11 +173,9 @@ def _parse(assignment: str) -> tuple[str, Any]:
         )
     if key == "preset":
         raise UsageError(f"--set {assignment}: choose a preset with --preset {text}", code=SETTING)
-    try:
-        found = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
-        return key, text
-    return key, found["value"] if len(found) == 1 else text
+    from specmap_cli.core.toml import value_of
+
+    return key, value_of(text)
 
 
 def _put(tree: dict[str, Any], key: str, value: Any) -> None:

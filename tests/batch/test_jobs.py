@@ -172,7 +172,7 @@ LOGS = 'logs = "a.mcap"\n'
     [
         ("", "jobs.toml: no jobs"),
         ("logs = [", "jobs.toml: not valid TOML"),
-        (LOGS + "stepz = []", "jobs.toml: stepz: no such key"),
+        (LOGS + "stepz = []", "jobs.toml: stepz: no such key, did you mean steps?"),
         (LOGS + 'steps = ["biuld"]', "jobs.toml: 'biuld': no such step: choose from build"),
         (LOGS + "steps = []", "jobs.toml: steps: empty"),
         (LOGS + 'steps = "build, check"', "jobs.toml: 'build, check': no such step"),
@@ -201,7 +201,7 @@ LOGS = 'logs = "a.mcap"\n'
             f'[[job]]\nname = "x"\n{LOGS}[[job]]\nname = "X"\n{LOGS}',
             "job 2 (X): name: X is another",
         ),
-        (f'[[job]]\n{LOGS}log = "b"', "jobs.toml: job 1: log: no such key: use name, logs"),
+        (f'[[job]]\n{LOGS}log = "b"', "jobs.toml: job 1: log: no such key, did you mean logs?"),
         (f"[[job]]\n{LOGS}[job.options.build]\nseeed = 1", "job 1: options.build.seeed: no such"),
     ],
 )
