@@ -20,6 +20,7 @@ Paths are relative to the file.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -163,4 +164,5 @@ def _plan(table: _Table, over: Plan) -> Plan:
     options = {command: dict(values) for command, values in over.options.items()}
     for command, values in table.options.items():
         options.setdefault(command, {}).update(values)
-    return Plan(cast(tuple[Command, ...], table.steps or over.steps), options)
+    steps = cast(tuple[Command, ...], table.steps or over.steps)
+    return replace(over, steps=steps, options=options)

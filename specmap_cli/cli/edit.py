@@ -9,16 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from specmap_cli.cli.options import Common, Overwrite, Settings, output
+from specmap_cli.cli.options import Common, Map, Overwrite, Settings, output
 from specmap_cli.cli.pairs import values_of
 from specmap_cli.cli.targets import keep_inputs
 from specmap_cli.core.errors import UsageError
 
 if TYPE_CHECKING:
     from specmap_cli.pipelines.wishes import Wishes
-
-Map = Annotated[Path, typer.Argument(metavar="MAP", help="Map directory.", show_default=False)]
-Out = Annotated[Path | None, output("Map directory to write; without it MAP itself is changed.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +78,9 @@ class Changed:
 
 def edit(
     map_: Map,
-    out: Out = None,
+    out: Annotated[
+        Path | None, output("Map directory to write; without it MAP itself is changed.")
+    ] = None,
     overwrite: Overwrite = False,
     *,
     said: Said,
