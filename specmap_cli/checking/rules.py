@@ -15,7 +15,6 @@ takes a default away, and `defaults = false` all of them::
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -28,7 +27,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from specmap_cli.checking.figures import GOLDEN, MEANINGS, is_figure
 from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.findings import VERDICTS, Verdict
-from specmap_cli.core.toml import TomlFormat, said, unless
+from specmap_cli.core.toml import TomlFormat, choice, unless, wrong
 
 Bound = Literal["most", "least"]
 BOUNDS: tuple[Bound, ...] = ("most", "least")
@@ -82,9 +81,7 @@ def _is_number(value: Any) -> bool:
 def _figure(name: str) -> str:
     """Refuse what is no figure of a map."""
     if not is_figure(name):
-        near = difflib.get_close_matches(name, MEANINGS, 1)
-        hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(MEANINGS)}"
-        raise said(f"no such figure: {hint}")
+        raise wrong(choice(name, MEANINGS), "no such figure")
     return name
 
 
