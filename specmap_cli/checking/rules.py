@@ -28,7 +28,7 @@ from specmap_cli.checking.figures import FINDINGS, GOLDEN, MEANINGS, Figures, is
 from specmap_cli.checking.record import CheckRecord, OutcomeRecord, RuleName
 from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.findings import VERDICTS, Verdict, at_least_as_bad
-from specmap_cli.core.toml import TomlFormat, choice, unless, wrong
+from specmap_cli.core.toml import TomlFormat, UnfitError, choice, unless
 
 Bound = Literal["most", "least"]
 BOUNDS: tuple[Bound, ...] = ("most", "least")
@@ -84,7 +84,7 @@ def _is_number(value: Any) -> bool:
 def _figure(name: str) -> str:
     """Refuse what is no figure of a map."""
     if not is_figure(name):
-        raise wrong(choice(name, MEANINGS), "no such figure")
+        raise UnfitError(choice(name, MEANINGS), "no such figure")
     return name
 
 

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
-from pydantic_core import PydanticCustomError
 
 from specmap_cli.core.errors import SpecmapError
 from specmap_cli.core.shortage import reason
@@ -26,12 +25,14 @@ Keys = tuple[int | str, ...]  # the keys and numbers that lead to a value
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _MOST_LISTED = 8  # keys that are all named to somebody who wrote another one
-_WRONG = "wrong"
 
 
-def wrong(hint: str, found: str = "") -> PydanticCustomError:
+class UnfitError(ValueError):
     """What a validator raises: `KEY: FOUND: HINT` is told, without `found` `KEY is VALUE: HINT`."""
-    return PydanticCustomError(_WRONG, "{found}: {hint}", {"found": found, "hint": hint})
+
+    def __init__(self, hint: str, found: str = "") -> None:
+        super().__init__(hint)
+        self.hint, self.found = hint, found
 
 
 def unless(fits: Callable[[Any], bool], hint: str) -> BeforeValidator:
@@ -39,7 +40,7 @@ def unless(fits: Callable[[Any], bool], hint: str) -> BeforeValidator:
 
     def check(value: Any) -> Any:
         if not fits(value):
-            raise wrong(hint)
+            raise UnfitError(hint)
         return value
 
     return BeforeValidator(check)
@@ -125,9 +126,10 @@ class TomlFormat(Generic[Model]):
             return f"{key}: no such {self.noun}", _hint(key, known)
         if kind == "missing":
             return f"{key}: is missing", ""
-        if kind == _WRONG:
-            found, hint = finding["ctx"]["found"], finding["ctx"]["hint"]
-            return f"{key}: {found}" if found else f"{key} is {value!r:.60}", f": {hint}"
+        unfit = finding.get("ctx", {}).get("error")
+        if isinstance(unfit, UnfitError):
+            found = f": {unfit.found}" if unfit.found else f" is {value!r:.60}"
+            return f"{key}{found}", f": {unfit.hint}"
         if kind in self.plainly:
             told = self.plainly[kind]
         elif kind in ("dict_type", "model_type"):
