@@ -8,7 +8,6 @@ version, which is the `schema_version` of what it describes.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,18 +21,6 @@ PACKAGE = Path(__file__).parents[1]
 ENDING = ".schema.json"
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 SETTINGS = "config"  # what `config` prints
-ERROR = "error"  # what any command prints when it fails
-
-# The schemas of the JSON files that are written: in map directories, and beside pages and tables.
-FILES: Mapping[str, str] = {
-    "topology.json": "topology",
-    "run.json": "run",
-    "classifiers.json": "classifiers",
-    "compare.json": "comparison",
-    "history.json": "history",
-    "job.json": "job",
-}
-_PRINTED: Mapping[str, str] = {"compare": FILES["compare.json"]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +44,6 @@ class ModelSchema:
     def text(self) -> str:
         """The text of `NAME.schema.json`."""
         return json.dumps(self.document(), indent=2, sort_keys=True) + "\n"
-
-
-def name_of_command(command: str) -> str:
-    """The schema of what a command prints with `--json`: its own name, but for `compare`."""
-    return _PRINTED.get(command, command)
 
 
 def schema_names() -> list[str]:

@@ -14,10 +14,10 @@ from datetime import UTC, datetime
 from typing import IO, Any
 
 from specmap_cli.core.progress import Progress
+from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports.fields import Fields, known
 from specmap_cli.exports.fitness import check_routes
 from specmap_cli.exports.routes import Leg, Routes, Stop, routes, without_bends
-from specmap_cli.exports.yaml_text import yaml_text
 from specmap_cli.maps.schema import NodeRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.cluster.hierarchy import DisjointSet
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray, Pose2
@@ -43,12 +44,10 @@ def submap_of_regions(regions: Iterable[int], merges: Iterable[Pair]) -> dict[in
     `merges` are pairs of regions that are one submap, in any order and over any others. Raises
     KeyError for a merge of what is no region.
     """
-    submap = {region: region for region in regions}
+    sets = DisjointSet(regions)
     for a, b in merges:
-        kept, gone = sorted((submap[a], submap[b]))
-        if kept != gone:
-            submap = {region: kept if of == gone else of for region, of in submap.items()}
-    return submap
+        sets.merge(a, b)
+    return {region: min(together) for together in sets.subsets() for region in together}
 
 
 def settle_labels(labels: IntArray, poses: FloatArray, min_path_m: float) -> IntArray:

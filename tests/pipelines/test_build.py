@@ -16,6 +16,7 @@ import networkx as nx
 import numpy as np
 import pytest
 
+from benchmarks.scores import map_scores
 from specmap_cli import build_map, read_map
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import NoResultError, UsageError
@@ -23,7 +24,6 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config
-from specmap_cli.evaluation.rooms import map_scores
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.relaxation import relax

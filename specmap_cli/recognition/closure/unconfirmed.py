@@ -6,9 +6,12 @@ not drifted between these two, however long the way; what may have drifted is th
 
 from __future__ import annotations
 
-import heapq
 import math
 from itertools import pairwise
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.closure.stay import Stay
@@ -46,21 +49,13 @@ class UnconfirmedWay:
 
 
 def _shortest(start: float, end: float, ties: list[_Tie]) -> float:
-    """Metres between two places along a way with ties between others: Dijkstra's algorithm."""
+    """Metres between two places along a way with ties between others."""
     places = sorted({start, end, *(place for tie in ties for place in tie[:2])})
-    edges = [*((a, b, b - a) for a, b in pairwise(places)), *ties]
-    near: dict[float, list[tuple[float, float]]] = {place: [] for place in places}
-    for a, b, metres in edges:
-        near[a].append((metres, b))
-        near[b].append((metres, a))
-    reached: set[float] = set()
-    waiting = [(0.0, start)]
-    while waiting:
-        metres, place = heapq.heappop(waiting)
-        if place == end:
-            return metres
-        if place not in reached:
-            reached.add(place)
-            for more, other in near[place]:
-                heapq.heappush(waiting, (metres + more, other))
-    return math.inf
+    number = {place: k for k, place in enumerate(places)}
+    metres = {(k, k + 1): b - a for k, (a, b) in enumerate(pairwise(places))}
+    for a, b, tied_m in ties:
+        i, j = sorted((number[a], number[b]))
+        metres[i, j] = min(tied_m, metres.get((i, j), math.inf))
+    ends = np.array(list(metres), dtype=np.int32).T  # csgraph wants 32 bits
+    graph = csr_array((list(metres.values()), tuple(ends)), shape=(len(places), len(places)))
+    return float(dijkstra(graph, directed=False, indices=number[start])[number[end]])

@@ -1,4 +1,4 @@
-"""Training the classifiers that localisation uses, from the keyframes and grids of a map."""
+"""Training the classifiers that localisation uses, from the keyframes of a map."""
 
 from __future__ import annotations
 
@@ -8,50 +8,14 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import Config
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.learning.beside import beside_samples
-from specmap_cli.recognition.learning.calibration import HeldOutMargins, calibrated
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
+from specmap_cli.recognition.learning.calibration import HeldOutMargins
+from specmap_cli.recognition.learning.classifiers import Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.holding_out import Pieces, Samples, held_out_margins
-from specmap_cli.recognition.learning.misfit import held_out_misfit
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.revisits import Revisits
-from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
 from specmap_cli.recognition.learning.sensor import Sensor
-
-
-def train_localizer(
-    store: KeyframeStore,
-    submaps: Mapping[int, Sequence[int]],
-    poses: FloatArray,
-    grids: Mapping[int, GridMap],
-    config: Config,
-    rng: np.random.Generator,
-) -> ClassifierSet:
-    """Classifiers of raw scans and, where wanted, of virtual ones.
-
-    The two are independent: each may be trained apart, with one of `rng.spawn(2)`. `submaps` lists
-    the keyframes of each submap, ascending; `poses` (n, 3) are those of all keyframes, map from
-    base; `grids` are in the frame of each submap's first keyframe.
-    """
-    raw_rng, virtual_rng = rng.spawn(2)
-    virtual, of_virtual, localization = None, None, config.localization
-    if localization.virtual:
-        along = track_samples(store, submaps, poses, localization)
-        cast = cast_samples(submaps, poses, grids, localization, virtual_rng)
-        virtual, of_virtual = train_virtual(along, cast, poses, config, virtual_rng)
-    beside = beside_samples(store, submaps, poses, config, raw_rng)
-    own = raw_samples(store, submaps, config)
-    raw, of_raw = train_raw(own, beside, poses, config, raw_rng)
-    return ClassifierSet(
-        sensor=sensor_of(store, submaps),
-        raw=raw,
-        virtual=virtual,
-        misfit=held_out_misfit(store, submaps, poses, localization),
-        calibration=calibrated(of_raw, of_virtual),
-    )
 
 
 def sensor_of(store: KeyframeStore, submaps: Mapping[int, Sequence[int]]) -> Sensor:

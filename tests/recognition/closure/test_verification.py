@@ -105,10 +105,9 @@ def test_a_room_is_found_at_any_resolution(resolution: float) -> None:
 def driven(building: Any, room: int, resolution: float, frame: Pose2) -> PreparedGrid:
     """What a walk through a room shows on cells of this size, in a frame moved by `frame`."""
     poses = building.path(room, 0)[::4]
-    grid = OccupancyGrid(GridConfig(resolution_m=resolution))
+    grid = OccupancyGrid(GridConfig(resolution_m=resolution, footprint_m=0.0))
     track = compose(invert(compose(poses[0], np.array(frame))), poses)
-    for pose, scan in zip(track, building.scans(poses), strict=True):
-        grid.integrate(scan, Pose2(*pose.tolist()))
+    grid.integrate(building.scans(poses), track, track)
     return ready(grid.snapshot())
 
 

@@ -11,10 +11,13 @@ import pytest
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
+from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.pipelines.learning import Learned, known_of, learn
+from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.recognition.features.sets import (
     KeyframeFeatures,
     feature_names,
@@ -24,18 +27,12 @@ from specmap_cli.recognition.features.sets import (
 from specmap_cli.recognition.features.virtual import cast_circles
 from specmap_cli.recognition.learning import sampling
 from specmap_cli.recognition.learning.beside import beside_samples
-from specmap_cli.recognition.learning.calibration import calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.misfit import held_out_misfit
+from specmap_cli.recognition.learning.lessons import NO_LESSONS
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
-from specmap_cli.recognition.learning.training import (
-    sensor_of,
-    train_localizer,
-    train_raw,
-    train_virtual,
-)
+from specmap_cli.recognition.learning.training import sensor_of, train_raw
 from specmap_cli.recognition.localization.localizer import Localizer
 
 SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 are in none
@@ -147,34 +144,16 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
     assert again.to_dict() == learned.to_dict()
 
 
-def test_the_two_kinds_are_learned_apart_or_together_alike(
-    store: KeyframeStore, grids: dict[int, GridMap]
-) -> None:
-    config = settings()
-    both = train_localizer(store, SUBMAPS, store.poses, grids, config, np.random.default_rng(3))
-    raw_rng, virtual_rng = np.random.default_rng(3).spawn(2)
-    cast = cast_samples(SUBMAPS, store.poses, grids, config.localization, virtual_rng)
-    along = track_samples(store, SUBMAPS, store.poses, config.localization)
-    virtual, of_virtual = train_virtual(along, cast, store.poses, config, virtual_rng)
-    beside = beside_samples(store, SUBMAPS, store.poses, config, raw_rng)
-    taken = raw_samples(store, SUBMAPS, config)
-    raw, of_raw = train_raw(taken, beside, store.poses, config, raw_rng)
-    apart = ClassifierSet(
-        sensor=sensor_of(store, SUBMAPS),
-        raw=raw,
-        virtual=virtual,
-        misfit=held_out_misfit(store, SUBMAPS, store.poses, config.localization),
-        calibration=calibrated(of_raw, of_virtual),
-    )
-    assert apart.to_json() == both.to_json()
+def learned(store: KeyframeStore, config: Config) -> Learned:
+    """What a build learns of two submaps, with the keyframes that lie between in the former."""
+    labels = np.where(np.arange(len(store)) < min(SUBMAPS[2]), 0, 2)
+    known = known_of(store, NO_LESSONS, (), config)
+    return learn(store, known, labels, store.poses, config, Silent(), Stopwatch())
 
 
-def test_virtual_classifiers_are_left_out_when_not_wanted(
-    store: KeyframeStore, grids: dict[int, GridMap]
-) -> None:
-    config = settings(virtual=False)
-    arguments = (store, SUBMAPS, store.poses, grids, config)
-    assert train_localizer(*arguments, np.random.default_rng(0)).virtual is None
+def test_virtual_classifiers_are_left_out_when_not_wanted(store: KeyframeStore) -> None:
+    assert learned(store, settings()).classifiers.virtual is not None
+    assert learned(store, settings(virtual=False)).classifiers.virtual is None
 
 
 def test_the_sensor_is_that_of_the_first_keyframe_in_a_submap(store: KeyframeStore) -> None:
@@ -289,7 +268,6 @@ def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> 
 
 def test_a_feature_set_of_another_package_is_trained_and_used(
     store: KeyframeStore,
-    grids: dict[int, GridMap],
     install: Callable[..., None],
     building: Any,
 ) -> None:
@@ -301,13 +279,13 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
             "localization": {"augmentation": 60, "feature_set": "mine"},
         }
     )
-    rng = np.random.default_rng(0)
-    text = train_localizer(store, SUBMAPS, store.poses, grids, config, rng).to_json()
+    found = learned(store, config)
+    text = found.classifiers.to_json()
     assert '"rings_middle"' in text
     read = ClassifierSet.from_json(text)
     assert read.raw.familiarity is not None
     assert read.raw.familiarity.exemplars_.shape[1] == 3
-    guide = Localizer(read, {0: [2], 2: [0]}, grids, config.localization)
+    guide = Localizer(read, {0: [2], 2: [0]}, found.grids, config.localization)
     labels = []
     for room in (0, 2):
         for k, pose in enumerate(building.path(room, 5)):

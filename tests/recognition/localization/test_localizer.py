@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,15 +12,18 @@ import pytest
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import InputError
-from specmap_cli.core.geometry import IDENTITY, Pose2, compose, invert
+from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.recognition.features.sets import scan_features
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.pipelines.learning import known_of, learn, submaps_of
+from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.learning.training import train_localizer
+from specmap_cli.recognition.learning.lessons import NO_LESSONS
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
 from specmap_cli.recognition.localization.localizer import Localizer
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
@@ -49,24 +54,20 @@ def posed_tour(plan: GridMap, seed: int, **options: Any) -> list[PosedScan]:
 
 class Trained(NamedTuple):
     classifiers: ClassifierSet
-    grids: dict[int, GridMap]
+    grids: Mapping[int, GridMap]
     frames: dict[int, Pose2]
 
 
 def train(tour: list[PosedScan], labels: np.ndarray[Any, Any], config: Config) -> Trained:
     """Classifiers of the rooms that a tour went through."""
     with KeyframeStore() as store:
-        for scan in tour:
+        inside = labels > 0
+        for scan in compress(tour, inside):
             store.append(scan)
-        submaps = {int(i): np.flatnonzero(labels == i).tolist() for i in np.unique(labels) if i}
-        grids, frames = {}, {}
-        for i, numbers in submaps.items():
-            frames[i] = store.pose(numbers[0])
-            track = compose(invert(store.poses[numbers[0]]), store.poses[numbers])
-            grids[i] = integrate_keyframes(store, numbers, track, config.grid).snapshot()
-        rng = np.random.default_rng(0)
-        classifiers = train_localizer(store, submaps, store.poses, grids, config, rng)
-    return Trained(classifiers, grids, frames)
+        frames = {i: store.pose(own[0]) for i, own in submaps_of(labels[inside]).items()}
+        known = known_of(store, NO_LESSONS, (), config)
+        found = learn(store, known, labels[inside], store.poses, config, Silent(), Stopwatch())
+    return Trained(found.classifiers, found.grids, frames)
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +211,7 @@ def test_the_raw_label_is_that_of_the_most_votes_on_the_single_scan(
     raw = trained.classifiers.raw
     for scan in again[:20]:
         label = guide.update(scan)
-        margins = raw.margins(scan_features(scan.planar, raw.feature_set)[None])[0]
+        margins = raw.margins(scans_features([scan.planar], raw.feature_set))[0]
         ranked = sorted(zip(margins.tolist(), raw.ids, strict=True), reverse=True)
         assert (label.submap, label.runner_up) == (ranked[0][1], ranked[1][1])
         assert label.margin == pytest.approx(ranked[0][0] - ranked[1][0])
@@ -228,7 +229,7 @@ def test_without_virtual_scans_the_filter_hears_the_single_scans(
     here: Pose2 | None = None
     assert trained.classifiers.calibration is not None
     for scan in again[:20]:
-        margins = raw.margins(scan_features(scan.planar, raw.feature_set)[None])[0]
+        margins = raw.margins(scans_features([scan.planar], raw.feature_set))[0]
         told = trained.classifiers.calibration.alone(margins[None])[0]
         before, here = here, scan.map_from_base
         step = np.inf if before is None else _motion(before.inverse() @ here)
