@@ -10,8 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.maps.edit_conversion import borders_in, numbers_of, runs_of, said_in
-from specmap_cli.maps.edits import EDITS, Edits, SubmapEdit, edits_text, read_edits
+from specmap_cli.core.json_values import numbers_of, runs_of
+from specmap_cli.maps.edits import (
+    EDITS,
+    Edits,
+    SubmapEdit,
+    borders_in,
+    edits_text,
+    read_edits,
+    said_in,
+)
 from specmap_cli.maps.edits_text import written
 from specmap_cli.topology.borders import Merge, Split
 from specmap_cli.topology.topological_map import Said
@@ -122,8 +130,11 @@ def test_nothing_decided_is_no_text() -> None:
 
 def test_what_the_file_asks_for() -> None:
     edits = EDITS.of_text(BY_HAND)
-    assert said_in(edits) == {3: Said("Küche", "room", {}), 4: Said("", None, {"floor": 2})}
-    assert borders_in(edits.changes) == [Merge(3, 4), Split(5, ((1.0, 2.0), (3.0, 4.5)), 7)]
+    assert said_in(edits) == (Said(3, "Küche", "room"), Said(4, None, None, {"floor": 2}))
+    assert borders_in(edits) == [
+        Merge((3, 4)),
+        Split(submap=5, line=((1.0, 2.0), (3.0, 4.5)), new=7),
+    ]
 
 
 @given(st.sets(st.integers(0, 60)))
