@@ -33,7 +33,7 @@ from specmap_cli.batch.places import path_at
 from specmap_cli.batch.records import Command, Job, Plan
 from specmap_cli.batch.steps import steps_of
 from specmap_cli.core.errors import SETTING, UsageError
-from specmap_cli.core.toml import TomlFormat, said, unless
+from specmap_cli.core.toml import TomlFormat, unless, wrong
 
 
 def jobs_of(inputs: Sequence[str], defaults: Plan | None = None) -> tuple[Job, ...]:
@@ -83,7 +83,7 @@ def _are(kind: type, value: Any) -> bool:
 
 def _some(texts: tuple[str, ...]) -> tuple[str, ...]:
     if not texts:
-        raise said("empty: name one at least")
+        raise wrong("name one at least", "empty")
     return texts
 
 
@@ -131,7 +131,8 @@ def _in_file(path: Path, defaults: Plan, names: Names) -> list[Job]:
     try:
         return _jobs(file, path, defaults, names)
     except UsageError as error:
-        raise UsageError(str(error), code=SETTING) from None
+        error.code = SETTING
+        raise
 
 
 def _jobs(file: _File, path: Path, defaults: Plan, names: Names) -> list[Job]:

@@ -27,8 +27,7 @@ from specmap_cli.cli import (
     simulate,
     update,
 )
-from specmap_cli.cli.groups import unfolded
-from specmap_cli.cli.pairs import JoinedCommand
+from specmap_cli.cli.typer_extras import JoinedCommand, unfolded
 from specmap_cli.core.errors import UsageError
 
 EXIT_CODES = (

@@ -114,6 +114,18 @@ def test_a_file_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
         load_config(path)
 
 
+def test_programs_are_told_where_and_which_key_was_meant(tmp_path: Path) -> None:
+    path = write(tmp_path, "[grid]\nresolutoin_m = 0.1\n")
+    with pytest.raises(UsageError) as caught:
+        load_config(path)
+    hint = "did you mean grid.resolution_m?; run `specmap config` to see every key and its default"
+    assert (caught.value.where, caught.value.hint) == (str(path), hint)
+    assert str(caught.value) == f"{path}: grid.resolutoin_m: no such setting, {hint}"
+    with pytest.raises(UsageError) as caught:
+        load_config(None, None, {"grid": {"resolutoin_m": 0.1}})
+    assert (caught.value.where, caught.value.hint) == ("grid.resolutoin_m", hint)
+
+
 def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "specmap.toml"
     path.write_text("seed = 3\n", encoding="utf-8-sig")

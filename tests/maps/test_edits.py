@@ -192,6 +192,8 @@ def test_what_is_wrong_is_one_line(text: str, complaint: str, tmp_path: Path) ->
     assert complaint in line
     assert line.startswith(f"{tmp_path / 'edits.toml'}: ")
     assert line.endswith("correct it, or see docs/edit.md")
+    assert caught.value.where == str(tmp_path / "edits.toml")
+    assert line.endswith(str(caught.value.hint))
     assert "\n" not in line
 
 
