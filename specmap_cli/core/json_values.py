@@ -15,7 +15,15 @@ from pathlib import PurePosixPath
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler, TypeAdapter
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    TypeAdapter,
+    field_validator,
+)
 from pydantic_core import CoreSchema, core_schema
 
 from specmap_cli.core.geometry import FloatArray, Pose2
@@ -26,6 +34,15 @@ class Record(BaseModel):
     """A part of a JSON file: no key may be missing or unknown."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Measured(Record):
+    """A record of what was measured: its numbers have six decimals at the most."""
+
+    @field_validator("*")
+    @classmethod
+    def _to_six_decimals(cls, value: Any) -> Any:
+        return rounded(value) if isinstance(value, float) else value
 
 
 def titled(title: str) -> ConfigDict:
