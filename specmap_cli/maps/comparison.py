@@ -14,6 +14,7 @@ from pydantic import Field
 
 from specmap_cli.core.json_values import Amount, Count, Measured, Number, Point, Transform
 from specmap_cli.core.schemas import ModelSchema
+from specmap_cli.topology.identity import Same
 
 SCHEMA_VERSION = 1
 
@@ -51,14 +52,6 @@ class AlignmentRecord(Measured):
     rival: float
 
 
-class SameRecord(Measured):
-    """A submap of either map that are one, and intersection over union of what both maps saw."""
-
-    old: Count
-    new: Count
-    iou: float
-
-
 class SplitRecord(Measured):
     """An old submap that is several new ones."""
 
@@ -81,7 +74,7 @@ class SubmapsRecord(Measured):
     `redrawn_new`: what is left, whose borders are drawn elsewhere.
     """
 
-    same: list[SameRecord]
+    same: tuple[Same, ...]
     split: list[SplitRecord]
     merged: list[MergeRecord]
     new: list[Count]

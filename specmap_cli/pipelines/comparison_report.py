@@ -14,7 +14,6 @@ from specmap_cli.maps.comparison import (
     DoorsRecord,
     MapFigures,
     MergeRecord,
-    SameRecord,
     SplitRecord,
     SubmapsRecord,
     ThingRecord,
@@ -108,7 +107,7 @@ def _alignment(alignment: Alignment) -> AlignmentRecord:
 
 def _submaps(identity: Identity) -> SubmapsRecord:
     return SubmapsRecord(
-        same=[SameRecord(old=one.old, new=one.new, iou=one.iou) for one in identity.same],
+        same=identity.same,
         split=[SplitRecord(old=old, new=list(new)) for old, new in identity.splits.items()],
         merged=[MergeRecord(old=list(old), new=new) for new, old in identity.merges.items()],
         new=list(identity.added),
