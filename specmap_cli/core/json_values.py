@@ -8,6 +8,7 @@ a `Record`.
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -21,9 +22,11 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     TypeAdapter,
     field_validator,
 )
+from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
 from specmap_cli.core.geometry import FloatArray, Pose2
@@ -77,6 +80,14 @@ class Value:
             if field["schema"]["type"] == "default" and field["name"] not in cls.may_lack:
                 field["schema"] = field["schema"]["schema"]
         return found
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        made = handler(schema)
+        handler.resolve_ref_schema(made)["description"] = inspect.getdoc(cls)  # as of models
+        return made
 
 
 @dataclass(frozen=True, slots=True)
