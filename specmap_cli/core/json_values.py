@@ -8,6 +8,7 @@ a `Record`.
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,17 @@ from pathlib import PurePosixPath
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler, TypeAdapter
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    TypeAdapter,
+    field_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
 from specmap_cli.core.geometry import FloatArray, Pose2
@@ -26,6 +37,15 @@ class Record(BaseModel):
     """A part of a JSON file: no key may be missing or unknown."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Measured(Record):
+    """A record of what was measured: its numbers have six decimals at the most."""
+
+    @field_validator("*")
+    @classmethod
+    def _to_six_decimals(cls, value: Any) -> Any:
+        return rounded(value) if isinstance(value, float) else value
 
 
 def titled(title: str) -> ConfigDict:
@@ -60,6 +80,14 @@ class Value:
             if field["schema"]["type"] == "default" and field["name"] not in cls.may_lack:
                 field["schema"] = field["schema"]["schema"]
         return found
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        made = handler(schema)
+        handler.resolve_ref_schema(made)["description"] = inspect.getdoc(cls)  # as of models
+        return made
 
 
 @dataclass(frozen=True, slots=True)

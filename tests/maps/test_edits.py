@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.json_values import numbers_of, runs_of
 from specmap_cli.maps.edits import (
     EDITS,
     Edits,
@@ -135,12 +134,6 @@ def test_what_the_file_asks_for() -> None:
         Merge((3, 4)),
         Split(submap=5, line=((1.0, 2.0), (3.0, 4.5)), new=7),
     ]
-
-
-@given(st.sets(st.integers(0, 60)))
-def test_keyframes_are_kept_as_runs(keyframes: set[int]) -> None:
-    ascending = tuple(sorted(keyframes))
-    assert numbers_of(runs_of(ascending)) == ascending
 
 
 @pytest.mark.parametrize(
