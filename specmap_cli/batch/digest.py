@@ -15,7 +15,6 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from specmap_cli.batch.options import inputs_in
 from specmap_cli.batch.records import InputRecord, Job, Step
 from specmap_cli.batch.sources import Source, sources_of
 from specmap_cli.core.errors import SpecmapError, UsageError
@@ -66,10 +65,10 @@ def _input(log: str, sources: tuple[Source, ...]) -> InputRecord:
 
 def _options(step: Step) -> list[str]:
     """The options of a step, with the contents of files in the place of their paths."""
-    written = list(step.options)
-    for place, path in inputs_in(step.command, step.options).items():
-        name = written[place].partition("=")[0]
-        written[place] = f"{name}={_contents(Path(path))}"
+    written = []
+    for option in step.options:
+        name, _, path = option.partition("=")
+        written.append(f"{name}={_contents(Path(path))}" if option in step.inputs else option)
     return written
 
 

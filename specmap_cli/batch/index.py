@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from urllib.parse import quote
 
-from specmap_cli.batch.columns import Row
 from specmap_cli.batch.records import JobRecord
 from specmap_cli.batch.steps import LOG_TEXT, MAP, REPORT
-from specmap_cli.batch.tables import headline, kinds_of, total
+from specmap_cli.batch.tables import Row, headline, kinds_of, total
 from specmap_cli.report import words
 from specmap_cli.report.colours import tones
 from specmap_cli.report.pouring import page_parts, poured

@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
-from specmap_cli.batch.columns import Row, row_of
 from specmap_cli.batch.dispatch import Finished, Happening, Quiet, Retried, Started
 from specmap_cli.batch.events import Event, EventRecord
 from specmap_cli.batch.records import Job, JobResult
+from specmap_cli.batch.tables import Row, row_of
 from specmap_cli.core.text import counted
 from specmap_cli.report.words import lasting
 

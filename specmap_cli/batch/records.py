@@ -37,12 +37,31 @@ Kind = Literal["log", "no-result", "rule", "settings", "memory", "time", "place"
 OptionValue = str | int | float | bool | list[Any]
 
 
+Meaning = Literal["flag", "text", "input", "output"]
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """An option of a command: its long names without dashes, and what it takes.
+
+    That is nothing, a text, the path of an input, or the name of an output.
+    """
+
+    names: tuple[str, ...]
+    meaning: Meaning
+    several: bool = False
+
+
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A command of a job, and its options as they stand on the command line: `--seed=3`."""
+    """A command of a job, and its options as they stand on the command line: `--seed=3`.
+
+    `inputs` are those of the options whose values are paths that the result depends on.
+    """
 
     command: Command
     options: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +82,13 @@ class Plan:
     """What is to be done with each log: steps by name, and the options of each step.
 
     Options have their long names without the dashes; a list gives one several times, and `true`
-    is a flag. It is what a TOML file of jobs says, and what holds where it is silent.
+    is a flag. It is what a TOML file of jobs says, and what holds where it is silent. `known` are
+    the options that each command has, by each of their names.
     """
 
     steps: tuple[Command, ...] = ("build", "report", "check")
     options: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
+    known: Mapping[Command, Mapping[str, Option]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

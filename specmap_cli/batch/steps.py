@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from specmap_cli.batch.options import OF_THE_BATCH, OPTIONS, Option
-from specmap_cli.batch.records import COMMANDS, Command, Plan, Step
+from specmap_cli.batch.records import COMMANDS, Command, Meaning, Option, Plan, Step
 from specmap_cli.core.errors import UsageError
 
 # What lies in the folder of a job.
@@ -28,6 +28,15 @@ SUFFIXES = {  # of exports, for the programs that go by them
 _OF_A_MAP = ("export", "report", "check")
 _FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
 _FORMAT = "--format="
+# What the batch says itself: where results go and how they are told is nobody else's.
+_SAID = frozenset({"out", "overwrite", "json", "quiet", "log-level", "trajectory"})
+
+
+class _Given(NamedTuple):
+    """One use of an option as it stands on the command line."""
+
+    text: str
+    meaning: Meaning
 
 
 def steps_of(plan: Plan, base: Path, where: str = "") -> tuple[Step, ...]:
@@ -38,10 +47,15 @@ def steps_of(plan: Plan, base: Path, where: str = "") -> tuple[Step, ...]:
     """
     _check_commands(plan, where)
     steps: list[Step] = []
+    taken = {MAP, REPORT, LABELS, CONFUSION, JOB, LOG_TEXT, *(f"{each}.json" for each in COMMANDS)}
     for command in plan.steps:
-        options = plan.options.get(command, {})
-        steps += _split(command, tuple(_written(command, options, base, where)), where)
-    _check_outputs(steps, where)
+        given = list(_given(command, plan, base, where))
+        made = _split(command, given, where)
+        for name in _outputs(given, made):
+            if name.lower() in taken:
+                raise UsageError(f"{where}options.{command}: {name} is written twice")
+            taken.add(name.lower())
+        steps += made
     return tuple(steps)
 
 
@@ -98,23 +112,27 @@ def _needs_map(command: Command, options: Mapping[str, Any]) -> bool:
     return command in _OF_A_MAP
 
 
-def _written(command: Command, options: Mapping[str, Any], base: Path, where: str) -> Iterator[str]:
+def _given(command: Command, plan: Plan, base: Path, where: str) -> Iterator[_Given]:
     """The options of one step as they stand on the command line."""
-    for name, value in options.items():
+    for name, value in plan.options.get(command, {}).items():
         place = f"{where}options.{command}.{name}"
-        option = _known(command, name, place)
+        option = _known(plan.known.get(command, {}), name, place)
+        if command == "export" and name == "format":
+            option = replace(option, several=True)  # an export for each
         values = value if option.several and isinstance(value, list) else [value]
         for each in values:
-            yield from _option(name, option, each, base, place)
+            for text in _option(name, option, each, base, place):
+                yield _Given(text, option.meaning)
 
 
-def _known(command: Command, name: str, place: str) -> Option:
-    if name in OF_THE_BATCH[command]:
+def _known(options: Mapping[str, Option], name: str, place: str) -> Option:
+    free = {each: option for each, option in options.items() if _SAID.isdisjoint(option.names)}
+    if name in free:
+        return free[name]
+    if name in options:
         raise UsageError(f"{place}: the batch says that itself: leave it out")
-    if name in OPTIONS[command]:
-        return OPTIONS[command][name]
-    near = difflib.get_close_matches(name, OPTIONS[command], 1)
-    hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(OPTIONS[command])}"
+    near = difflib.get_close_matches(name, free, 1)
+    hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(free)}"
     raise UsageError(f"{place}: no such option: {hint}")
 
 
@@ -146,10 +164,12 @@ def _input(value: str, base: Path, place: str) -> Path:
     return path.absolute()
 
 
-def _split(command: Command, options: tuple[str, ...], where: str) -> list[Step]:
+def _split(command: Command, given: Sequence[_Given], where: str) -> list[Step]:
     """The steps of one command: an export for each format, else a single one."""
+    options = tuple(each.text for each in given)
+    inputs = tuple(each.text for each in given if each.meaning == "input")
     if command != "export":
-        return [Step(command, options)]
+        return [Step(command, options, inputs)]
     formats = [each for each in options if each.startswith(_FORMAT)]
     if not formats:
         raise UsageError(f'{where}options.export.format: missing: say which, such as "nav2"')
@@ -157,23 +177,10 @@ def _split(command: Command, options: tuple[str, ...], where: str) -> list[Step]
     for each in formats:
         if not _FILE_NAME.fullmatch(each.removeprefix(_FORMAT)):
             raise UsageError(f"{where}options.export.format: no format has the name {each!r:.60}")
-    return [Step(command, (*others, each)) for each in formats]
+    return [Step(command, (*others, each), inputs) for each in formats]
 
 
-def _check_outputs(steps: Iterable[Step], where: str) -> None:
-    """Refuse two outputs of one name."""
-    taken = {MAP, REPORT, LABELS, CONFUSION, JOB, LOG_TEXT, *(f"{each}.json" for each in COMMANDS)}
-    for step in steps:
-        for name in _outputs(step):
-            if name.lower() in taken:
-                raise UsageError(f"{where}options.{step.command}: {name} is written twice")
-            taken.add(name.lower())
-
-
-def _outputs(step: Step) -> Iterator[str]:
-    if step.command == "export":
-        yield _export_name(step)
-    for option in step.options:
-        name, _, value = option.removeprefix("--").partition("=")
-        if OPTIONS[step.command][name].meaning == "output":
-            yield value
+def _outputs(given: Sequence[_Given], steps: Sequence[Step]) -> Iterator[str]:
+    """The files that the steps of one command write by names of a person's choice."""
+    yield from (_export_name(step) for step in steps if step.command == "export")
+    yield from (each.text.partition("=")[2] for each in given if each.meaning == "output")

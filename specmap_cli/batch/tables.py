@@ -1,28 +1,99 @@
-"""The summary of a batch as tables: CSV, Parquet, Markdown and JUnit XML."""
+"""The summary of a batch: what it says of a job, and the tables made of it.
+
+They are CSV, Parquet, Markdown and JUnit XML.
+"""
 
 from __future__ import annotations
 
-import csv
 import io
 from collections import Counter
-from collections.abc import Sequence
-from xml.etree import ElementTree
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
-from specmap_cli.batch.columns import COLUMNS, WAITING, Row
-from specmap_cli.checking.reports import cell, xml_text
+from specmap_cli.batch.records import JobRecord
+from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.core.text import counted
 from specmap_cli.report.words import lasting
 
 _MOST = 20  # rows of a table that a person reads
 
+Value = str | int | float | None
+Row = Mapping[str, Value]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column: its name, the type of its values, what they mean, and where they come from."""
+
+    name: str
+    type: Literal["text", "whole", "real"]
+    meaning: str
+    of: Callable[[JobRecord], Value]
+
+
+def _figure(name: str, places: int | None = None) -> Callable[[JobRecord], Value]:
+    """A figure of the map; whole numbers for 0 places."""
+
+    def of(record: JobRecord) -> Value:
+        value = record.figures.get(name)
+        if value is None or isinstance(value, str) or places is None:
+            return value
+        return round(value) if places == 0 else round(value, places)
+
+    return of
+
+
+def _scans_per_s(record: JobRecord) -> Value:
+    """Scans in each second of the attempt, all of its steps counted."""
+    scans = record.figures.get("scans")
+    return round(scans / record.wall_s, 1) if isinstance(scans, int | float) and scans else None
+
+
+def _memory(record: JobRecord) -> Value:
+    return None if record.memory_mb is None else round(record.memory_mb, 1)
+
+
+def _warnings(record: JobRecord) -> Value:
+    """What the steps warned of, each once."""
+    said = dict.fromkeys(each for step in record.steps for each in step.warnings)
+    return "; ".join(said) or None
+
+
+COLUMNS = (
+    Column("name", "text", "of the job and of its folder", lambda one: one.name),
+    Column("state", "text", "done, failed, or waiting", lambda one: one.state),
+    Column("kind", "text", "what kind of failure; see docs/batch.md", lambda one: one.kind),
+    Column("reason", "text", "why it failed", lambda one: one.reason),
+    Column("verdict", "text", "on the map: good, doubtful or poor", _figure("verdict")),
+    Column("lost_share", "real", "share of the scans that were lost", _figure("lost_share", 4)),
+    Column("submaps", "whole", "submaps of the map", _figure("submaps", 0)),
+    Column("area_m2", "real", "square metres of floor", _figure("area_m2", 2)),
+    Column("path_m", "real", "metres driven", _figure("path_m", 2)),
+    Column("scans", "whole", "scans that were read", _figure("scans", 0)),
+    Column("scans_per_s", "real", "scans in each second of the job", _scans_per_s),
+    Column("wall_s", "real", "seconds that the job took", lambda one: round(one.wall_s, 2)),
+    Column("memory_mb", "real", "most megabytes that a step held", _memory),
+    Column("attempts", "whole", "how many times it was tried", lambda one: one.attempts),
+    Column("warnings", "text", "what its steps warned of", _warnings),
+    Column("digest", "text", "SHA-256 of all that decides the result", lambda one: one.digest),
+)
+WAITING = "waiting"
+
+
+def row_of(name: str, record: JobRecord | None) -> Row:
+    """A row of the summary; of a job without a result its name and that it waits."""
+    if record is None:
+        row: dict[str, Value] = dict.fromkeys((column.name for column in COLUMNS), None)
+        return row | {"name": name, "state": WAITING}
+    return {column.name: column.of(record) for column in COLUMNS}
+
 
 def as_csv(rows: Sequence[Row]) -> bytes:
     """A line a job under the names of the columns; empty where nothing is known."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [column.name for column in COLUMNS], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue().encode("utf-8", "backslashreplace")
+    names = [column.name for column in COLUMNS]
+    text = csv_text(names, ([row[name] for name in names] for row in rows))
+    return text.encode("utf-8", "backslashreplace")
 
 
 def as_parquet(rows: Sequence[Row]) -> bytes:
@@ -57,22 +128,18 @@ def as_markdown(rows: Sequence[Row]) -> bytes:
 
 def as_junit(rows: Sequence[Row]) -> bytes:
     """A test suite with a test case a job; one that waits is skipped."""
-    states = Counter(row["state"] for row in rows)
-    suite = ElementTree.Element(
-        "testsuite",
-        name="specmap batch",
-        tests=str(len(rows)),
-        failures=str(states["failed"]),
-        errors="0",
-        skipped=str(states[WAITING]),
-        time=f"{sum(float(row['wall_s'] or 0.0) for row in rows):.3f}",
+    return junit("specmap batch", "specmap batch", [_case(row) for row in rows])
+
+
+def _case(row: Row) -> Case:
+    failed = row["state"] == "failed"
+    return Case(
+        name=str(row["name"]),
+        seconds=float(row["wall_s"] or 0.0),
+        skipped=row["state"] == WAITING,
+        failure=str(row["reason"]) if failed else None,
+        kind=str(row["kind"]),
     )
-    for row in rows:
-        suite.append(_case(row))
-    root = ElementTree.Element("testsuites")
-    root.append(suite)
-    ElementTree.indent(root)
-    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
 
 def headline(rows: Sequence[Row]) -> str:
@@ -115,35 +182,15 @@ def _section(title: str, rows: Sequence[Row], columns: Sequence[str]) -> list[st
         return []
     known = {column.name: column.type for column in COLUMNS}
     more = [f"... and {len(rows) - _MOST:,} more: see summary.csv", ""] if rows[_MOST:] else []
-    return [
-        f"#### {title}",
-        "",
-        "| " + " | ".join(column.replace("_", " ") for column in columns) + " |",
-        "|" + "".join("---|" if known[column] == "text" else "---:|" for column in columns),
-        *(
-            "| " + " | ".join(cell(str(_shown(row, column))) for column in columns) + " |"
-            for row in rows[:_MOST]
-        ),
-        "",
-        *more,
-    ]
+    heads = {column: column.replace("_", " ") for column in columns}
+    table = markdown_table(
+        list(heads.values()),
+        ([markdown_text(_shown(row, column)) for column in columns] for row in rows[:_MOST]),
+        {head for column, head in heads.items() if known[column] != "text"},
+    )
+    return [f"#### {title}", "", *table, "", *more]
 
 
 def _shown(row: Row, column: str) -> str:
     value = row[column]
     return "" if value is None else f"{value:,}" if isinstance(value, int | float) else value
-
-
-def _case(row: Row) -> ElementTree.Element:
-    case = ElementTree.Element(
-        "testcase",
-        classname="specmap batch",
-        name=xml_text(str(row["name"])),
-        time=f"{float(row['wall_s'] or 0.0):.3f}",
-    )
-    if row["state"] == "failed":
-        told = xml_text(str(row["reason"]))
-        ElementTree.SubElement(case, "failure", message=told, type=str(row["kind"]))
-    elif row["state"] == WAITING:
-        ElementTree.SubElement(case, "skipped")
-    return case

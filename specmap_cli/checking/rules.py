@@ -19,13 +19,16 @@ import difflib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from specmap_cli.checking.figures import GOLDEN, MEANINGS, is_figure
 from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.findings import VERDICTS, Verdict
-from specmap_cli.core.tomltext import read_toml
+from specmap_cli.core.toml import TomlFormat, said, unless
 
 Bound = Literal["most", "least"]
 BOUNDS: tuple[Bound, ...] = ("most", "least")
@@ -72,78 +75,77 @@ DEFAULTS = Rules(
 )
 
 
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and not math.isnan(value)
+
+
+def _figure(name: str) -> str:
+    """Refuse what is no figure of a map."""
+    if not is_figure(name):
+        near = difflib.get_close_matches(name, MEANINGS, 1)
+        hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(MEANINGS)}"
+        raise said(f"no such figure: {hint}")
+    return name
+
+
+def _flat(table: Any) -> Any:
+    """The entries of nested tables by dotted key; what is no table as it is."""
+    return dict(_entries(table)) if isinstance(table, Mapping) else table
+
+
+def _entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _entries(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+_Limit = Annotated[int | float, unless(_is_number, "expected a number")]
+_Limits = Annotated[dict[Annotated[str, AfterValidator(_figure)], _Limit], BeforeValidator(_flat)]
+
+
+class _Written(BaseModel):
+    """What a file of rules says."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    defaults: Annotated[
+        bool, unless(lambda value: isinstance(value, bool), "expected true or false")
+    ] = True
+    verdict: Annotated[
+        Verdict | None,
+        unless(lambda value: value in VERDICTS, f"choose from {', '.join(VERDICTS)}"),
+    ] = None
+    most: _Limits = Field(default_factory=dict)
+    least: _Limits = Field(default_factory=dict)
+
+
+_FORMAT = TomlFormat(model=_Written, error=partial(UsageError, code=SETTING))
+
+
 def read_rules(path: Path | None, *, against: bool) -> Rules:
     """The rules in force: those of the file `path` over the defaults.
 
     Rules of `golden.` figures hold only `against` another map. Raises UsageError for a file that
     cannot be read, a rule of no figure, and one that needs another map where there is none.
     """
-    written = {} if path is None else read_toml(path)
-    where = f"{path}: "
-    for key in written:
-        if key not in ("defaults", "verdict", *BOUNDS):
-            raise UsageError(
-                f"{where}{key}: no such key: use defaults, verdict, most and least", code=SETTING
-            )
-    bounds = {bound: _bounds(written.get(bound, {}), bound, where) for bound in BOUNDS}
-    if not against:
-        for bound, found in bounds.items():
-            for name in found:
-                if name.startswith(GOLDEN):
-                    raise UsageError(
-                        f"{where}{bound}.{name}: needs another map: give --against", code=SETTING
-                    )
-    base = DEFAULTS if _wants_defaults(written, where) else Rules("poor", {}, {})
+    written = _Written() if path is None else _FORMAT.read(path)
+    bounds: dict[Bound, dict[str, float]] = {"most": written.most, "least": written.least}
+    golden = [f"{bound}.{name}" for bound in BOUNDS for name in bounds[bound] if _is_golden(name)]
+    if golden and not against:
+        raise UsageError(f"{path}: {golden[0]}: needs another map: give --against", code=SETTING)
+    base = DEFAULTS if written.defaults else Rules("poor", {}, {})
     most, least = (
         {
             name: limit
             for name, limit in {**getattr(base, bound), **bounds[bound]}.items()
-            if math.isfinite(limit) and (against or not name.startswith(GOLDEN))
+            if math.isfinite(limit) and (against or not _is_golden(name))
         }
         for bound in BOUNDS
     )
-    return Rules(_verdict(written, base, where), most, least)
+    return Rules(written.verdict or base.verdict, most, least)
 
 
-def _wants_defaults(written: Mapping[str, Any], where: str) -> bool:
-    wanted = written.get("defaults", True)
-    if not isinstance(wanted, bool):
-        raise UsageError(f"{where}defaults is {wanted!r:.60}: expected true or false", code=SETTING)
-    return wanted
-
-
-def _verdict(written: Mapping[str, Any], base: Rules, where: str) -> Verdict:
-    verdict = written.get("verdict", base.verdict)
-    if verdict not in VERDICTS:
-        raise UsageError(
-            f"{where}verdict is {verdict!r:.60}: choose from {', '.join(VERDICTS)}", code=SETTING
-        )
-    return cast(Verdict, verdict)
-
-
-def _bounds(table: Any, bound: Bound, where: str) -> dict[str, float]:
-    """The bounds of one table by the dotted names of their figures."""
-    if not isinstance(table, Mapping):
-        raise UsageError(
-            f"{where}{bound} is {table!r:.60}: expected a table [{bound}]", code=SETTING
-        )
-    found = dict(_flat(table))
-    for name, limit in found.items():
-        if not is_figure(name):
-            near = difflib.get_close_matches(name, MEANINGS, 1)
-            hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(MEANINGS)}"
-            raise UsageError(f"{where}{bound}.{name}: no such figure: {hint}", code=SETTING)
-        if type(limit) not in (int, float) or math.isnan(limit):
-            raise UsageError(
-                f"{where}{bound}.{name} is {limit!r:.60}: expected a number", code=SETTING
-            )
-    return found
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """The entries of nested tables by dotted key."""
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
+def _is_golden(name: str) -> bool:
+    return name.startswith(GOLDEN)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from specmap_cli.cli.options import Common, Settings
-from specmap_cli.core.errors import BROKEN_RULE, UsageError
+from specmap_cli.cli.options import Common, Settings, options_of, output, place_of
+from specmap_cli.core.errors import BROKEN_RULE
 
 if TYPE_CHECKING:
     from specmap_cli.batch.batch import Listener
     from specmap_cli.batch.ledger import Ledger
-    from specmap_cli.batch.records import Plan
+    from specmap_cli.batch.records import Command, Option, Plan
     from specmap_cli.cli.console import ConsoleProgress
 
 
@@ -36,12 +37,6 @@ Inputs = Annotated[
         help="Recordings, directories and patterns of recordings, TOML files of jobs; paths or "
         "URLs such as s3://bucket/logs.",
         show_default=False,
-    ),
-]
-Out = Annotated[
-    str,
-    typer.Option(
-        "--out", "-o", metavar="DIR", help="Directory, or URL such as s3://bucket/maps, to write."
     ),
 ]
 Workers = Annotated[
@@ -74,7 +69,9 @@ Redo = Annotated[bool, typer.Option("--redo", help="Do again what is complete.")
 
 def batch(
     inputs: Inputs,
-    out: Out,
+    out: Annotated[
+        str, output("Directory, or URL such as s3://bucket/maps, to write.", metavar="DIR")
+    ],
     workers: Workers = None,
     scheduler: Scheduler = None,
     memory_limit: MemoryLimit = None,
@@ -98,10 +95,8 @@ def batch(
     specmap batch 'logs/*.mcap' -o maps --workers 4 --step build
     specmap batch jobs.toml -o s3://bucket/maps --scheduler tcp://host:8786
     """
-    if workers is not None and scheduler is not None:
-        raise UsageError("--workers and --scheduler do not go together: a scheduler has its own")
+    place = place_of(workers, scheduler)
     from specmap_cli.batch.batch import run_batch
-    from specmap_cli.batch.cluster import Place
     from specmap_cli.batch.crew import Terms
     from specmap_cli.batch.jobs import jobs_of
     from specmap_cli.batch.records import Limits
@@ -113,7 +108,6 @@ def batch(
     )
     with common.progress() as progress:
         progress.start(f"0 of {len(jobs)} jobs", len(jobs))
-        place = Place(workers, scheduler)
         ledger = run_batch(jobs, terms, place, retries, _listener(common, progress))
     if not common.as_json:
         common.show({}, _lines(out, ledger))
@@ -131,7 +125,19 @@ def _plan(steps: list[StepName] | None, settings: Settings) -> Plan:
         "set": settings.assignments,
     }
     options = {"build": {name: value for name, value in given.items() if value}}
-    return Plan(tuple(one.value for one in steps), options) if steps else Plan(options=options)
+    plan = Plan(options=options, known=known_options())
+    return replace(plan, steps=tuple(one.value for one in steps)) if steps else plan
+
+
+def known_options() -> dict[Command, dict[str, Option]]:
+    """The options of the commands that a job may have."""
+    from typer.main import get_command
+
+    from specmap_cli.batch.records import COMMANDS
+    from specmap_cli.cli.app import app
+
+    commands: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
+    return {command: options_of(commands[command]) for command in COMMANDS}
 
 
 def _listener(common: Common, progress: ConsoleProgress) -> Listener:

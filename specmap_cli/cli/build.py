@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, Logs, LogSettings, Overwrite, output
+from specmap_cli.cli.options import WRITTEN, Common, Logs, LogSettings, NewMap, Overwrite
 from specmap_cli.cli.targets import keep_inputs
 from specmap_cli.core.errors import BROKEN_RULE, UsageError
 
@@ -20,7 +20,6 @@ class FailingVerdict(StrEnum):
     poor = "poor"
 
 
-Out = Annotated[Path, output("Map directory to write.")]
 NoRelax = Annotated[
     bool, typer.Option("--no-relax", help="Leave the layout as registration found it.")
 ]
@@ -29,6 +28,7 @@ Explain = Annotated[
     typer.Option(
         help="Directory for a picture of every test that may split a submap; not with --like."
     ),
+    WRITTEN,
 ]
 FailOn = Annotated[
     FailingVerdict | None,
@@ -43,7 +43,7 @@ Seed = Annotated[int | None, typer.Option(help="Seed of everything random.")]
 
 def build(
     logs: Logs,
-    out: Out = Path("out"),
+    out: NewMap = Path("out"),
     no_relax: NoRelax = False,
     explain: Explain = None,
     seed: Seed = None,

@@ -7,20 +7,23 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, Overwrite, Settings
+from specmap_cli.cli.options import WRITTEN, Common, Map, Overwrite, Settings
 from specmap_cli.cli.targets import check_files, files_of_map
 from specmap_cli.core.errors import BROKEN_RULE
 
-Map = Annotated[Path, typer.Argument(metavar="MAP", help="Map directory.", show_default=False)]
 RulesFile = Annotated[
     Path | None, typer.Option("--rules", help="TOML file of rules; they go over the defaults.")
 ]
 Against = Annotated[
     Path | None, typer.Option(metavar="GOLDEN", help="A map of the same building that is right.")
 ]
-JUnit = Annotated[Path | None, typer.Option("--junit", help="JUnit XML to write, a test a rule.")]
+JUnit = Annotated[
+    Path | None, typer.Option("--junit", help="JUnit XML to write, a test a rule."), WRITTEN
+]
 Markdown = Annotated[
-    Path | None, typer.Option(help="Markdown to write: a table for the summary page of a CI.")
+    Path | None,
+    typer.Option(help="Markdown to write: a table for the summary page of a CI."),
+    WRITTEN,
 ]
 
 

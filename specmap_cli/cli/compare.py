@@ -14,13 +14,14 @@ Old = Annotated[
     Path, typer.Argument(metavar="OLD", help="Map directory written by `specmap build`.")
 ]
 New = Annotated[Path, typer.Argument(metavar="NEW", help="A later map of the same building.")]
-Out = Annotated[Path | None, output("Directory to write: summary.txt, compare.json, compare.png.")]
 
 
 def compare(
     old: Old,
     new: New,
-    out: Out = None,
+    out: Annotated[
+        Path | None, output("Directory to write: summary.txt, compare.json, compare.png.")
+    ] = None,
     overwrite: Overwrite = False,
     *,
     settings: Settings,

@@ -15,7 +15,7 @@ def config(settings: Settings, common: Common) -> None:
     specmap config > specmap.toml
     specmap config --preset paper --set seed=3
     """
-    from specmap_cli.core.tomltext import to_toml
+    from specmap_cli.core.toml import to_toml
 
     effective = settings.load()
     as_json = common.as_json

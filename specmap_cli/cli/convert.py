@@ -20,12 +20,11 @@ Paths = Annotated[
         show_default=False,
     ),
 ]
-Out = Annotated[Path | None, output("MCAP to write.")]
 
 
 def convert(
     paths: Paths,
-    out: Out = None,
+    out: Annotated[Path | None, output("MCAP to write.")] = None,
     overwrite: Overwrite = False,
     *,
     settings: Settings,

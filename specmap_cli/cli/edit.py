@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,16 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from specmap_cli.cli.options import Common, Overwrite, Settings, output
+from specmap_cli.cli.options import Common, Map, Overwrite, Settings, output
 from specmap_cli.cli.pairs import values_of
 from specmap_cli.cli.targets import keep_inputs
 from specmap_cli.core.errors import UsageError
 
 if TYPE_CHECKING:
     from specmap_cli.pipelines.wishes import Wishes
-
-Map = Annotated[Path, typer.Argument(metavar="MAP", help="Map directory.", show_default=False)]
-Out = Annotated[Path | None, output("Map directory to write; without it MAP itself is changed.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +78,9 @@ class Changed:
 
 def edit(
     map_: Map,
-    out: Out = None,
+    out: Annotated[
+        Path | None, output("Map directory to write; without it MAP itself is changed.")
+    ] = None,
     overwrite: Overwrite = False,
     *,
     said: Said,
@@ -176,10 +174,6 @@ def _property(assignment: str) -> tuple[str, Any]:
     key, separator, text = (part.strip() for part in assignment.partition("="))
     if not separator or not key:
         raise UsageError(f"--set-property {assignment}: expected KEY=VALUE, such as floor=2")
-    if not text:
-        return key, None
-    try:
-        found = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
-        return key, text
-    return key, found["value"] if len(found) == 1 else text
+    from specmap_cli.core.toml import value_of
+
+    return key, value_of(text) if text else None

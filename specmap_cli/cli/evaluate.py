@@ -125,14 +125,14 @@ Logs = Annotated[
         show_default=False,
     ),
 ]
-Out = Annotated[
-    Path | None, output("PNG of the confusion matrix to write (with --protocol).", "--confusion")
-]
 
 
 def evaluate(
     logs: Logs = None,
-    out: Out = None,
+    out: Annotated[
+        Path | None,
+        output("PNG of the confusion matrix to write (with --protocol).", "--confusion"),
+    ] = None,
     overwrite: Overwrite = False,
     *,
     task: Task,

@@ -7,22 +7,18 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, Overwrite, Settings, output
+from specmap_cli.cli.options import Common, Map, Overwrite, Settings, output
 from specmap_cli.cli.targets import check_files
 
-Map = Annotated[
-    Path, typer.Argument(metavar="MAP", help="Map directory written by `specmap build`.")
-]
 Format = Annotated[
     str, typer.Option("--format", "-f", help="One of those above, or of an installed package.")
 ]
-Out = Annotated[Path, output("File to write.")]
 
 
 def export(
     map_: Map,
     format_: Format,
-    out: Out,
+    out: Annotated[Path, output("File to write.")],
     overwrite: Overwrite = False,
     *,
     settings: Settings,

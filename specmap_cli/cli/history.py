@@ -17,10 +17,6 @@ Maps = Annotated[
         metavar="MAP...", help="Map directories, or directories of them.", show_default=False
     ),
 ]
-Out = Annotated[
-    Path | None,
-    output("Directory to write: history.html, history.json, visits.csv, days.csv, changes.csv."),
-]
 Timezone = Annotated[
     str, typer.Option(metavar="NAME", help="Where days begin and end, such as Europe/Berlin.")
 ]
@@ -28,7 +24,12 @@ Timezone = Annotated[
 
 def history(
     maps: Maps,
-    out: Out = None,
+    out: Annotated[
+        Path | None,
+        output(
+            "Directory to write: history.html, history.json, visits.csv, days.csv, changes.csv."
+        ),
+    ] = None,
     timezone: Timezone = "UTC",
     overwrite: Overwrite = False,
     *,

@@ -7,15 +7,16 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, Logs, LogSettings, Overwrite, output
+from specmap_cli.cli.options import WRITTEN, Common, Logs, LogSettings, Overwrite, output
 from specmap_cli.cli.targets import check_files, files_of_map
 
 MapDirectory = Annotated[
     Path, typer.Option("--map", "-m", help="Map directory written by `specmap build`.")
 ]
-Out = Annotated[Path | None, output("CSV to write, a line a scan.", "--output")]
 Plot = Annotated[
-    Path | None, typer.Option(help="PNG to write: the predicted submap along the trajectory.")
+    Path | None,
+    typer.Option(help="PNG to write: the predicted submap along the trajectory."),
+    WRITTEN,
 ]
 Offline = Annotated[
     bool, typer.Option("--offline", help="Smooth over the whole log instead of filtering.")
@@ -28,7 +29,7 @@ Metric = Annotated[
 def localize(
     logs: Logs,
     map_directory: MapDirectory,
-    out: Out = None,
+    out: Annotated[Path | None, output("CSV to write, a line a scan.", "--output")] = None,
     plot: Plot = None,
     offline: Offline = False,
     metric: Metric = False,

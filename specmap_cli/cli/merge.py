@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, Overwrite, Settings, output
-from specmap_cli.core.errors import UsageError
+from specmap_cli.cli.options import Common, NewMap, Overwrite, Settings, place_of
 
 if TYPE_CHECKING:
     from specmap_cli.pipelines.meetings import Spread
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
 Maps = Annotated[
     list[Path], typer.Argument(metavar="MAP", help="Map directories.", show_default=False)
 ]
-Out = Annotated[Path, output("Map directory to write.")]
 Workers = Annotated[
     int | None,
     typer.Option(
@@ -34,7 +32,7 @@ Scheduler = Annotated[
 
 def merge(
     maps: Maps,
-    out: Out = Path("out"),
+    out: NewMap = Path("out"),
     overwrite: Overwrite = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -73,11 +71,9 @@ def _spread(workers: int | None, scheduler: str | None) -> Spread | None:
     """Where pairs of maps are aligned; None: in this process."""
     if workers is None and scheduler is None:
         return None
-    if workers is not None and scheduler is not None:
-        raise UsageError("--workers and --scheduler do not go together: a scheduler has its own")
+    place = place_of(workers, scheduler)
     from functools import partial
 
-    from specmap_cli.batch.cluster import Place
     from specmap_cli.batch.spread import spread
 
-    return partial(spread, Place(workers, scheduler))
+    return partial(spread, place)

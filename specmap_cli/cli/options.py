@@ -1,16 +1,17 @@
-"""The options that several commands share, decided once, and the settings that they stand for.
+"""The parameters that several commands share, declared once, and the settings they stand for.
 
 Every command takes `Common`. One that computes with settings takes `Settings`; if it reads a log,
-`LogSettings`. One that writes takes `Overwrite`, and `-o/--out` (`output`) for its output.
+`LogSettings`. One that writes takes `Overwrite`, and `-o/--out` (`output`) for its output; other
+options whose value is a file to write are marked `WRITTEN`.
 """
 
 from __future__ import annotations
 
-import tomllib
+import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -19,6 +20,8 @@ from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.progress import Level
 
 if TYPE_CHECKING:
+    from specmap_cli.batch.cluster import Place
+    from specmap_cli.batch.records import Meaning, Option
     from specmap_cli.cli.console import ConsoleProgress
     from specmap_cli.core.settings import Config
 
@@ -26,16 +29,24 @@ RECORDING = (
     "Recording: .mcap, rosbag2 directory or .db3, ROS 1 .bag, CARMEN .log; "
     "several files of one split recording together."
 )
+WRITTEN = "written"  # beside the option in its annotation; another option of a path is an input
+
 Logs = Annotated[list[Path], typer.Argument(metavar="LOG", help=RECORDING, show_default=False)]
+Map = Annotated[
+    Path, typer.Argument(metavar="MAP", help="Map directory written by `specmap build`.")
+]
 Resolution = Annotated[
     float | None, typer.Option(help="Metres per pixel of a picture without a .yaml.")
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing result.")]
 
 
-def output(what: str, *aliases: str) -> Any:
+def output(what: str, *aliases: str, metavar: str | None = None) -> Any:
     """`-o/--out`: the output of a command, a directory or a file; `aliases` are other names."""
-    return typer.Option("--out", "-o", *aliases, help=what)
+    return typer.Option("--out", "-o", *aliases, help=what, metavar=metavar)
+
+
+NewMap = Annotated[Path, output("Map directory to write.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,6 +176,42 @@ class LogSettings(Settings):
         }
 
 
+def place_of(workers: int | None, scheduler: str | None) -> Place:
+    """Where work is shared: `--workers` of this machine, or those of a `--scheduler`."""
+    if workers is not None and scheduler is not None:
+        raise UsageError("--workers and --scheduler do not go together: a scheduler has its own")
+    from specmap_cli.batch.cluster import Place
+
+    return Place(workers, scheduler)
+
+
+def options_of(command: Any) -> dict[str, Option]:
+    """The options of a command, as Typer has made it, by each of their long names."""
+    from specmap_cli.batch.records import Option
+
+    hints = inspect.signature(command.callback).parameters
+    found: dict[str, Option] = {}
+    for parameter in command.params:
+        names = tuple(name[2:] for name in parameter.opts if name.startswith("--"))
+        if names:
+            meaning = _meaning(parameter, hints[parameter.name].annotation)
+            found |= dict.fromkeys(names, Option(names, meaning, parameter.multiple))
+    return found
+
+
+def _meaning(parameter: Any, hint: Any) -> Meaning:
+    """What an option takes, by what is declared of it."""
+    if parameter.is_flag:
+        return "flag"
+    if not _holds_path(hint):
+        return "text"
+    return "output" if WRITTEN in hint.__metadata__ else "input"
+
+
+def _holds_path(hint: Any) -> bool:
+    return hint is Path or any(map(_holds_path, get_args(hint)))
+
+
 def _parse(assignment: str) -> tuple[str, Any]:
     """Key and value of KEY=VALUE; a value that is no TOML is a string."""
     key, separator, text = (part.strip() for part in assignment.partition("="))
@@ -174,11 +221,9 @@ def _parse(assignment: str) -> tuple[str, Any]:
         )
     if key == "preset":
         raise UsageError(f"--set {assignment}: choose a preset with --preset {text}", code=SETTING)
-    try:
-        found = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
-        return key, text
-    return key, found["value"] if len(found) == 1 else text
+    from specmap_cli.core.toml import value_of
+
+    return key, value_of(text)
 
 
 def _put(tree: dict[str, Any], key: str, value: Any) -> None:

@@ -7,24 +7,20 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, Overwrite, Settings, output
+from specmap_cli.cli.options import Common, Map, Overwrite, Settings, output
 from specmap_cli.cli.targets import check_files, files_of_map
 
-Map = Annotated[
-    Path, typer.Argument(metavar="MAP", help="Map directory written by `specmap build`.")
-]
 Compare = Annotated[
     Path | None,
     typer.Option(
         metavar="OLD", help="An older map of the same building: what differs is drawn and listed."
     ),
 ]
-Out = Annotated[Path, output("HTML file to write.")]
 
 
 def report(
     map_: Map,
-    out: Out = Path("report.html"),
+    out: Annotated[Path, output("HTML file to write.")] = Path("report.html"),
     compare: Compare = None,
     overwrite: Overwrite = False,
     *,

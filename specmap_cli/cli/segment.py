@@ -7,21 +7,22 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, Overwrite, Resolution, Settings, output
+from specmap_cli.cli.options import WRITTEN, Common, Overwrite, Resolution, Settings, output
 from specmap_cli.cli.targets import check_files, keep_inputs
 
 Grid = Annotated[
     Path, typer.Argument(metavar="MAP", help="map_server .yaml, or .png/.pgm with --resolution.")
 ]
-Out = Annotated[Path, output("Directory to write.")]
 Explain = Annotated[
-    Path | None, typer.Option(help="PNG of the nodes, the sight lines and the eigenvalues.")
+    Path | None,
+    typer.Option(help="PNG of the nodes, the sight lines and the eigenvalues."),
+    WRITTEN,
 ]
 
 
 def segment(
     grid: Grid,
-    out: Out = Path("out"),
+    out: Annotated[Path, output("Directory to write.")] = Path("out"),
     resolution: Resolution = None,
     explain: Explain = None,
     overwrite: Overwrite = False,

@@ -15,7 +15,6 @@ Plan = Annotated[
     Path,
     typer.Argument(metavar="PLAN", help="Floor plan: map_server .yaml, or .png with --resolution."),
 ]
-Out = Annotated[Path, output("MCAP to write; the true poses go beside it, as .tum.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +69,7 @@ class Tour:
 
 def simulate(
     plan: Plan,
-    out: Out,
+    out: Annotated[Path, output("MCAP to write; the true poses go beside it, as .tum.")],
     resolution: Resolution = None,
     overwrite: Overwrite = False,
     *,

@@ -7,13 +7,12 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, Logs, LogSettings, Overwrite, output
+from specmap_cli.cli.options import Common, Logs, LogSettings, NewMap, Overwrite
 from specmap_cli.cli.targets import keep_inputs
 
 Map = Annotated[
     Path, typer.Argument(metavar="MAP", help="Map directory to start from.", show_default=False)
 ]
-Out = Annotated[Path, output("Map directory to write.")]
 AllowApart = Annotated[
     bool,
     typer.Option(
@@ -25,7 +24,7 @@ AllowApart = Annotated[
 def update(
     map_: Map,
     logs: Logs,
-    out: Out = Path("out"),
+    out: NewMap = Path("out"),
     allow_apart: AllowApart = False,
     overwrite: Overwrite = False,
     *,

@@ -6,17 +6,23 @@ defaults of `core/settings.py`. Unknown keys are refused. `specmap config` print
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
-
-from pydantic import ValidationError
 
 from specmap_cli.core.arguments import path_of
 from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.settings import Config
-from specmap_cli.core.tomltext import read_toml
+from specmap_cli.core.toml import TomlFormat
+
+SETTINGS = TomlFormat(
+    model=Config,
+    error=partial(UsageError, code=SETTING),
+    noun="setting",
+    advice="; run `specmap config` to see every key and its default",
+    plainly={"model_type": "is a section: expected one of its keys"},
+)
 
 # What the paper itself did, as differences from the defaults.
 PRESETS: dict[str, dict[str, Any]] = {
@@ -81,7 +87,7 @@ def load_config(
     naming the key at fault for an unreadable file, an unknown key or a value out of range.
     """
     path = None if path is None else path_of(path, "path")
-    from_file = {} if path is None else read_toml(path)
+    from_file = {} if path is None else SETTINGS.tables(path)
     name = preset or from_file.get("preset", "default")
     where = f"{path}: " if path is not None else ""
     if not isinstance(name, str) or name not in PRESETS:
@@ -131,15 +137,8 @@ def _validated(
     settings: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None
 ) -> Config:
     """The configuration; `where` is to blame for a wrong key that is not among the overrides."""
-    try:
-        return Config.model_validate(settings)
-    except ValidationError as error:
-        finding = error.errors()[0]
-        source = "" if _holds(overrides or {}, finding["loc"]) else where
-        raise UsageError(
-            f"{source}{_complaint(finding)}; run `specmap config` to see every key and its default",
-            code=SETTING,
-        ) from None
+    given = overrides or {}
+    return SETTINGS.value(settings, lambda place: "" if _holds(given, place) else where)
 
 
 def _holds(tree: Mapping[str, Any], keys: tuple[int | str, ...]) -> bool:
@@ -150,27 +149,6 @@ def _holds(tree: Mapping[str, Any], keys: tuple[int | str, ...]) -> bool:
             return False
         found = found[key]
     return bool(keys)
-
-
-def _complaint(finding: Mapping[str, Any]) -> str:
-    """One finding of a validation: the key, what is wrong, what was found."""
-    key = ".".join(str(part) for part in finding["loc"])
-    if finding["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(key, _keys(Config()), 1)
-        return f"{key}: no such setting" + (f", did you mean {near[0]}?" if near else "")
-    if finding["type"] == "model_type":
-        return f"{key}: is a section: expected one of its keys, found {finding['input']!r:.60}"
-    prefix = f"{key}: " if key else ""
-    found = "" if isinstance(finding["input"], dict) else f", found {finding['input']!r:.60}"
-    return f"{prefix}{finding['msg']}{found}"
-
-
-def _keys(config: Config) -> list[str]:
-    """Every key of the configuration, dotted."""
-    keys = []
-    for name, value in config.model_dump().items():
-        keys += [f"{name}.{key}" for key in value] if isinstance(value, dict) else [name]
-    return keys
 
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,19 +6,18 @@ formats, an empty cell is an unknown one.
 
 from __future__ import annotations
 
-import csv
-import io
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from operator import attrgetter
 from typing import IO, Any
 
+from specmap_cli.core.json_values import PropertyValue
 from specmap_cli.core.progress import Progress
+from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import plain
 from specmap_cli.exports.fields import DOOR, LINK, SUBMAP, fields_of
 from specmap_cli.maps.schema import NodeRecord, TopologyRecord
-from specmap_cli.maps.schema_values import PropertyValue
 from specmap_cli.maps.store import StoredMap
 
 _SAME_DAY = (1980, 1, 1, 0, 0, 0)  # the first a zip knows: the same map gives the same bytes
@@ -70,8 +69,5 @@ def _note(key: str, node: NodeRecord) -> PropertyValue | None:
 
 def _table(records: Iterable[Any], columns: Mapping[str, Callable[[Any], Any]]) -> str:
     """A table as CSV (RFC 4180)."""
-    lines = io.StringIO()
-    writer = csv.DictWriter(lines, list(columns))
-    writer.writeheader()
-    writer.writerows(plain(fields_of(record, columns)) for record in records)
-    return lines.getvalue()
+    rows = (plain(fields_of(record, columns)) for record in records)
+    return csv_text(list(columns), (list(row.values()) for row in rows), "\r\n")

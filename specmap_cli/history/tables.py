@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
 
 from specmap_cli.core.legible import legible
+from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import counted
 from specmap_cli.history.record import BuildingRecord, ChangeRecord, HistoryRecord, RoomRecord
 
@@ -25,7 +23,7 @@ _UNITS: Mapping[str, str] = {"door-closed": "m wide", "door-opened": "m wide"}
 def visits_csv(record: HistoryRecord) -> str:
     """A line a building, day and room that was visited."""
     head = ("building", "day", "room", "name", "visits", "minutes")
-    return _csv(
+    return csv_text(
         head,
         (
             (building.name, day.day, stay.room, names[stay.room], stay.visits, stay.minutes)
@@ -40,7 +38,7 @@ def visits_csv(record: HistoryRecord) -> str:
 def days_csv(record: HistoryRecord) -> str:
     """A line a building and day."""
     head = ("building", "day", "recordings", "driven_m", "minutes", "rooms")
-    return _csv(
+    return csv_text(
         head,
         (
             (building.name, day.day, day.recordings, day.driven_m, day.minutes, len(day.rooms))
@@ -53,7 +51,7 @@ def days_csv(record: HistoryRecord) -> str:
 def changes_csv(record: HistoryRecord) -> str:
     """A line a change."""
     head = ("building", "since", "day", "kind", "rooms", "x", "y", "size", "map", "before")
-    return _csv(
+    return csv_text(
         head,
         (
             (
@@ -130,11 +128,3 @@ def words_of(change: ChangeRecord, names: Mapping[int, str]) -> str:
     size = "" if change.size is None else f", {change.size:.2f} {_UNITS.get(change.kind, 'm2')}"
     at = "" if change.x is None else f", at ({change.x:.1f}, {change.y:.1f})"
     return f"{_WORDS[change.kind]}{place}{size}{at} (since {change.since})"
-
-
-def _csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows(rows)
-    return buffer.getvalue()

@@ -6,11 +6,10 @@ forbidden doors, in the order in which they are made. docs/edit.md shows the fil
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,27 +19,21 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
-    ValidationError,
 )
 
 from specmap_cli.core.errors import MapError
+from specmap_cli.core.files import read_bytes
+from specmap_cli.core.json_values import PropertyValue, Record, point
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.shortage import reason
+from specmap_cli.core.toml import Keys, TomlFormat
 from specmap_cli.maps import filenames
-from specmap_cli.maps.schema_values import PropertyValue, Record
-from specmap_cli.maps.tables import read_text
-from specmap_cli.topology.topological_map import SubmapKind
+from specmap_cli.topology.borders import Border, Merge, Split
+from specmap_cli.topology.topological_map import Said, SubmapKind
 
 _LONGEST_NAME = 80  # characters: what a badge, a row of a table and a legend can show
 _SHORTEST_LINE_M = 0.1
 _LAST_ID = 999_999_999
 _MOST = 1e9  # metres on the earth, and numbers that stay exact
-_PLAINLY = {
-    "model_type": "must be a table",
-    "dict_type": "must be a table",
-    "tuple_type": "must be tables such as [[changes]]",
-}
-_ADVICE = "correct it, or see docs/edit.md"
 
 
 def _one_line(text: str) -> str:
@@ -194,67 +187,61 @@ def in_words(change: Change) -> str:
     return f"forbid the way between {change.forbid[0]} and {change.forbid[1]}{where}"
 
 
+def said_in(edits: Edits) -> tuple[Said, ...]:
+    """What is said of the submaps, by id, as a map keeps it."""
+    return tuple(
+        Said(id_, edit.name, edit.kind, dict(edit.properties))
+        for id_, edit in sorted(edits.submaps.items())
+        if edit != SubmapEdit()
+    )
+
+
+def borders_in(edits: Edits) -> list[Border]:
+    """The borders that are asked for, to the decimals that a map keeps."""
+    return [_wished(change) for change in edits.changes if not isinstance(change, ForbidEdit)]
+
+
+def _wished(change: MergeEdit | SplitEdit) -> Border:
+    if isinstance(change, MergeEdit):
+        return Merge(change.merge)
+    one, other = change.line
+    return Split(submap=change.split, line=(point(one), point(other)), new=change.new)
+
+
 def read_edits(directory: Path, limits: LimitsConfig | None = None) -> Edits:
     """The edits.toml of a map directory, without any where there is none.
 
     Raises MapError in one line.
     """
-    return edits_of(edits_text(directory, limits), directory / filenames.EDITS)
+    return EDITS.of_text(edits_text(directory, limits), f"{directory / filenames.EDITS}: ")
 
 
 def edits_text(directory: Path, limits: LimitsConfig | None = None) -> str:
     """The text of the edits.toml of a map directory; empty where there is none."""
-    path = directory / filenames.EDITS
-    try:
-        return read_text(path, limits)
-    except FileNotFoundError:
-        return ""
-    except OSError as error:
-        raise MapError(f"{path}: cannot be read: {reason(error)}") from None
-    except UnicodeDecodeError:
-        raise MapError(f"{path}: not UTF-8 text: save it as UTF-8") from None
+    most_mb = (LimitsConfig() if limits is None else limits).text_max_mb
+    read = partial(read_bytes, most_mb=most_mb, setting="limits.text_max_mb")
+    return EDITS.text(directory / filenames.EDITS, read, missing="")
 
 
-def edits_of(text: str, path: Path) -> Edits:
-    """The edits in a text; `path` is to blame. Raises MapError in one line."""
-    try:
-        document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise MapError(f"{path}: not valid TOML: {error}: {_ADVICE}") from None
-    except RecursionError:
-        raise MapError(f"{path}: nested too deeply: {_ADVICE}") from None
-    except ValueError:  # Python reads no integer of thousands of digits
-        raise MapError(f"{path}: a number of too many digits: {_ADVICE}") from None
-    return checked(document, f"{path}: ")
-
-
-def checked(document: Mapping[str, Any], where: str, advice: str = _ADVICE) -> Edits:
-    """The edits in a document; MapError of `where`, what is wrong and an `advice` otherwise."""
-    try:
-        return Edits.model_validate(document)
-    except ValidationError as error:
-        raise MapError(f"{where}{_complaint(error.errors()[0])}: {advice}") from None
-
-
-def _complaint(finding: Mapping[str, Any]) -> str:
-    """One finding of a validation: the key, what is wrong, what was found."""
-    keys, known = _key_of(finding["loc"])
-    if finding["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(keys.rpartition(".")[2], known, 1)
-        hint = f"did you mean {near[0]}?" if near else f"expected {', '.join(known)}"
-        return f"{keys}: no such key, {hint}"
-    if finding["type"] == "missing":
-        return f"{keys}: is missing"
-    told = _PLAINLY.get(finding["type"], str(finding["msg"]).removeprefix("Value error, "))
-    return f"{keys}: {told}, found {finding['input']!r:.60}"
-
-
-def _key_of(loc: tuple[int | str, ...]) -> tuple[str, list[str]]:
+def _named(place: Keys) -> tuple[str, Sequence[str]]:
     """A key as a person finds it, and the keys that stand beside it: changes count from 1."""
-    if loc[0] != "changes" or len(loc) < 2:
-        beside = SubmapEdit if len(loc) > 1 else Edits
-        return ".".join(str(part) for part in loc), list(beside.model_fields)
-    number = f"changes, number {int(loc[1]) + 1}"
-    if len(loc) < 4:
+    if place[0] != "changes" or len(place) < 2:
+        beside = SubmapEdit if len(place) > 1 else Edits
+        return ".".join(str(part) for part in place), list(beside.model_fields)
+    number = f"changes, number {int(place[1]) + 1}"
+    if len(place) < 4:
         return number, []
-    return f"{number}: {loc[3]}", list(_KINDS[str(loc[2])].model_fields)
+    return f"{number}: {place[3]}", list(_KINDS[str(place[2])].model_fields)
+
+
+EDITS = TomlFormat(
+    model=Edits,
+    error=MapError,
+    advice=": correct it, or see docs/edit.md",
+    plainly={
+        "model_type": "must be a table",
+        "dict_type": "must be a table",
+        "tuple_type": "must be tables such as [[changes]]",
+    },
+    named=_named,
+)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.tomltext import toml_value
-from specmap_cli.maps.edits import Change, Edits, SubmapEdit, edits_of
+from specmap_cli.core.toml import toml_value
+from specmap_cli.maps.edits import EDITS, Change, Edits, SubmapEdit
 
 HEAD = "# What a person decided about this map: `specmap edit` writes this, and so may you.\n"
 
@@ -39,7 +38,7 @@ def _kept(edits: Edits, before: str) -> str | None:
     """The text with its unchanged tables, None where it cannot be taken apart."""
     pieces = list(_pieces(before))
     try:
-        parts = [edits_of(piece, Path()) for piece in pieces]
+        parts = [EDITS.of_text(piece) for piece in pieces]
     except MapError:  # a string over several lines, of which one begins as a table does
         return None
     waiting = {id_: edit for id_, edit in edits.submaps.items() if _says(edit)}
@@ -88,7 +87,7 @@ def _comments(piece: str) -> str:
 def _says_the_same(text: str, edits: Edits) -> bool:
     """Whether a text is TOML that says what the edits say."""
     try:
-        found = edits_of(text, Path())
+        found = EDITS.of_text(text)
     except MapError:
         return False
     said = {id_: edit for id_, edit in edits.submaps.items() if _says(edit)}

@@ -11,6 +11,7 @@ from specmap_cli.core.files import read_bytes
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.shortage import reason
+from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import decimal, stamp_ns, stamp_text
 
 LABELS_HEADER = "stamp,x,y,theta,submap"
@@ -19,13 +20,14 @@ _FARTHEST = 1e8  # metres: twice around the earth, farther than any place in a m
 
 def labels_text(labels: Labels) -> str:
     """CSV with a header; the last column is empty for a keyframe in no submap."""
-    rows = [LABELS_HEADER]
-    for stamp, pose, submap in zip(
+    keyframes = zip(
         labels.stamps_ns.tolist(), labels.poses.tolist(), labels.submaps.tolist(), strict=True
-    ):
-        cells = [stamp_text(stamp), *(decimal(value) for value in pose)]
-        rows.append(",".join([*cells, str(submap) if submap != NO_SUBMAP else ""]))
-    return "\n".join(rows) + "\n"
+    )
+    rows = (
+        [stamp_text(stamp), *map(decimal, pose), submap if submap != NO_SUBMAP else None]
+        for stamp, pose, submap in keyframes
+    )
+    return csv_text(LABELS_HEADER.split(","), rows)
 
 
 def read_text(path: Path, limits: LimitsConfig | None = None) -> str:

@@ -104,7 +104,7 @@ def linked(
         poses=labels.poses,
         stamps_ns=stamps_ns,
         breaks=[
-            Break(keyframe, None if bridge is None else (bridge.position_m, bridge.heading_rad))
+            Break(keyframe, *((bridge.position_m, bridge.heading_rad) if bridge else ()))
             for keyframe, bridge in sorted(breaks.items())
             if keyframe < len(stamps_ns)  # none came after the last of them
             and keyframe not in starts

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.files import write_together
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import NO_SUBMAP
+from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import counted, legible, stamp_text
 from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.map_server import png_bytes
@@ -115,33 +116,40 @@ def write_report(
     """
     contents: dict[Path, bytes] = {}
     if csv is not None:
-        contents[csv] = csv_text(report, metric).encode("utf-8")
+        contents[csv] = table_of(report, metric).encode("utf-8")
     if plot is not None:
         contents[plot] = png_bytes(picture_of(report, stored, metric))
     write_together(contents)
 
 
-def csv_text(report: LocalizationReport, metric: bool) -> str:
-    """One line a scan; an empty submap is unknown."""
-    lines = [HEADER + (METRIC_HEADER if metric else "")]
-    for scan in report.scans:
-        label = scan.label
-        line = (
-            f"{stamp_text(label.stamp_ns)},{_id(label.submap)},{label.margin:.6f},"
-            f"{_id(label.runner_up)},{_id(label.filtered_submap)},"
-            f"{_cell(report.name_of(label.filtered_submap))},{label.filtered_probability:.6f},"
-            f"{label.probability:.6f}"
-        )
-        lines.append(line + (_metric_cells(scan.fix) if metric else ""))
-    return "\n".join(lines) + "\n"
+def table_of(report: LocalizationReport, metric: bool) -> str:
+    """CSV: one line a scan; an empty submap is unknown."""
+    head = HEADER + METRIC_HEADER if metric else HEADER
+    return csv_text(head.split(","), (_cells(report, scan, metric) for scan in report.scans))
 
 
-def _metric_cells(fix: Fix | None) -> str:
+def _cells(report: LocalizationReport, scan: LocalizedScan, metric: bool) -> list[Any]:
+    """The cells of one scan; None where nothing is known."""
+    label = scan.label
+    return [
+        stamp_text(label.stamp_ns),
+        label.submap,
+        f"{label.margin:.6f}",
+        label.runner_up,
+        label.filtered_submap,
+        report.name_of(label.filtered_submap),
+        f"{label.filtered_probability:.6f}",
+        f"{label.probability:.6f}",
+        *(_metric_cells(scan.fix) if metric else ()),
+    ]
+
+
+def _metric_cells(fix: Fix | None) -> list[str]:
     """The pose, its score and the upper triangle of its covariance; empty cells for none."""
     if fix is None:
-        return "," * METRIC_HEADER.count(",")
-    pose = "".join(f",{value:.6f}" for value in (*fix.pose, fix.score))
-    return pose + "".join(f",{value:.4e}" for value in fix.covariance[np.triu_indices(3)].tolist())
+        return [""] * METRIC_HEADER.count(",")
+    pose = [f"{value:.6f}" for value in (*fix.pose, fix.score)]
+    return pose + [f"{value:.4e}" for value in fix.covariance[np.triu_indices(3)].tolist()]
 
 
 def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> NDArray[np.uint8]:
@@ -190,16 +198,6 @@ def _place(scan: LocalizedScan, stored: StoredMap) -> FloatArray:
         return np.array([math.nan, math.nan])
     pose = stored.topology.submaps[scan.fix.submap].map_from_submap @ scan.fix.pose
     return np.array([pose.x, pose.y])
-
-
-def _cell(text: str) -> str:
-    """Text as it stands in a CSV."""
-    quoted = text.replace('"', '""')
-    return f'"{quoted}"' if any(mark in text for mark in ',"') else text
-
-
-def _id(submap: int | None) -> str:
-    return "" if submap is None else str(submap)
 
 
 def _name(submap: int | None) -> str:

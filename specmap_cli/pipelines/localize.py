@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
-from specmap_cli.core.config import load_config, with_overrides
+from specmap_cli.core.config import SETTINGS, load_config, with_overrides
 from specmap_cli.core.errors import SETTING, LogError, MapError, UsageError
 from specmap_cli.core.labels import neighbours
 from specmap_cli.core.progress import Progress, Silent
@@ -16,7 +16,6 @@ from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.core.text import legible
 from specmap_cli.core.threads import one_blas_thread
-from specmap_cli.core.tomltext import read_toml
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.filenames import CLASSIFIERS
@@ -177,7 +176,7 @@ def settings_for(
     A `preset`, or one that the file names, takes the place of the map's settings. Topics and frames
     are never the map's: they are the log's own. Raises UsageError as `load_config` does.
     """
-    from_file = {} if file is None else read_toml(path_of(file, "file"))
+    from_file = {} if file is None else SETTINGS.tables(path_of(file, "file"))
     if preset is not None or "preset" in from_file:
         return load_config(file, preset, overrides)
     built_with = stored.config.model_copy(update={"log": LogConfig()})

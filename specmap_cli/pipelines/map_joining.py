@@ -142,10 +142,10 @@ def _later(log: LogInfo, first: int) -> LogInfo:
 
 def moved_finding(finding: Finding, old_from_new: Pose2) -> Finding:
     """A finding at its place in another map."""
-    if finding.place is None:
+    if finding.where is None or finding.place is None:
         return finding
     x, y = old_from_new.apply(np.array([finding.place]))[0].tolist()
-    return replace(finding, place=(x, y))
+    return replace(finding, where=replace(finding.where, x=x, y=y))
 
 
 def closures_between(old: KeptMap, new: KeptMap, joints: Sequence[Joint]) -> tuple[Closure, ...]:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.labels import runs
 from specmap_cli.core.records import BoolArray, IntArray, Labels
 from specmap_cli.core.settings import Config
@@ -165,6 +166,6 @@ def _left(border: Border, row: Mapping[int, int], gone: BoolArray) -> Border:
         return border
     return replace(
         border,
-        keyframes=tuple(row[one] for one in border.keyframes),
+        runs=runs_of([row[one] for one in border.keyframes]),
         known=border.known - int(gone[: border.known].sum()),
     )

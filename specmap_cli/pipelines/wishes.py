@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.errors import UsageError
 from specmap_cli.core.text import counted
 from specmap_cli.maps.edits import (
+    EDITS,
     Change,
     Edits,
     ForbidEdit,
     MergeEdit,
     SplitEdit,
     SubmapEdit,
-    checked,
 )
+
+_WISHED = replace(EDITS, error=UsageError, advice=": see `specmap edit --help`")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +51,7 @@ def with_wishes(edits: Edits, wishes: Wishes) -> Edits:
         submaps[id_] = _said(submaps.get(id_, {}), id_, wishes)
     stay = [change.model_dump() for change in _not_undone(edits, wishes.undo)]
     changes = [*stay, *wishes.changes]
-    found = _checked({"submaps": submaps, "changes": changes})
+    found = _WISHED.value({"submaps": submaps, "changes": changes}, "edit: ")
     said = {id_: edit for id_, edit in found.submaps.items() if edit != SubmapEdit()}
     return found.model_copy(update={"submaps": said})
 
@@ -93,10 +95,3 @@ def _renamed(change: Change, was: Mapping[int, tuple[int, ...]]) -> list[Change]
     one, other = (was.get(end, (end,)) for end in change.forbid)
     pairs = [(a, b) for a in one for b in other if a != b]
     return [change.model_copy(update={"forbid": pair}) for pair in pairs]
-
-
-def _checked(document: Mapping[str, Any]) -> Edits:
-    try:
-        return checked(document, "edit: ", "see `specmap edit --help`")
-    except MapError as error:
-        raise UsageError(str(error)) from None

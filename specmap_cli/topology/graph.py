@@ -15,6 +15,7 @@ from scipy.cluster.hierarchy import DisjointSet
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.labels import runs
 from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.core.tracks import travelled
@@ -114,7 +115,7 @@ def stays_of(
         Stay(
             number=number,
             submap=int(np.bincount(labels[list(keyframes)]).argmax()),
-            keyframes=tuple(sorted(keyframes)),
+            runs=runs_of(sorted(keyframes)),
             origin=keyframes[0],
             start_ns=stamps_ns[min(keyframes)],
             end_ns=stamps_ns[max(keyframes)],
@@ -180,8 +181,8 @@ def _driven(
             yield _Contact(pair, "loose")
             continue
         x, y, _ = ((poses[end - 1] + poses[after]) / 2.0).tolist()
-        crossing = Pose2(x, y, float(poses[after, 2]))
-        yield _Contact(pair, "traversed", Traversal(stamps_ns[after], source, target, crossing))
+        crossing = (x, y, float(poses[after, 2]))
+        yield _Contact(pair, "traversed", Traversal(stamps_ns[after], source, target, *crossing))
 
 
 def _recognised(

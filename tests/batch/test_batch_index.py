@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from specmap_cli.batch.columns import row_of
 from specmap_cli.batch.index import as_html
 from specmap_cli.batch.records import JobResult
+from specmap_cli.batch.tables import row_of
 from tests.batch.results import failed, result, warned
 from tests.report.browser import Browser, installed
 

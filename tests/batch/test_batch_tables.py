@@ -11,10 +11,18 @@ import jsonschema
 import pytest
 
 from specmap_cli.batch import events
-from specmap_cli.batch.columns import COLUMNS, Row, row_of
 from specmap_cli.batch.dispatch import Finished, Quiet, Retried, Started, Turn
 from specmap_cli.batch.ledger import Ledger
-from specmap_cli.batch.tables import as_csv, as_junit, as_markdown, as_parquet, headline
+from specmap_cli.batch.tables import (
+    COLUMNS,
+    Row,
+    as_csv,
+    as_junit,
+    as_markdown,
+    as_parquet,
+    headline,
+    row_of,
+)
 from specmap_cli.core.schemas import read_schema
 from tests.batch.results import failed, job, result, warned
 

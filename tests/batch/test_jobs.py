@@ -5,24 +5,23 @@ from __future__ import annotations
 import pickle
 import typing
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
-import typer
 
-from specmap_cli.batch.jobs import jobs_of
+from specmap_cli.batch import jobs
 from specmap_cli.batch.naming import BESIDE_JOBS
-from specmap_cli.batch.options import OF_THE_BATCH, OPTIONS
 from specmap_cli.batch.outputs import INDEX, JOURNAL, SUMMARIES
 from specmap_cli.batch.records import COMMANDS, Job, Plan, Step
 from specmap_cli.batch.steps import SUFFIXES, arguments_of
-from specmap_cli.cli.app import app
+from specmap_cli.cli.batch import known_options
 from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.exports.table import exporters
 from specmap_cli.logs.readers.mcap import McapFile
 
 DEFAULT = (Step("build"), Step("report"), Step("check"))
+KNOWN = known_options()
 Lay = Callable[..., Path]
 
 
@@ -42,8 +41,13 @@ def lay(tmp_path: Path) -> Lay:
     return lay
 
 
-def names(jobs: tuple[Job, ...]) -> list[str]:
-    return [job.name for job in jobs]
+def jobs_of(inputs: list[str], plan: Plan = Plan()) -> tuple[Job, ...]:
+    """The jobs of some inputs, with the options of the command line."""
+    return jobs.jobs_of(inputs, replace(plan, known=KNOWN))
+
+
+def names(found: tuple[Job, ...]) -> list[str]:
+    return [job.name for job in found]
 
 
 def test_a_log_is_a_job_called_as_it_with_the_default_steps(lay: Lay) -> None:
@@ -145,7 +149,7 @@ def test_a_file_of_jobs_says_which_logs_steps_and_options(lay: Lay) -> None:
         Step("build", ("--preset=paper", "--set=grid.resolution_m=0.1")),
         Step("export", ("--format=nav2",)),
         Step("export", ("--format=csv",)),
-        Step("check", (f"--rules={where / 'rules.toml'}",)),
+        Step("check", (rules := f"--rules={where / 'rules.toml'}",), (rules,)),
     )
     assert one.steps == two.steps == cellar.steps
     parts = tuple(str(where / "lobby" / f"part_{number}.mcap") for number in (1, 2))
@@ -172,7 +176,7 @@ LOGS = 'logs = "a.mcap"\n'
     [
         ("", "jobs.toml: no jobs"),
         ("logs = [", "jobs.toml: not valid TOML"),
-        (LOGS + "stepz = []", "jobs.toml: stepz: no such key"),
+        (LOGS + "stepz = []", "jobs.toml: stepz: no such key, did you mean steps?"),
         (LOGS + 'steps = ["biuld"]', "jobs.toml: 'biuld': no such step: choose from build"),
         (LOGS + "steps = []", "jobs.toml: steps: empty"),
         (LOGS + 'steps = "build, check"', "jobs.toml: 'build, check': no such step"),
@@ -201,7 +205,7 @@ LOGS = 'logs = "a.mcap"\n'
             f'[[job]]\nname = "x"\n{LOGS}[[job]]\nname = "X"\n{LOGS}',
             "job 2 (X): name: X is another",
         ),
-        (f'[[job]]\n{LOGS}log = "b"', "jobs.toml: job 1: log: no such key: use name, logs"),
+        (f'[[job]]\n{LOGS}log = "b"', "jobs.toml: job 1: log: no such key, did you mean logs?"),
         (f"[[job]]\n{LOGS}[job.options.build]\nseeed = 1", "job 1: options.build.seeed: no such"),
     ],
 )
@@ -224,16 +228,33 @@ def test_a_place_without_a_recording_is_refused(tmp_path: Path, place: str) -> N
         jobs_of([str(tmp_path / place)])
 
 
-def test_the_table_of_options_is_that_of_the_command_line() -> None:
-    commands: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    for command in COMMANDS:
-        real = {
-            option.removeprefix("--")
-            for parameter in commands[command].params
-            for option in parameter.opts
-            if option.startswith("--") and option != "--help"
+def test_the_command_line_says_what_options_take() -> None:
+    assert set(KNOWN) == set(COMMANDS)
+    assert KNOWN["localize"]["output"].names == ("out", "output")
+    said = {"out", "output", "confusion", "trajectory"}
+    found = {
+        (command, meaning): {
+            name for name, option in KNOWN[command].items() if option.meaning == meaning
         }
-        assert real == set(OPTIONS[command]) | OF_THE_BATCH[command], command
+        - said
+        for command in COMMANDS
+        for meaning in ("input", "output")
+    }
+    assert {key: options for key, options in found.items() if options} == {
+        ("build", "input"): {"like", "config"},
+        ("build", "output"): {"explain"},
+        ("localize", "input"): {"map", "config"},
+        ("localize", "output"): {"plot"},
+        ("evaluate", "input"): {"relations", "reference", "rooms", "config"},
+        ("export", "input"): {"config"},
+        ("report", "input"): {"compare", "config"},
+        ("check", "input"): {"rules", "against", "config"},
+        ("check", "output"): {"junit", "markdown"},
+    }
+    several = {name for known in KNOWN.values() for name in known if known[name].several}
+    assert several == {"set", "reference", "rooms"}
+    flags = {name for name, option in KNOWN["build"].items() if option.meaning == "flag"}
+    assert flags == {"no-relax", "overwrite", "no-odometry", "quiet", "json"}
 
 
 def test_every_export_of_ours_has_the_suffix_that_its_programs_know() -> None:

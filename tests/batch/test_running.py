@@ -28,6 +28,7 @@ from specmap_cli.batch.records import (
     Step,
 )
 from specmap_cli.batch.running import failure, may_retry, run_job
+from specmap_cli.cli.batch import known_options
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.core.text import to_json
 from tests.batch import fake_specmap
@@ -367,7 +368,8 @@ def test_a_real_log_without_its_end_becomes_a_map_with_figures_and_a_warning(
 ) -> None:
     log = tmp_path / "short.mcap"
     log.write_bytes(tiny_log.read_bytes()[:-40])
-    (job,) = jobs_of([str(log)], Plan(("build",), {"build": {"set": list(QUICK[1::2])}}))
+    options = {"build": {"set": list(QUICK[1::2])}}
+    (job,) = jobs_of([str(log)], Plan(("build",), options, known_options()))
     result = run_job(job, str(tmp_path / "out"), Limits(memory_mb=4000), str(tmp_path / "scratch"))
     assert result.state == "done", result.reason
     assert result.figures["scans"] == 61
@@ -397,11 +399,13 @@ def test_the_digest_knows_the_contents_of_option_files(tmp_path: Path) -> None:
     log, rules = tmp_path / "a.mcap", tmp_path / "rules.toml"
     log.write_bytes(b"log")
     rules.write_text("verdict = 'good'")
-    job = Job("a", (str(log),), (Step("build"), Step("check", (f"--rules={rules}",))))
+    option = f"--rules={rules}"
+    job = Job("a", (str(log),), (Step("build"), Step("check", (option,), (option,))))
     before = digest_of(job, "1", inputs_of(job))
     moved = tmp_path / "others.toml"
     moved.write_text("verdict = 'good'")
-    elsewhere = Job("a", job.logs, (job.steps[0], Step("check", (f"--rules={moved}",))))
+    option = f"--rules={moved}"
+    elsewhere = Job("a", job.logs, (job.steps[0], Step("check", (option,), (option,))))
     assert digest_of(elsewhere, "1", inputs_of(elsewhere)) == before
     assert digest_of(job, "2", inputs_of(job)) != before
     rules.write_text("verdict = 'poor'")

@@ -71,12 +71,14 @@ def test_a_file_may_do_without_the_defaults(tmp_path: Path) -> None:
         ("[least]\nsubmaps = nan", "least.submaps is nan: expected a number"),
         ('[most]\nparts = "two"', "most.parts is 'two': expected a number"),
         ("most = 3", "most is 3: expected a table [most]"),
-        ("[atmost]\nparts = 3", "atmost: no such key: use defaults, verdict, most and least"),
+        ("[atmost]\nparts = 3", "atmost: no such key, did you mean most?"),
+        ("[zebra]", "zebra: no such key, expected defaults, verdict, most, least"),
         ('verdict = "fine"', "verdict is 'fine': choose from good, doubtful, poor"),
         ("verdict = []", "verdict is []: choose from good, doubtful, poor"),
         ("defaults = 0", "defaults is 0: expected true or false"),
         ("[most]\ngolden.gone = 2", "most.golden.gone: needs another map: give --against"),
         ("[most", "not valid TOML"),
+        ("x = " + "[" * 3000, "nested too deeply"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_told(tmp_path: Path, text: str, told: str) -> None:

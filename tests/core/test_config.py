@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from specmap_cli.core.config import PRESETS, load_config, with_overrides
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.settings import Config
-from specmap_cli.core.tomltext import to_toml
+from specmap_cli.core.toml import to_toml
 
 
 def write(folder: Path, text: str) -> Path:
@@ -86,6 +86,12 @@ BROKEN = {
     "an unknown preset": ('preset = "papre"\n', "papre"),
     "a preset that is a list": ("preset = [1]\n", "preset"),
     "no TOML": ("[grid\n", "not valid TOML"),
+    "a deep list": ("x = " + "[" * 3000, "nested too deeply"),
+    "a long number": ("x = " + "9" * 5000, "a number of too many digits"),
+    "two bounds the wrong way round": (
+        "[log]\nband_min_m = 3.0\n",
+        "log: band_min_m must be below band_max_m",
+    ),
 }
 
 
@@ -99,13 +105,19 @@ def test_a_broken_file_is_one_line_that_names_the_key(tmp_path: Path, case: str)
     assert caught.value.exit_code == 2
 
 
-@pytest.mark.parametrize("content", [None, b"\xff\xfe seed"])
-def test_a_file_that_cannot_be_read_is_one_line(tmp_path: Path, content: bytes | None) -> None:
+def test_a_file_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "specmap.toml"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(UsageError, match=r"specmap\.toml: cannot be read"):
+    with pytest.raises(UsageError, match=r"specmap\.toml: cannot be read: No such file"):
         load_config(path)
+    path.write_bytes(b"\xff\xfe seed")
+    with pytest.raises(UsageError, match=r"specmap\.toml: not UTF-8 text: save it as UTF-8"):
+        load_config(path)
+
+
+def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "specmap.toml"
+    path.write_text("seed = 3\n", encoding="utf-8-sig")
+    assert load_config(path).seed == 3
 
 
 @pytest.mark.parametrize(

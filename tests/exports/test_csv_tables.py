@@ -5,13 +5,15 @@ from __future__ import annotations
 import csv
 import io
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.exports.table import export_map
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.writing import MapResult, write_map
 
 Rows = list[dict[str, str]]
 
@@ -40,6 +42,18 @@ def test_the_rows_are_the_map_s(home: StoredMap, tmp_path: Path) -> None:
         ("0", "1", "0.9"),
         ("0", "2", "0.8"),
     ]
+
+
+def test_what_a_person_noted_is_no_formula(lived_in: MapResult, tmp_path: Path) -> None:
+    first, *others = lived_in.topology.submaps.values()
+    noted = replace(first, name="=cmd|' /C calc'!A0", properties={"of": "@Ann", "floor": -2})
+    submaps = {submap.id: submap for submap in (noted, *others)}
+    (tmp_path / "home").mkdir()
+    topology = replace(lived_in.topology, submaps=submaps)
+    write_map(tmp_path / "home", replace(lived_in, topology=topology))
+    row = tables(read_map(tmp_path / "home"), tmp_path / "home.zip")["nodes.csv"][0]
+    assert row["name"] == "'=cmd|' /C calc'!A0"
+    assert (row["property.of"], row["property.floor"]) == ("'@Ann", "-2")
 
 
 def test_empty_tables_keep_their_headings(stored: StoredMap, tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ def test_the_manager_reads_it_and_its_figures_are_the_map_s(
         jsonschema.validate(found, RULES)
         assert {"parent", "child", "rotation", "translation"} <= found["transformation"].keys()
         graph = graph_of(found)
-        ways = [edge for edge in stored.record.edges if edge.path]
+        ways = [edge for edge in stored.record.edges if edge.corners]
         passed = sum(len(edge.doors) for edge in ways)
         assert len(graph) == len(stored.record.nodes) + passed
         assert graph.number_of_edges() == 2 * (len(ways) + passed)

@@ -10,8 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.maps.edit_conversion import borders_in, numbers_of, runs_of, said_in
-from specmap_cli.maps.edits import Edits, SubmapEdit, edits_of, read_edits
+from specmap_cli.core.json_values import numbers_of, runs_of
+from specmap_cli.maps.edits import (
+    EDITS,
+    Edits,
+    SubmapEdit,
+    borders_in,
+    edits_text,
+    read_edits,
+    said_in,
+)
 from specmap_cli.maps.edits_text import written
 from specmap_cli.topology.borders import Merge, Split
 from specmap_cli.topology.topological_map import Said
@@ -73,7 +81,7 @@ def meant(edits: Edits) -> tuple[Any, ...]:
 @given(documents)
 def test_read_back_as_written(document: dict[str, Any]) -> None:
     edits = Edits.model_validate(document)
-    assert meant(edits_of(written(edits), Path("e"))) == meant(edits)
+    assert meant(EDITS.of_text(written(edits))) == meant(edits)
 
 
 @given(documents, documents)
@@ -82,13 +90,13 @@ def test_whatever_stood_there_before_the_text_says_what_is_meant(
 ) -> None:
     text = written(Edits.model_validate(before))
     edits = Edits.model_validate(document)
-    assert meant(edits_of(written(edits, text), Path("e"))) == meant(edits)
+    assert meant(EDITS.of_text(written(edits, text))) == meant(edits)
     again = written(edits, written(edits, text))
     assert again == written(edits, text)
 
 
 def test_what_a_person_wrote_stays_to_the_letter() -> None:
-    edits = edits_of(BY_HAND, Path("e"))
+    edits = EDITS.of_text(BY_HAND)
     assert written(edits, BY_HAND) == BY_HAND
     more = edits.model_copy(update={"submaps": {**edits.submaps, 9: SubmapEdit(name="Lab")}})
     assert written(more, BY_HAND) == BY_HAND + '\n[submaps.9]\nname = "Lab"\n'
@@ -103,11 +111,16 @@ def test_what_a_person_wrote_stays_to_the_letter() -> None:
 
 def test_text_that_cannot_be_taken_apart_is_written_anew() -> None:
     text = '[submaps.3]\nproperties = { note = """\n[not a table\n""" }\n'
-    edits = edits_of(text, Path("e"))
-    more = edits.model_copy(
-        update={"changes": edits_of("[[changes]]\nmerge=[1,2]", Path()).changes}
-    )
-    assert meant(edits_of(written(more, text), Path("e"))) == meant(more)
+    edits = EDITS.of_text(text)
+    more = edits.model_copy(update={"changes": EDITS.of_text("[[changes]]\nmerge=[1,2]").changes})
+    assert meant(EDITS.of_text(written(more, text))) == meant(more)
+
+
+def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "edits.toml").write_text('[submaps.3]\nname = "Lab"\n', encoding="utf-8-sig")
+    assert read_edits(tmp_path) == Edits(submaps={3: SubmapEdit(name="Lab")})
+    text = written(Edits(submaps={3: SubmapEdit(name="Bad")}), edits_text(tmp_path))
+    assert text == '[submaps.3]\nname = "Bad"\n\n'
 
 
 def test_nothing_decided_is_no_text() -> None:
@@ -116,9 +129,12 @@ def test_nothing_decided_is_no_text() -> None:
 
 
 def test_what_the_file_asks_for() -> None:
-    edits = edits_of(BY_HAND, Path("e"))
-    assert said_in(edits) == {3: Said("Küche", "room", {}), 4: Said("", None, {"floor": 2})}
-    assert borders_in(edits.changes) == [Merge(3, 4), Split(5, ((1.0, 2.0), (3.0, 4.5)), 7)]
+    edits = EDITS.of_text(BY_HAND)
+    assert said_in(edits) == (Said(3, "Küche", "room"), Said(4, None, None, {"floor": 2}))
+    assert borders_in(edits) == [
+        Merge((3, 4)),
+        Split(submap=5, line=((1.0, 2.0), (3.0, 4.5)), new=7),
+    ]
 
 
 @given(st.sets(st.integers(0, 60)))

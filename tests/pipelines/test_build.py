@@ -225,7 +225,8 @@ def test_where_tracking_starts_afresh_a_new_submap_begins(flat_done: Finished) -
         quality = finished_by(explored, store, QUICK).quality
         (broken,) = (one for one in quality.findings if one.code == "tracking-break")
         assert f"before {scans[90].stamp_ns * 1e-9:.3f} s" in broken.message
-        assert broken.stamp_ns == scans[90].stamp_ns
+        assert broken.where is not None
+        assert broken.where.stamp_ns == scans[90].stamp_ns
 
 
 def test_a_merge_that_the_layout_drops_is_taken_back(flat_done: Finished) -> None:
@@ -298,7 +299,7 @@ class TestBuildMap:
             ]
         told = stored.record.graph.quality
         assert told is not None
-        assert told.model_dump() == stored.run["quality"]
+        assert told.as_dict() == stored.run["quality"]
 
     def test_a_log_of_blank_scans_gives_no_map(self, tmp_path: Path) -> None:
         log = tmp_path / "blank.mcap"

@@ -178,14 +178,16 @@ def test_what_is_being_written_is_no_map_yet(week: Path, tmp_path: Path) -> None
     assert [one.map for one in building.maps] == [str(tmp_path / "monday")]
 
 
-def test_a_hostile_name_is_no_markup(week: Path, tmp_path: Path) -> None:
-    name = "\"'><script>alert(1)</script>"
+def test_a_hostile_name_is_neither_markup_nor_formula(week: Path, tmp_path: Path) -> None:
+    name = "=\"'><script>alert(1)</script>"
     shutil.copytree(week / "monday", tmp_path / "map")
     assert main(["edit", str(tmp_path / "map"), "--rename", "0", name, "-q"]) == 0
     write_history(history_of([tmp_path / "map"]), tmp_path / "out")
     page = (tmp_path / "out" / "history.html").read_text(encoding="utf-8")
     assert "<script" not in page
     assert "&lt;script&gt;" in page
+    with (tmp_path / "out" / "visits.csv").open(encoding="utf-8", newline="") as file:
+        assert f"'{name}" in {row["name"] for row in csv.DictReader(file)}
     assert "<dt>map</dt><dd>1</dd>" in page
     assert "<dt>changes</dt><dd>0</dd>" in page
     assert "<title>1 building – specmap history</title>" in page

@@ -28,8 +28,8 @@ from specmap_cli.pipelines.localization_report import (
     METRIC_HEADER,
     LocalizationReport,
     LocalizedScan,
-    csv_text,
     picture_of,
+    table_of,
     write_report,
 )
 from specmap_cli.pipelines.localize import settings_for
@@ -229,14 +229,14 @@ class TestReport:
             ["4", "1", "1"],
             ["unknown", "1", "1"],
         ]
-        rows = list(csv.DictReader(csv_text(report, True).splitlines()))
+        rows = list(csv.DictReader(table_of(report, True).splitlines()))
         assert [row["name"] for row in rows] == ['Ann\'s "lab", west', "", "submap 4"]
         assert report.as_dict()["names"] == {"3": 'Ann\'s "lab", west'}
 
     @pytest.mark.parametrize("with_poses", [False, True])
     def test_its_csv_has_a_line_a_scan(self, with_poses: bool) -> None:
         report = labelled([4, None], [Pose2(1.0, 2.0, 0.5), None])
-        text = csv_text(report, with_poses)
+        text = table_of(report, with_poses)
         assert text.splitlines()[0] == HEADER + (METRIC_HEADER if with_poses else "")
         first, second = csv.DictReader(text.splitlines())
         assert (first["stamp"], first["submap"]) == ("0.000000000", "4")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from specmap_cli.core.findings import Finding, Severity
+from specmap_cli.core.findings import Finding, Severity, Where
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import QualityConfig
@@ -77,7 +77,7 @@ def test_lost_scans_weigh_by_their_share(count: int, severity: Severity) -> None
     finding = only(evidence(lost=tuple(range(30, 30 + count))))
     assert (finding.code, finding.severity) == ("lost-scans", severity)
     assert finding.value == pytest.approx(count / SCANS)
-    assert (finding.stamp_ns, finding.place) == (30 * 10**9, (30.0, 0.0))
+    assert finding.where == Where(30 * 10**9, 30.0, 0.0)
 
 
 def test_lost_scans_are_told_at_the_longest_run() -> None:
