@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RelaxationConfig
-from specmap_cli.layout.contradictions import Standing, Views
-from specmap_cli.layout.evidence import SuspectGroup
+from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.judging import Judged, judge, spread_of
 from specmap_cli.layout.nearby_passes import find_passes
 from specmap_cli.layout.path_graph import Draft, Graph
@@ -22,11 +21,10 @@ _FOLLOWS_M = 30.0  # of path on both passes: closures nearer than this stand or 
 
 @dataclass(frozen=True, slots=True)
 class Closed:
-    """A draft with its closures, what was found of each, and the groups that were suspected."""
+    """A draft with its closures, and what was found of each."""
 
     draft: Draft
     judged: tuple[Judged, ...]
-    groups: tuple[SuspectGroup, ...]
 
 
 def closed(
@@ -44,7 +42,6 @@ def closed(
     searched and the rest is judged again until nothing is new.
     """
     verdicts: dict[int, Judged] = {}
-    groups: list[SuspectGroup] = []
     pool, waiting = list(closures), list(range(len(closures)))
     for _ in range(config.judge_rounds):
         claims = wide_claims(graph, draft, walls, spread_of(graph, draft, config), config)
@@ -53,16 +50,15 @@ def closed(
         pool += claims.links
         judgement = judge(graph, draft, [pool[k] for k in waiting], config)
         draft = draft.counting("clique_steps", judgement.cut_short)
-        draft, fresh, suspected = _tried(graph, draft, judgement.closures, views, config)
+        draft, fresh = _tried(graph, draft, judgement.closures, views, config)
         verdicts.update(zip(waiting, fresh, strict=True))
-        groups += suspected
         if not any(one.believed for one in fresh):
             break
         draft = find_passes(graph, draft, walls, config)
         waiting = [
             k for k in waiting if not verdicts[k].believed and verdicts[k].reason != "contradicted"
         ]
-    return Closed(draft, tuple(verdicts[k] for k in range(len(pool))), tuple(groups))
+    return Closed(draft, tuple(verdicts[k] for k in range(len(pool))))
 
 
 def _tried(
@@ -71,26 +67,23 @@ def _tried(
     judged: Sequence[Judged],
     views: Views,
     config: RelaxationConfig,
-) -> tuple[Draft, tuple[Judged, ...], list[SuspectGroup]]:
+) -> tuple[Draft, tuple[Judged, ...]]:
     """The draft with the believed closures, without groups that bring walls into free space."""
     kept = [one for one in judged if one.believed]
     if not kept:
-        return draft, tuple(judged), []
+        return draft, tuple(judged)
     before = views.standing(draft.poses, config)
     trial = _with(graph, draft, kept, config)
     after = views.standing(trial.poses, config)
-    suspected: list[SuspectGroup] = []
     if after.is_doubtful or after.is_worse_than(before):
         for group in suspects(graph, kept, config):
             rest = [one for one in kept if one not in group]
             without = _with(graph, draft, rest, config)
             standing = views.standing(without.poses, config)
-            bad = after.is_worse_than(standing)
-            suspected.append(_told(group, after, standing, believed=not bad))
-            if bad:
+            if after.is_worse_than(standing):
                 trial, kept, after = without, rest, standing
     believed = {id(one) for one in kept}
-    return trial, tuple(_weighed(one, id(one) in believed) for one in judged), suspected
+    return trial, tuple(_weighed(one, id(one) in believed) for one in judged)
 
 
 def suspects(
@@ -129,21 +122,6 @@ def _with(
     """The draft solved with some more closures."""
     links = tuple(one.link for one in closures)
     return tighten(graph, replace(draft, loops=(*draft.loops, *links)), config)
-
-
-def _told(
-    group: Sequence[Judged], after: Standing, without: Standing, *, believed: bool
-) -> SuspectGroup:
-    newer = [max(one.link.source, one.link.target) for one in group]
-    return SuspectGroup(
-        links=tuple(one.link for one in group),
-        first=min(newer),
-        last=max(newer),
-        away_m=max(one.away_m for one in group),
-        believed=believed,
-        standing_with=after,
-        standing_without=without,
-    )
 
 
 def _weighed(one: Judged, stays: bool) -> Judged:

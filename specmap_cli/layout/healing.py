@@ -18,7 +18,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Audit, Disagreement, audit
 from specmap_cli.layout.carrying import carried
 from specmap_cli.layout.contradictions import Views
-from specmap_cli.layout.evidence import Healing, bends, part_moves
+from specmap_cli.layout.evidence import Healing, part_moves
 from specmap_cli.layout.judging import judge
 from specmap_cli.layout.parts import loose_starts
 from specmap_cli.layout.pass_matching import match_passes
@@ -101,7 +101,6 @@ def _mended(store: KeyframeStore, found: Audited, config: RelaxationConfig) -> L
         layout.evidence,
         choice="passes" if layout.evidence.choice == "tracked" else layout.evidence.choice,
         parts=part_moves(graph, trial),
-        bends=bends(graph, trial.poses, config),
         standing=Views.of(store, graph, config).standing(trial.poses, config),
         limits=trial.limits,
     )

@@ -70,13 +70,12 @@ def join_layouts(
         tied=_tied(graph, (*old.loose, *new.loose)),
     )
     walls, views = Walls(store, graph, config.match_range_m), Views.of(store, graph, config)
-    before = views.standing(begun.poses, config)
     first = graph.row[len(old.poses)]
     passes = find_passes(graph, begun, walls, config, first)
     draft, dropped = settle(graph, tighten(graph, passes, config), config)
     dropped = (*old.dropped, *new.dropped, *dropped)
     finished = Finished.of("relaxed", draft, dropped, views, config)
-    return layout_of(graph, finished, Closed(draft, (), ()), before, config)
+    return layout_of(graph, finished, Closed(draft, ()), config)
 
 
 def _renumbered(links: Sequence[Link], first: int) -> tuple[Link, ...]:

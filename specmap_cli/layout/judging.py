@@ -45,9 +45,8 @@ Reason = Literal[
 class Judged:
     """A closure or wide pass, whether it is `believed`, and why.
 
-    It would move its end by `away_m`, of which drift alone allows `allowed_m`; `sigmas` is the same
-    against the error of the path as it was tracked. `votes` independent closures agree with it,
-    itself included.
+    It would move its end by `away_m`, of which drift alone allows `allowed_m`. `votes` independent
+    closures agree with it, itself included.
     """
 
     link: Link
@@ -55,7 +54,6 @@ class Judged:
     reason: Reason
     away_m: float
     allowed_m: float
-    sigmas: float
     votes: int
 
 
@@ -99,7 +97,6 @@ def judge(
             reason=reason,
             away_m=float(found.away_m[k]),
             allowed_m=float(found.allowed_m[k]),
-            sigmas=float(sigmas[k]),
             votes=int(votes[k]),
         )
         for k, (link, reason) in enumerate(zip(closures, reasons, strict=True))

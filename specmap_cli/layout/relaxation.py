@@ -25,7 +25,6 @@ from specmap_cli.layout.evidence import (
     Choice,
     Healing,
     LayoutEvidence,
-    bends,
     part_moves,
     settled_verdicts,
 )
@@ -119,7 +118,7 @@ def relax(
     tracked = views.standing(graph.poses, config)
     finished = Finished.of("relaxed", draft, (*refuted, *dropped), views, config)
     finished = chosen(graph, passes, finished, tracked, views, config)
-    return layout_of(graph, finished, replace(found, judged=judged), tracked, config)
+    return layout_of(graph, finished, replace(found, judged=judged), config)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,12 +187,11 @@ def layout_of(
     graph: Graph,
     finished: Finished,
     found: Closed,
-    tracked: Standing,
     config: RelaxationConfig,
 ) -> Layout:
     """The layout of all keyframes from the settled draft of the nodes.
 
-    `found` says what was judged on the way, `tracked` how the passes stood before it.
+    `found` says what was judged on the way.
     """
     draft, dropped = finished.draft, finished.dropped
     loose = loose_starts(graph, draft.loops)
@@ -202,10 +200,7 @@ def layout_of(
     evidence = LayoutEvidence(
         choice=finished.choice,
         closures=found.judged,
-        groups=found.groups,
         parts=part_moves(graph, draft),
-        bends=bends(graph, draft.poses, config),
-        standing_tracked=tracked,
         standing=finished.standing,
         limits=draft.counting("stray_tries", given_up).limits,
     )

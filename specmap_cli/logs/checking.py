@@ -40,8 +40,8 @@ class TopicCheck:
     """What came of reading a topic to its end.
 
     `expected` is the number that the file counts, `read` how many were read, `unusable` how many of
-    these cannot be decoded. `steps_back` counts messages that are stamped before the one ahead of
-    them, `repeats` those with the same stamp.
+    these cannot be decoded. `steps_back` counts messages whose stamp is earlier than that of the
+    message before, `repeats` those with the same stamp.
     """
 
     name: str
@@ -64,9 +64,9 @@ class TopicCheck:
                 f"from {self.pauses.longest_at_s:.3f} s on"
             )
         if self.steps_back:
-            told.append(f"stamped before the one ahead: {self.steps_back:,}")
+            told.append(f"stamps earlier than the stamp before: {self.steps_back:,}")
         if self.repeats:
-            told.append(f"with the stamp of the one ahead: {self.repeats:,}")
+            told.append(f"stamps equal to the stamp before: {self.repeats:,}")
         return "; ".join(told)
 
 

@@ -122,7 +122,7 @@ def choose_clock(
 
 
 def _ascends(stamps: Sequence[int], config: LogConfig) -> bool:
-    """Whether stamps say when: not all are zero, and enough of them follow the one ahead."""
+    """Whether stamps tell time: not all are zero, and enough are later than the one before."""
     if not any(stamps):
         return False
     ahead = sum(b > a for a, b in pairwise(stamps))

@@ -78,8 +78,8 @@ class StampFaults:
             f"{what}: {count:,}"
             for what, count in (
                 ("zero", self.zero),
-                ("as the one ahead", self.repeated),
-                ("before the one ahead", self.backward),
+                ("equal to the stamp before", self.repeated),
+                ("earlier than the stamp before", self.backward),
             )
             if count
         ]

@@ -174,10 +174,6 @@ class Edits(Record):
     submaps: Annotated[dict[int, SubmapEdit], BeforeValidator(_by_id)] = Field(default_factory=dict)
     changes: tuple[Change, ...] = ()
 
-    def of(self, submap: int) -> SubmapEdit:
-        """What is said of one submap."""
-        return self.submaps.get(submap, SubmapEdit())
-
 
 def in_words(change: Change) -> str:
     """A change for a person, as an order."""

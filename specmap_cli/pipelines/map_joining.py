@@ -40,11 +40,6 @@ class Joined:
     kept: KeptMap
     audited: Audited
 
-    @property
-    def is_tied(self) -> bool:
-        """Whether matched walls hold the pieces together."""
-        return not self.kept.layout.loose
-
 
 def join(
     store: KeyframeStore,

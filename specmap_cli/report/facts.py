@@ -45,7 +45,6 @@ class FoundAt:
 class Run:
     """How the map was made, as run.json has it; empty parts for a map without that file."""
 
-    inputs: tuple[str, ...] = ()
     selection: tuple[tuple[str, str], ...] = ()
     settings: tuple[tuple[str, str, str], ...] = ()
     counts: tuple[tuple[str, str], ...] = ()
@@ -124,7 +123,6 @@ def run_of(ground: Ground) -> Run:
         (key, float(value)) for key, value in _dict(run, "seconds").items() if _is_number(value)
     ]
     return Run(
-        inputs=_texts(run.get("inputs")),
         selection=_pairs(_dict(run, "selection")),
         settings=tuple(_changed(stored.config)),
         counts=tuple((key, f"{count:,}") for key, count in stored.counts.items() if count),

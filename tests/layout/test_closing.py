@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -64,11 +63,7 @@ def test_a_wrong_closure_that_drift_would_allow_brings_walls_into_free_space(
     found = close(ring, [wrong], ALONE)
     assert [one.reason for one in found.judged] == ["contradicted"]
     assert found.draft.loops == ()
-    (group,) = found.groups
-    assert group.links == (wrong,)
-    assert (group.first, group.last, group.believed) == (540, 540, False)
-    assert group.standing_with.is_worse_than(group.standing_without)
-    assert group.away_m == found.judged[0].away_m > 1.0
+    assert found.judged[0].away_m > 1.0
     unasked = close(ring, [wrong], ALONE.model_copy(update={"suspects_most": 0}))
     assert unasked.draft.loops == (wrong,), "nothing was suspected"
 
@@ -79,7 +74,6 @@ def test_right_closures_are_not_suspected(ring: tuple[FloatArray, Graph, Walls, 
     found = close(ring, right, ALONE)
     assert found.draft.loops == tuple(right)
     assert all(one.believed for one in found.judged)
-    assert found.groups == ()
 
 
 def test_a_wrong_one_goes_and_the_right_ones_stay(
@@ -104,7 +98,6 @@ def judged_as(one: Link, reason: Reason, away_m: float) -> Judged:
         reason=reason,
         away_m=away_m,
         allowed_m=9.0,
-        sigmas=1.0,
         votes=1,
     )
 
@@ -156,7 +149,6 @@ def test_two_closures_that_agree_move_a_piece_of_which_nothing_is_known(drive: D
     (move,) = both.evidence.parts
     assert (move.first, move.votes) == (at, 2)
     assert move.moved_m == pytest.approx(0.96, abs=0.05)
-    assert move.turned_rad == pytest.approx(0.7, abs=0.05)
     assert one.loose == (at,)
     assert [verdict.reason for verdict in one.evidence.closures] == ["impossible"]
 
@@ -176,13 +168,7 @@ def test_the_layout_tells_what_it_moved(drive: Drive) -> None:
         evidence = relax(store, [true_constraint(truth, 100, 590)], [], CONFIG).evidence
     assert evidence.choice == "relaxed"
     assert evidence.parts == ()
-    assert evidence.standing_tracked.is_worse_than(evidence.standing)
     assert [one.link.source for one in evidence.closures[:1]] == [100]
-    stretches = [(bend.source, bend.target) for bend in evidence.bends]
-    assert len(stretches) == 6
-    assert all(a[1] == b[0] for a, b in pairwise(stretches))
-    assert 0.0 < max(bend.moved_m for bend in evidence.bends) < 1.0
-    assert max(bend.sigmas for bend in evidence.bends) < 3.0
 
 
 def test_what_is_worse_than_the_path_as_tracked_is_not_taken(drive: Drive) -> None:

@@ -72,7 +72,8 @@ def test_stamps_that_step_back_or_repeat(tmp_path: Path) -> None:
     (odometry,) = check_of(path)
     assert (odometry.steps_back, odometry.repeats) == (1, 1)
     assert odometry.text() == (
-        "7 of 7 messages read; stamped before the one ahead: 1; with the stamp of the one ahead: 1"
+        "7 of 7 messages read; stamps earlier than the stamp before: 1; "
+        "stamps equal to the stamp before: 1"
     )
 
 

@@ -134,8 +134,8 @@ TODAY = START / SECOND
     [
         ([TODAY, TODAY + 1, TODAY + 2], ""),
         ([0.0, TODAY, 0.0], "zero: 2"),
-        ([TODAY, TODAY, TODAY + 1], "as the one ahead: 1"),
-        ([TODAY + 2, TODAY, TODAY + 1], "before the one ahead: 1"),
+        ([TODAY, TODAY, TODAY + 1], "equal to the stamp before: 1"),
+        ([TODAY + 2, TODAY, TODAY + 1], "earlier than the stamp before: 1"),
         ([5.0, 6.0, 7.0], "before 1990 or in the future: 3, such as 5.000 s"),
         (
             [TODAY, 2_147_483_000.0, 2_147_483_001.0],
@@ -143,7 +143,8 @@ TODAY = START / SECOND
         ),
         (
             [9.0, 9.0, 0.0, 3.0],
-            "zero: 1; as the one ahead: 1; before 1990 or in the future: 3, such as 9.000 s",
+            "zero: 1; equal to the stamp before: 1; before 1990 or in the future: 3, "
+            "such as 9.000 s",
         ),
     ],
 )

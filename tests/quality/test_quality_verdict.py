@@ -228,9 +228,9 @@ def test_odometry_with_holes_is_compared_where_there_is_some() -> None:
 @pytest.mark.parametrize(("votes", "severity"), [(1, "doubtful"), (2, "doubtful"), (3, "note")])
 def test_a_piece_that_was_moved_far_is_told_of(votes: int, severity: Severity) -> None:
     moves = (
-        PartMove(first=30, moved_m=0.5, turned_rad=0.0, votes=1),
-        PartMove(first=60, moved_m=4.2, turned_rad=0.1, votes=votes),
-        PartMove(first=80, moved_m=9.0, turned_rad=0.1, votes=0),  # loose, which is told elsewhere
+        PartMove(first=30, moved_m=0.5, votes=1),
+        PartMove(first=60, moved_m=4.2, votes=votes),
+        PartMove(first=80, moved_m=9.0, votes=0),  # loose, which is told elsewhere
     )
     base = evidence()
     told = LayoutEvidence(choice="relaxed", parts=moves)
