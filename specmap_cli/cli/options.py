@@ -6,8 +6,10 @@ Every command takes `Common`. One that computes with settings takes `Settings`; 
 
 from __future__ import annotations
 
+import functools
 import tomllib
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -163,6 +165,27 @@ class LogSettings(Settings):
             "log.base_frame": self.base_frame,
             "log.use_odometry": False if self.no_odometry else None,
         }
+
+
+def telling(command: Callable[..., None]) -> Callable[..., None]:
+    """`command` with a line on stderr, once, for each retired setting that it was given."""
+
+    @functools.wraps(command)
+    def run(*, common: Common, **values: Any) -> None:
+        from specmap_cli.core.retired import RetiredSetting
+
+        def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
+            if issubclass(category, RetiredSetting):
+                common.progress().warn(str(message))
+            else:
+                usual(message, category, *place)
+
+        with warnings.catch_warnings():
+            usual, warnings.showwarning = warnings.showwarning, tell  # type: ignore[assignment]
+            warnings.simplefilter("default", RetiredSetting)  # a sentence once
+            command(common=common, **values)
+
+    return run
 
 
 def _parse(assignment: str) -> tuple[str, Any]:

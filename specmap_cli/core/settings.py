@@ -1,7 +1,9 @@
 """Every setting and its default, on one page, a section a stage.
 
-Each says its unit and its reason. `specmap config` prints them with the values in force; how files,
-presets and flags change them is in `core/config.py`.
+A setting is what somebody with another robot, sensor or building would turn. What is nobody's to
+turn is a constant beside its use, and what was a setting once is in `core/retired.py`.
+`specmap config` prints the settings with the values in force; how files, presets and flags change
+them is in `core/config.py`.
 """
 
 from __future__ import annotations
@@ -357,107 +359,14 @@ class RecognitionConfig(_Section):
 class RelaxationConfig(_Section):
     """The layout of the submaps: a pose graph over the keyframes."""
 
-    enabled: bool = True
+    enabled: bool = Field(
+        True, description="Whether the layout is relaxed; false: the path stays as tracked."
+    )
     follow_walls: bool = Field(
-        True, description="the map's axes lie along the walls; else along the robot's first pose"
+        True,
+        description="Whether the map's axes lie along the walls, else along the robot's first "
+        "pose.",
     )
-    node_m: float = Field(0.3, gt=0, description="motion between nodes of the pose graph")
-    node_rad: float = Field(0.25, gt=0, description="turn between them")
-    step_share: float = Field(0.03, gt=0, description="error of a motion, metres per metre driven")
-    turn_share: float = Field(0.02, gt=0, description="error of its turn, radians per radian")
-    guess_m: float = Field(
-        0.3, gt=0, description="error of a motion without a wall in sight, or over a break"
-    )
-    guess_rad: float = Field(0.2, gt=0, description="the same of its turn")
-    range_noise_m: float = Field(
-        0.1, gt=0, description="error of a reading; more than the laser's: neighbours err alike"
-    )
-    match_range_m: float = Field(12.0, gt=0, description="farther returns are not matched")
-    match_points: int = Field(20, ge=3, description="walls with fewer points are not matched")
-    loop_every_m: float = Field(
-        1.0, gt=0, description="least path between searches for nearby passes"
-    )
-    loop_path_m: float = Field(6.0, gt=0, description="less path than this between is no pass")
-    loop_radius_m: float = Field(3.0, gt=0, description="how near a pass must be")
-    loops_per_node: int = Field(2, ge=0, description="passes tried until one fits, 0: none")
-    loop_score: float = Field(0.6, ge=0, le=1, description="a match below this is no edge")
-    loop_search_m: float = Field(0.3, gt=0, description="a pass is searched this far at the least")
-    loop_search_max_m: float = Field(2.0, gt=0, description="and this far at the most")
-    wide_every_m: float = Field(
-        10.0, gt=0, description="path between searches as far as its error reaches"
-    )
-    wide_search_max_m: float = Field(
-        15.0, gt=0, description="such a search reaches this far at the most"
-    )
-    drift_share: float = Field(
-        0.04, ge=0, description="metres per metre driven by which a layout with passes may be off"
-    )
-    part_votes: int = Field(
-        2, ge=1, description="closures that must agree on where a piece after a break lies"
-    )
-    drift_rad_per_m: float = Field(
-        0.001, ge=0, description="radians per metre by which tracking may turn on and on"
-    )
-    stray_tries: int = Field(
-        20, ge=0, description="searches to rejoin a piece of the path after tracking was lost"
-    )
-    stray_votes: int = Field(3, ge=1, description="finds that must agree on where the piece lies")
-    stray_cells: int = Field(
-        512, ge=16, description="cells a side in such a search: a larger map is searched coarser"
-    )
-    search_blocks: int = Field(
-        400_000, ge=1000, description="places followed at once in that search, at the most"
-    )
-    closure_sigma_m: float = Field(
-        0.04, gt=0, description="spread of matched grids' transforms about the truth, x and y"
-    )
-    closure_sigma_rad: float = Field(0.0087, gt=0, description="the same of their heading")
-    closure_slack_m: float = Field(0.5, ge=0, description="what any closure may mend")
-    closure_drift_share: float = Field(
-        0.15, ge=0, description="and per metre driven between its ends, where no pass cuts it short"
-    )
-    closure_votes: int = Field(
-        3, ge=2, description="independent closures that agree may mend more than drift explains"
-    )
-    closure_apart_m: float = Field(
-        5.0, ge=0, description="closures nearer than this along both passes are one evidence"
-    )
-    mend_sigmas: float = Field(
-        5.0, gt=0, description="sigmas of the path's error that closures which agree may mend"
-    )
-    agree_m: float = Field(
-        0.15, gt=0, description="error of a closure that is right, where closures are compared"
-    )
-    agree_rad: float = Field(0.03, gt=0, description="the same of its heading")
-    agree_chi2: float = Field(
-        16.3, gt=0, description="below it two closures agree: one right pair of 1,000 is above"
-    )
-    clique_steps: int = Field(
-        100_000, ge=1, description="of the search for the largest set that agrees, at the most"
-    )
-    suspects_most: int = Field(
-        6, ge=0, description="groups of closures the layout is tried without, when walls contradict"
-    )
-    judge_rounds: int = Field(
-        6, ge=1, description="closures are judged, and passes searched, this often at the most"
-    )
-    heal_rounds: int = Field(
-        3, ge=0, description="walls drawn twice are matched and solved again this often at the most"
-    )
-    kernel_sigmas: float = Field(
-        2.0, gt=0, description="closures and passes farther off than this pull less and less"
-    )
-    outlier_chi2: float = Field(
-        25.0, gt=0, description="above it, five sigmas off, they are dropped in the end"
-    )
-    solve_every: int = Field(12, ge=1, description="edges found before the layout is renewed")
-    solve_iterations: int = Field(20, ge=1, description="steps of the solver at the most")
-
-    @model_validator(mode="after")
-    def _searches_have_a_range(self) -> RelaxationConfig:
-        if self.loop_search_m > self.loop_search_max_m:
-            raise ValueError("loop_search_m must not be above loop_search_max_m")
-        return self
 
 
 class WaysConfig(_Section):
@@ -470,27 +379,6 @@ class WaysConfig(_Section):
     door_min_m: float = Field(
         0.5, gt=0, description="narrower gaps are no doors: those of buildings are 0.6 m and more"
     )
-
-
-class AuditConfig(_Section):
-    """The audit of the finished layout: passes through one place must agree on its walls."""
-
-    cell_m: float = Field(0.1, ge=0.02, le=0.5, description="cells in which passes are compared")
-    range_m: float = Field(12.0, gt=0, description="farther returns are not compared")
-    pass_m: float = Field(6.0, gt=0, description="path of one pass: its own drift is small")
-    near_m: float = Field(6.0, gt=0, description="passes this near to each other are compared")
-    apart_m: float = Field(
-        12.0, gt=0, description="when so much path lies between that they may have drifted apart"
-    )
-    passes_compared: int = Field(8, ge=1, description="of them, the nearest, for each pass")
-    depth_m: float = Field(
-        0.2, gt=0, description="a wall this deep in free space contradicts; less is noise"
-    )
-    wall_m: float = Field(1.2, gt=0, description="shorter ones may be doors, people or chairs")
-    share: float = Field(
-        0.15, gt=0, le=1, description="of the walls that both saw, when passes disagree"
-    )
-    search_m: float = Field(3.0, gt=0, description="walls drawn twice are at most so far apart")
 
 
 class QualityConfig(_Section):
@@ -692,7 +580,6 @@ class Config(_Section):
     recognition: RecognitionConfig = RecognitionConfig()
     relaxation: RelaxationConfig = RelaxationConfig()
     ways: WaysConfig = WaysConfig()
-    audit: AuditConfig = AuditConfig()
     quality: QualityConfig = QualityConfig()
     localization: LocalizationConfig = LocalizationConfig()
     update: UpdateConfig = UpdateConfig()

@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.contradictions import Standing
 from specmap_cli.layout.judging import Judged
 from specmap_cli.layout.path_graph import Draft, Graph
@@ -118,7 +117,7 @@ def part_moves(graph: Graph, draft: Draft) -> tuple[PartMove, ...]:
     return tuple(moves)
 
 
-def bends(graph: Graph, poses: FloatArray, config: RelaxationConfig) -> tuple[Bend, ...]:
+def bends(graph: Graph, poses: FloatArray) -> tuple[Bend, ...]:
     """How far each stretch of the path was bent; stretches over a break are left out."""
     ends = np.array([0, *stops(graph.path, _STRETCH_M)], dtype=np.int64)
     i, j = ends[:-1], ends[1:]
@@ -126,7 +125,7 @@ def bends(graph: Graph, poses: FloatArray, config: RelaxationConfig) -> tuple[Be
     i, j = i[whole], j[whole]
     tracked = compose(invert(graph.poses[i]), graph.poses[j])
     error = misfit(poses, i, j, tracked)
-    spread = path_error(graph, graph.poses, config)
+    spread = path_error(graph, graph.poses)
     sigmas = np.sqrt(surprise(error, spread.between(i, j)))
     return tuple(
         Bend(
