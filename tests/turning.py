@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
+from typing import TypeVar
 
 import pytest
+from pydantic import BaseModel
+
+Section = TypeVar("Section", bound=BaseModel)
+_patches: list[pytest.MonkeyPatch] = []  # of the test that runs
 
 
 @contextmanager
@@ -21,3 +26,28 @@ def turned(home: str, **constants: object) -> Iterator[None]:
                 if vars(module).get(name) is usual:
                     patch.setattr(module, name, value)
         yield
+
+
+@contextmanager
+def turning_back() -> Iterator[None]:
+    """What `configured` turns inside is as before in the end."""
+    with pytest.MonkeyPatch.context() as patch:
+        _patches.append(patch)
+        yield
+        _patches.pop()
+
+
+def configured(section: type[Section], package: str, settings: Mapping[str, object]) -> Section:
+    """Settings of a section; until the test ends constants of a package are turned by their names.
+
+    `look_scans` turns `LOOK_SCANS` or `_LOOK_SCANS` in all modules of the package.
+    """
+    known = {name: value for name, value in settings.items() if name in section.model_fields}
+    for name in settings.keys() - known.keys():
+        names = name.upper(), f"_{name.upper()}"
+        modules = [m for n, m in sys.modules.items() if n.startswith(f"specmap_cli.{package}.")]
+        found = [(m, each) for m in modules for each in names if each in vars(m)]
+        assert found, f"{package} has no constant {name}"
+        for module, each in found:
+            _patches[-1].setattr(module, each, settings[name])
+    return section.model_validate(known)

@@ -8,7 +8,7 @@ them is in `core/config.py`.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -140,93 +140,71 @@ class KeyframeConfig(_Section):
 class RegistrationConfig(_Section):
     """The front end: each scan registered on a window of keyframes, checked and bounded."""
 
-    method: str = Field("kiss-icp", description="how scans are aligned; packages can add methods")
-    # points
-    min_range_m: float = Field(0.05, ge=0, description="nearer returns are the robot itself")
-    max_range_m: float = Field(20.0, gt=0, description="farther returns are left out; planar")
-    voxel_m: float = Field(0.1, ge=0.01, description="cell of the local map; kernels scale with it")
-    max_points: int = Field(600, ge=50, description="a denser planar scan is thinned to this")
-    min_points: int = Field(10, ge=3, description="a scan with fewer walls is lost")
-    cloud_range_m: float = Field(40.0, gt=0, description="as max_range_m, for 3D clouds")
-    cloud_voxel_m: float = Field(0.2, ge=0.01, description="as voxel_m, for 3D clouds")
-    max_cloud_points: int = Field(
-        2000, ge=100, description="a denser 3D cloud is thinned to this: alignments take most time"
+    method: str = Field(
+        "kiss-icp", description="How scans are aligned; installed packages can add methods."
+    )
+    min_range_m: float = Field(
+        0.05, ge=0, description="Nearer returns are the robot itself and are left out."
+    )
+    max_range_m: float = Field(
+        20.0, gt=0, description="Farther returns of planar scans are left out."
+    )
+    voxel_m: float = Field(
+        0.1,
+        ge=0.01,
+        description="Cell of the local map of planar scans; kernels and score fields scale with "
+        "it.",
+    )
+    min_points: int = Field(
+        10, ge=3, description="Scans with fewer wall points are placed by odometry, or lost."
+    )
+    cloud_range_m: float = Field(
+        40.0, gt=0, description="Farther returns of 3D clouds are left out."
+    )
+    cloud_voxel_m: float = Field(
+        0.2,
+        ge=0.01,
+        description="Cell of the local map of 3D clouds; a larger one is quicker.",
     )
     level_share: float = Field(
-        0.2, ge=0, le=1, description="of a 3D lidar's roll and pitch taken back at every scan"
-    )
-    # the local map
-    window_keyframes: int = Field(80, ge=1, description="keyframes in the local map")
-    keyframe_m: float = Field(0.3, gt=0, description="motion between keyframes of the local map")
-    keyframe_rad: float = Field(0.25, gt=0, description="turn between them")
-    points_per_voxel: int = Field(10, ge=1, description="most points kept in a voxel; planar")
-    cloud_points_per_voxel: int = Field(20, ge=1, description="as points_per_voxel, for 3D clouds")
-    rebuild_keyframes: int = Field(
-        4, ge=1, description="keyframes between rebuilds of the voxels, which forget older ones"
-    )
-    field_ranges: float = Field(
-        2.0, ge=1, le=20, description="side of the score field, in ranges; walls beyond score 0"
-    )
-    # the guess
-    guess_margin: float = Field(
-        0.05, ge=0, le=1, description="score by which steady motion must beat odometry as the guess"
+        0.2,
+        ge=0,
+        le=1,
+        description="Share of a 3D lidar's roll and pitch taken back at every scan; 0 for ramps.",
     )
     carried_forward_m: float = Field(
-        0.5, ge=0, description="longest motion carried on until walls have confirmed longer ones"
+        0.5,
+        ge=0,
+        description="Longest motion between scans that is carried on until walls have confirmed "
+        "longer ones.",
     )
-    carried_sideways_m: float = Field(0.2, ge=0, description="its longest part to the side")
-    carried_rad: float = Field(0.8, ge=0, description="its largest turn")
+    carried_sideways_m: float = Field(
+        0.2, ge=0, description="Longest part of such a motion to the robot's side."
+    )
+    carried_rad: float = Field(
+        0.8, ge=0, description="Largest turn between scans that is carried on likewise."
+    )
     odometry_jump_m: float = Field(
-        2.0, ge=0, description="an odometry increment beyond this and odometry_jump_mps is a reset"
+        2.0,
+        ge=0,
+        description="Step of the odometry beyond this, and beyond odometry_jump_mps, that is a "
+        "reset.",
     )
-    odometry_jump_mps: float = Field(3.0, ge=0, description="metres more for each second between")
-    # the alignment, and the searches when it is doubted
-    iterations: int = Field(50, ge=1, description="of the registration, per kernel")
-    kernel_voxels: tuple[Annotated[float, Field(gt=0)], ...] = Field(
-        (2.0, 1.0, 0.5, 0.25),
-        min_length=1,
-        description="widths of the robust kernel, in voxels, coarse to fine",
-    )
-    quick_kernel_voxels: tuple[Annotated[float, Field(gt=0)], ...] = Field(
-        (1.5, 0.25),
-        min_length=1,
-        description="kernels tried first, planar scans leave out those above half a voxel; "
-        "kernel_voxels follow only if their result is in doubt",
+    odometry_jump_mps: float = Field(
+        3.0, ge=0, description="Metres that such a step may be longer for each second between."
     )
     max_shift_m: float = Field(
-        1.5, gt=0, description="an alignment that ends farther from its guess is refused"
+        1.5, gt=0, description="Alignments that end farther from their guess are refused."
     )
     max_shift_rad: float = Field(
-        0.8, gt=0, description="an alignment turned further from its guess is refused"
+        0.8, gt=0, description="Alignments that are turned further from their guess are refused."
     )
     max_tilt_rad: float = Field(
-        0.3, gt=0, lt=1.5, description="one that tilts the robot more is refused: steep ramps"
+        0.3,
+        gt=0,
+        lt=1.5,
+        description="Alignments that tilt the robot more are refused; more for steep ramps.",
     )
-    good_score: float = Field(0.75, ge=0, le=1, description="up to this score a search is made")
-    doubt_m: float = Field(0.15, gt=0, description="or when the result is this far from its guess")
-    doubt_rad: float = Field(0.1, gt=0, description="or turned this far")
-    search_m: float = Field(
-        0.25, ge=0, le=20, description="half width of the search: odometry's error"
-    )
-    search_rad: float = Field(
-        0.35, ge=0, le=3.1416, description="its half angle: a clock apart, in a turn"
-    )
-    blind_search_m: float = Field(0.3, ge=0, le=20, description="as search_m, without odometry")
-    blind_search_rad: float = Field(
-        0.5, ge=0, le=3.1416, description="as search_rad, without odometry"
-    )
-    poor_score: float = Field(0.5, ge=0, le=1, description="below it the wide search is made, too")
-    wide_search_m: float = Field(1.0, ge=0, le=20, description="its half width: a hole in the log")
-    wide_search_rad: float = Field(1.6, ge=0, le=3.1416, description="its half angle")
-    slip_m: float = Field(
-        0.08, ge=0, description="a result this far behind odometry may have slipped in a corridor"
-    )
-    # the judgement; a result against the expected motion needs poor_score at the least
-    sure_score: float = Field(
-        0.7, ge=0, le=1, description="needed against odometry once a search was made, or it is lost"
-    )
-    fair_score: float = Field(0.6, ge=0, le=1, description="as sure_score, without odometry")
-    lost_limit: int = Field(5, ge=1, description="lost scans in a row that end a local map")
 
 
 class GridConfig(_Section):
