@@ -30,24 +30,29 @@ def turned(home: str, **constants: object) -> Iterator[None]:
 
 @contextmanager
 def turning_back() -> Iterator[None]:
-    """What `configured` turns inside is as before in the end."""
+    """What `turn` and `configured` turn inside is as before in the end."""
     with pytest.MonkeyPatch.context() as patch:
         _patches.append(patch)
         yield
         _patches.pop()
 
 
-def configured(section: type[Section], package: str, settings: Mapping[str, object]) -> Section:
-    """Settings of a section; until the test ends constants of a package are turned by their names.
+def turn(package: str, **constants: object) -> None:
+    """Until the test ends constants of a package have other values, in all of its modules.
 
-    `look_scans` turns `LOOK_SCANS` or `_LOOK_SCANS` in all modules of the package.
+    `look_scans` is `LOOK_SCANS` or `_LOOK_SCANS`.
     """
-    known = {name: value for name, value in settings.items() if name in section.model_fields}
-    for name in settings.keys() - known.keys():
+    modules = [m for n, m in sys.modules.items() if n.startswith(f"specmap_cli.{package}")]
+    for name, value in constants.items():
         names = name.upper(), f"_{name.upper()}"
-        modules = [m for n, m in sys.modules.items() if n.startswith(f"specmap_cli.{package}.")]
         found = [(m, each) for m in modules for each in names if each in vars(m)]
         assert found, f"{package} has no constant {name}"
         for module, each in found:
-            _patches[-1].setattr(module, each, settings[name])
+            _patches[-1].setattr(module, each, value)
+
+
+def configured(section: type[Section], package: str, settings: Mapping[str, object]) -> Section:
+    """Settings of a section; what is a constant of a package is turned until the test ends."""
+    known = {name: value for name, value in settings.items() if name in section.model_fields}
+    turn(package, **{name: settings[name] for name in settings.keys() - known.keys()})
     return section.model_validate(known)

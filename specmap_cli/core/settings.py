@@ -18,110 +18,39 @@ class _Section(BaseModel):
 
 
 class LogConfig(_Section):
-    """Which messages are read, how long one waits for another, how a cloud becomes planar."""
+    """Which messages are read, how large they may be, which part of a cloud becomes planar."""
 
-    scan_topic: str | None = Field(None, description="topic of the scans, where several fit")
+    scan_topic: str | None = Field(None, description="Topic of the scans, where several fit.")
     scan_frame: str | None = Field(
-        None, description="frame of the scans, where several lasers share a topic"
+        None, description="Frame of the scans, where several lasers share a topic."
     )
-    odom_topic: str | None = Field(None, description="topic of the odometry, where several fit")
-    base_frame: str | None = Field(None, description="the robot's base, where it is not found")
-    use_odometry: bool = Field(True, description="false: read no odometry at all")
+    odom_topic: str | None = Field(None, description="Topic of the odometry, where several fit.")
+    base_frame: str | None = Field(
+        None, description="Frame of the robot's base, where it is not found."
+    )
+    use_odometry: bool = Field(
+        True, description="Whether odometry is read; false: scans alone place the robot."
+    )
     unpacked_max_gb: float = Field(
-        50.0, gt=0, description="temporary copy of a file that is compressed as a whole"
-    )
-    unpacked_ratio_max: float = Field(
-        500.0, ge=1, description="its swelling from 100 MB on: a log does not, a bomb does"
+        50.0, gt=0, description="Largest temporary copy of a file that is compressed as a whole."
     )
     chunk_max_mb: float = Field(
-        128.0, gt=0, description="one chunk or message; several may be in memory at once"
-    )
-    pause_intervals: float = Field(
-        5.0, gt=1, description="info --check tells of pauses of so many usual intervals: the median"
-    )
-    gap_s: float = Field(
-        1.0, gt=0, description="info tells of gaps between scans beyond this and pause_intervals"
-    )
-    sparse_step_m: float = Field(
-        0.25, gt=0, description="info calls scans this far apart sparse: views change much between"
-    )
-    tried_messages: int = Field(
-        50, ge=1, description="of a topic, in search of one that can be read; then it is refused"
-    )
-    look_scans: int = Field(
-        100, ge=3, description="first scans: which sensors share the topic, what stamps are worth"
-    )
-    sensor_share: float = Field(
-        0.1, ge=0, le=0.5, description="of them; a rarer sensor is left out without a question"
-    )
-    sensor_angle_rad: float = Field(
-        0.0873,
+        128.0,
         gt=0,
-        le=3.2,
-        description="scans of one frame that begin or end this much apart by turns: two lasers",
-    )
-    ascending_share: float = Field(
-        0.25, gt=0, le=1, description="of stamps follow the one ahead, or they are of no use"
-    )
-    order_interval_s: float = Field(
-        0.1, gt=0, description="between scans stamped by order: a usual laser's 10 Hz"
-    )
-    order_speed_mps: float = Field(
-        0.5, gt=0, description="and at least so long that a robot this fast drives the first steps"
-    )
-    clocks_apart_s: float = Field(
-        2.0,
-        gt=0,
-        description="odometry stamped this far from scans recorded beside it has another clock",
+        description="Largest chunk or message that is read; several may be in memory at once.",
     )
     transform_messages: int = Field(
-        50_000, ge=1, description="of each kind, in search of the laser's place on the base"
+        50_000,
+        ge=1,
+        description="Most messages of each kind that are searched for the laser's place on the "
+        "base.",
     )
-    tilt_max_rad: float = Field(
-        0.175, ge=0, le=1.5708, description="a laser tilted more is warned of: it is read as level"
+    band_min_m: float = Field(
+        0.15, description="Lower end of the heights above the floor that a 3D cloud is cut to."
     )
-    odometry_wait_scans: int = Field(
-        4, ge=0, description="a scan waits for later odometry until more scans than this wait"
+    band_max_m: float = Field(
+        1.5, description="Upper end of the heights above the floor that a 3D cloud is cut to."
     )
-    odometry_wait_s: float = Field(0.5, ge=0, description="nor longer than this, by log time")
-    odometry_gap_s: float = Field(
-        2.0, gt=0, description="poses farther apart are not interpolated between"
-    )
-    odometry_hold_s: float = Field(
-        0.1, ge=0, description="the first and the last pose hold so long before and after it"
-    )
-    clock_reset_s: float = Field(
-        10.0, gt=0, description="odometry stamped so far back means that the clock was set back"
-    )
-    scan_time_max_s: float = Field(
-        1.0, gt=0, description="a planar sweep that takes longer has its times in another unit"
-    )
-    cloud_time_max_s: float = Field(
-        10.0, gt=0, description="times of points farther from the stamp are of no use"
-    )
-    band_min_m: float = Field(0.15, description="height above the base's floor, lower end")
-    band_max_m: float = Field(1.5, description="upper end")
-    floor_radius_m: float = Field(
-        10.0, gt=0, description="a floor of unknown height is sought among the returns this near"
-    )
-    floor_percentile: float = Field(
-        2.0, ge=0, le=100, description="of their heights: a few stray returns lie below the floor"
-    )
-    floor_tilt_max_rad: float = Field(
-        0.785,
-        ge=0,
-        le=1.2,
-        description="a lidar without a place on a base is levelled by floors it is tilted against "
-        "up to this: 45 degrees, as carried by hand; 0: never",
-    )
-    floor_share: float = Field(
-        0.1, ge=0, le=1, description="of the returns within floor_radius_m must show a floor"
-    )
-    cloud_beams: int = Field(720, ge=16, description="bearings of the planar scan of a 3D cloud")
-    cloud_filled_share: float = Field(
-        0.9, gt=0, le=1, description="of the bearings must have returns, or they are halved"
-    )
-    cloud_range_max_m: float = Field(100.0, gt=0, description="a 3D cloud is cut here")
 
     @model_validator(mode="after")
     def _band_has_height(self) -> LogConfig:
