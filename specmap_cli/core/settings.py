@@ -139,73 +139,119 @@ class RegistrationConfig(_Section):
 class GridConfig(_Section):
     """The occupancy grid of a submap."""
 
-    resolution_m: float = Field(0.05, ge=0.005, le=1.0, description="side of a cell")
-    max_range_m: float = Field(20.0, gt=0, description="beams are cut here and prove no obstacle")
-    occupied_share: float = Field(0.25, gt=0, le=1, description="hits / (hits + misses) of a wall")
-    surface_gap_m: float = Field(0.3, gt=0, description="returns this close bound one surface")
-    footprint_m: float = Field(
-        0.2, ge=0, le=5, description="radius of the robot, free where it stood"
+    resolution_m: float = Field(0.05, ge=0.005, le=1.0, description="Side of a cell of the grids.")
+    max_range_m: float = Field(
+        20.0, gt=0, description="Beams are cut at this range and prove no obstacle there."
     )
-    max_extent_m: float = Field(1000.0, gt=0, description="a grid never grows past this side")
-    max_area_m2: float = Field(100_000.0, gt=0, description="nor past this area")
+    footprint_m: float = Field(
+        0.2, ge=0, le=5, description="Radius of the robot, which is free space where it stood."
+    )
+    max_extent_m: float = Field(1000.0, gt=0, description="Longest side that a grid may have.")
+    max_area_m2: float = Field(100_000.0, gt=0, description="Largest area that a grid may have.")
 
 
 class SegmentationConfig(_Section):
     """Section II of the paper. docs/segmentation.md says what each choice is for."""
 
     cell_m: float = Field(
-        0.05, ge=0.01, le=1.0, description="cells of the working grid; coarser ones tip borders"
+        0.05,
+        ge=0.01,
+        le=1.0,
+        description="Cells of the working grid; coarser ones tip borders.",
     )
-    obstacle_m: float = Field(1.5, ge=0, description="isolated obstacles up to this size are free")
-    furniture_m: float = Field(2.5, ge=0, description="and up to this size when solid")
-    furniture_thick_m: float = Field(0.4, gt=0, description="across: walls are thinner than tables")
+    obstacle_m: float = Field(
+        1.5, ge=0, description="Isolated obstacles up to this size count as free space."
+    )
+    furniture_m: float = Field(
+        2.5, ge=0, description="Solid isolated obstacles up to this size count as free space, too."
+    )
     wide_door_m: float = Field(
-        2.5, ge=0, description="openings in the line of a wall up to this are doors; 0: only narrow"
+        2.5,
+        ge=0,
+        description="Openings in the line of a wall up to this width are doors; 0: narrow ones "
+        "alone.",
     )
-    fill: bool = Field(True, description="cells of furniture take their room's label")
-    nodes: Literal["clearest", "centre"] = Field("clearest", description="cell taken in a block")
-    node_step_m: float = Field(0.7, gt=0, le=10, description="side of a block; one node a block")
-    clearance_m: float = Field(0.25, ge=0, description="nodes and sight lines keep this off walls")
-    sight_m: float = Field(5.0, gt=0, description="longest sight line")
-    neighbours: int = Field(0, ge=0, description="l of eq. 1; 0: all visible nodes")
-    eigenvalue_min: float = Field(0.75, gt=0, lt=1, description="k counts the eigenvalues above")
+    fill: bool = Field(
+        True, description="Whether the cells of furniture take the label of their room."
+    )
+    nodes: Literal["clearest", "centre"] = Field(
+        "clearest", description="Which cell of a block becomes its node."
+    )
+    node_step_m: float = Field(0.7, gt=0, le=10, description="Side of a block, which has one node.")
+    clearance_m: float = Field(
+        0.25, ge=0, description="Nodes and sight lines keep this far off walls."
+    )
+    sight_m: float = Field(
+        5.0, gt=0, description="Longest sight line between two nodes; longer for long corridors."
+    )
+    neighbours: int = Field(
+        0, ge=0, description="Number l of neighbours in eq. 1; 0: all visible nodes."
+    )
+    eigenvalue_min: float = Field(
+        0.75, gt=0, lt=1, description="Least eigenvalue that counts as a cluster."
+    )
     part_nodes: int = Field(
-        4000, ge=16, description="a graph with more nodes is first cut at its narrowest places"
+        4000,
+        ge=16,
+        description="Graphs with more nodes are first cut at their narrowest places.",
     )
-    halve: bool = Field(True, description="look for two clusters inside each cluster again")
-    halve_eigenvalue: float = Field(0.7, gt=0, lt=1, description="its second one that halves it")
-    labels: Literal["flood", "nearest"] = Field("flood", description="how cells get their label")
-    merge: bool = Field(True, description="join clusters whose border is as wide as they are")
-    merge_ratio: float = Field(0.78, gt=0, description="border width over room width that joins")
+    halve: bool = Field(
+        True, description="Whether each cluster is searched for two clusters again."
+    )
+    halve_eigenvalue: float = Field(
+        0.7, gt=0, lt=1, description="Second eigenvalue of a cluster above which it is halved."
+    )
+    labels: Literal["flood", "nearest"] = Field(
+        "flood", description="How free cells get the label of a node."
+    )
+    merge: bool = Field(
+        True, description="Whether clusters are joined whose border is as wide as they are."
+    )
+    merge_ratio: float = Field(
+        0.78, gt=0, description="Width of a border, as a share of the room's, that joins clusters."
+    )
     placements: int = Field(
-        5, ge=1, le=16, description="divisions with other nodes; what most of them say counts"
+        5,
+        ge=1,
+        le=16,
+        description="Number of divisions with other nodes; what most of them say counts.",
     )
-    width_percentile: float = Field(60.0, ge=0, le=100, description="of local widths: a room's")
-    test_every: Literal["metres", "keyframes"] = Field("metres", description="pace of the tests")
-    test_metres: float = Field(1.0, gt=0, description="travelled between two tests")
-    test_keyframes: int = Field(50, ge=1, description="keyframes between two tests")
-    split_eigenvalue: float = Field(0.6, gt=0, lt=1, description="a second region is entered above")
-    split_share: float = Field(0.1, ge=0, lt=0.5, description="least share of the way on each side")
-    split_scale: float = Field(3.0, gt=0, description="sigma of eq. 1 in a test, times its median")
-    split_cell_m: float = Field(
-        0.1, ge=0.01, le=1.0, description="as cell_m, in a test; finer is only slower"
+    test_every: Literal["metres", "keyframes"] = Field(
+        "metres", description="Whether tests for a new submap go by metres or by keyframes."
     )
-    split_obstacle_m: float = Field(1.0, ge=0, description="as obstacle_m, in a test")
-    split_clearance_m: float = Field(0.3, ge=0, description="as clearance_m, in a test")
-    split_sight_m: float = Field(1000.0, gt=0, description="as sight_m, in a test")
-    split_nodes: int = Field(250, ge=16, description="most nodes in a test: the blocks grow")
-    split_eigenpairs: int = Field(
-        12, ge=2, description="looked at in a test: each room seen but not entered takes one"
+    test_keyframes: int = Field(
+        50, ge=1, description="Keyframes between two tests that go by keyframes."
     )
-    split_step_m: float = Field(0.15, ge=0, description="motion between scans in a test's map")
-    split_step_rad: float = Field(0.2, ge=0, description="or turn between them")
-    path_band_m: float = Field(2.0, ge=0, description="nodes lie this near the path; 0: anywhere")
-    path_margin_m: float = Field(
-        1.0, ge=0, description="map kept round the band: obstacles at its edge are seen whole"
+    split_eigenvalue: float = Field(
+        0.6, gt=0, lt=1, description="Second eigenvalue in a test above which a submap is split."
     )
-    region_min_m: float = Field(1.0, ge=0, description="shortest way that is split off or goes on")
-    regrow: bool = Field(True, description="a region the robot comes straight back to goes on")
-    final_regions: bool = Field(True, description="submaps end where the finished map's do")
+    split_share: float = Field(
+        0.1, ge=0, lt=0.5, description="Least share of the way on each side of a split."
+    )
+    split_scale: float = Field(
+        3.0, gt=0, description="Factor on the median that is sigma of eq. 1 in a test."
+    )
+    split_obstacle_m: float = Field(
+        1.0, ge=0, description="Value that stands for obstacle_m in a test."
+    )
+    split_clearance_m: float = Field(
+        0.3, ge=0, description="Value that stands for clearance_m in a test."
+    )
+    split_sight_m: float = Field(
+        1000.0, gt=0, description="Value that stands for sight_m in a test."
+    )
+    path_band_m: float = Field(
+        2.0, ge=0, description="Nodes of a test lie this near to the path; 0: anywhere."
+    )
+    region_min_m: float = Field(
+        1.0, ge=0, description="Shortest way that is split off, or goes on as a region of its own."
+    )
+    regrow: bool = Field(
+        True, description="Whether a region that the robot comes straight back to goes on."
+    )
+    final_regions: bool = Field(
+        True, description="Whether submaps end where the regions of the finished map do."
+    )
 
 
 class RecognitionConfig(_Section):
