@@ -257,55 +257,52 @@ class SegmentationConfig(_Section):
 class RecognitionConfig(_Section):
     """Section III of the paper: features, boosting, loop closure."""
 
-    feature_set: str = Field("full", description="of raw scans; packages can add sets")
-    booster: Literal["trees", "stumps"] = Field("trees", description="stumps: the paper's own")
-    rounds: int = Field(200, ge=1, description="weak classifiers of a submap's final classifier")
-    shrinkage: float = Field(0.5, gt=0, le=1, description="trees: scale of every vote")
-    feature_share: float = Field(0.1, gt=0, le=1, description="trees: features drawn a round")
-    positives: int = Field(500, ge=10, description="scans of its own submap a classifier sees")
-    negatives: int = Field(3000, ge=10, description="scans of other submaps a classifier sees")
+    feature_set: str = Field(
+        "full", description="Set of features of raw scans; installed packages can add sets."
+    )
+    booster: Literal["trees", "stumps"] = Field(
+        "trees", description="Kind of the weak classifiers; stumps are the paper's own."
+    )
+    rounds: int = Field(
+        200, ge=1, description="Number of weak classifiers of a submap's final classifier."
+    )
+    positives: int = Field(
+        500, ge=10, description="Most scans of its own submap that a classifier learns from."
+    )
+    negatives: int = Field(
+        3000, ge=10, description="Most scans of other submaps that a classifier learns from."
+    )
     augmentation: int = Field(
-        150, ge=0, description="a submap of fewer scans gets so many: some as seen from beside"
+        150,
+        ge=0,
+        description="Submaps of fewer scans get so many, some as seen from beside the way.",
     )
-    closure_rounds: int = Field(30, ge=1, description="weak classifiers while ranking")
-    closure_shrinkage: float = Field(0.5, gt=0, le=1, description="as shrinkage, while ranking")
-    closure_negatives: int = Field(400, ge=10, description="as negatives, while ranking")
-    samples_per_submap: int = Field(60, ge=1, description="scans of a submap used for ranking")
-    groups: int = Field(3, ge=0, description="held-out groups of old submaps; 0 = one by one")
-    refresh_growth: float = Field(0.4, ge=0, description="retrain once the submaps grew by this")
-    xi_threshold: float = Field(0.175, ge=0, le=1, description="eq. 5, judge without `verify`")
-    verify: bool = Field(True, description="a closure needs a match of the two grids")
-    candidates: int = Field(3, ge=1, description="best ranked old submaps whose grids are matched")
-    leftovers: int = Field(2, ge=0, description="pairs matched a submap in search of duplicates")
-    members: int = Field(2, ge=1, description="visits of an old submap whose grids are matched")
+    closure_rounds: int = Field(
+        30, ge=1, description="Number of weak classifiers while old submaps are ranked."
+    )
+    closure_negatives: int = Field(
+        400, ge=10, description="Most scans of other submaps while old submaps are ranked."
+    )
+    groups: int = Field(
+        3, ge=0, description="Number of held-out groups of old submaps; 0: one by one."
+    )
+    refresh_growth: float = Field(
+        0.4, ge=0, description="Growth of the submaps after which classifiers learn anew."
+    )
+    xi_threshold: float = Field(
+        0.175, ge=0, le=1, description="Least xi of eq. 5 that closes a loop without `verify`."
+    )
+    verify: bool = Field(True, description="Whether a closure needs a match of the two grids.")
     stays_kept: int = Field(
-        16, ge=1, description="visits of a submap that are remembered, those that saw most"
+        16, ge=1, description="Most visits of a submap that are remembered: those that saw most."
     )
-    match_cell_m: float = Field(
-        0.3, ge=0.02, description="two grids are first matched on cells of about this side"
+    min_score: float = Field(
+        0.75,
+        le=1,
+        description="Least score of a match: inliers less twice the contradictions.",
     )
-    hopeless_score: float = Field(0.3, le=1, description="a match below this is given up")
-    sure_score: float = Field(0.8, le=1, description="a match above this needs no other rotation")
-    match_sigma_m: float = Field(0.15, gt=0, description="how near matched walls pull each other")
-    inlier_m: float = Field(0.15, gt=0, description="a wall point this near a wall agrees")
-    contradiction_m: float = Field(
-        0.3, gt=0, description="one farther than this from walls, and in free space, contradicts"
-    )
-    contradiction_depth_m: float = Field(
-        0.25, ge=0, description="free space counts this far from its edge, which noise blurs"
-    )
-    min_score: float = Field(0.75, le=1, description="inliers less twice the contradictions")
-    min_lead: float = Field(0.1, ge=0, description="over the next best match, or it is ambiguous")
-    min_wall_m: float = Field(5.0, ge=0, description="metres of wall that agree, cell by cell")
-    min_overlap: float = Field(0.4, ge=0, le=1, description="shared part of one's walls")
-    least_overlap: float = Field(0.15, ge=0, le=1, description="shared part of the other's walls")
-    merge_overlap: float = Field(0.4, ge=0, le=1, description="of both tracks, for a merge")
-    merge_reach_m: float = Field(1.0, gt=0, description="tracks this close overlap")
     max_drift: float = Field(
-        0.1, ge=0, description="metres per metre driven that a closure may mend"
-    )
-    twin_margin_m: float = Field(
-        0.5, ge=0, description="and metres besides; a match that mends more is of twin rooms"
+        0.1, ge=0, description="Metres per metre driven that a closure may mend."
     )
 
 
