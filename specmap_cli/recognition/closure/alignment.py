@@ -69,7 +69,7 @@ def align(old: KnownMap, new: KnownMap, config: Config) -> Alignment:
         return Alignment(old_from_new=None, reason="a map shows too few walls to match")
     pieces = Pieces(old), Pieces(new)
     two = _Two(pieces, (wholes[0], wholes[1]), Floors.of(old.whole, new.whole))
-    likely, others = likely_pairs(old, new, config.localization, CANDIDATES)
+    likely, others = likely_pairs(old, new, CANDIDATES)
     votes = votes_of(likely, *pieces, recognition)
     found = two.aligned(parties_of(votes))
     if found.old_from_new is None and others:

@@ -15,11 +15,13 @@ from specmap_cli.recognition.learning.calibration import HeldOutMargins, calibra
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.holding_out import Pieces, Samples, held_out_margins
-from specmap_cli.recognition.learning.misfit import held_out_misfit
+from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M, held_out_misfit
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.revisits import Revisits
 from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
 from specmap_cli.recognition.learning.sensor import Sensor
+
+_EXEMPLARS = 80  # scans kept of a submap, to tell unknown ones by
 
 
 def train_localizer(
@@ -49,7 +51,7 @@ def train_localizer(
         sensor=sensor_of(store, submaps),
         raw=raw,
         virtual=virtual,
-        misfit=held_out_misfit(store, submaps, poses, localization),
+        misfit=held_out_misfit(store, submaps, poses),
         calibration=calibrated(of_raw, of_virtual),
     )
 
@@ -118,7 +120,7 @@ def _tested(
     rng: np.random.Generator,
 ) -> HeldOutMargins:
     """How the samples `asked` that lie in held-out pieces are told by all other samples."""
-    pieces = Pieces(poses, config.localization.held_out_reach_m)
+    pieces = Pieces(poses, HELD_OUT_REACH_M)
     rest = {i: pieces.rest(own) for i, own in samples.items()}
     tested = {i: pieces.tested(own) for i, own in asked.items()}
     return held_out_margins(rest, tested, feature_set, config.recognition, rng)
@@ -137,7 +139,7 @@ def train(
     """
     localization = config.localization
     classifiers = OneVsAll(feature_set, config.recognition).fit(samples, rng)
-    known = Familiarity(feature_set, localization.false_unknown, localization.exemplars)
+    known = Familiarity(feature_set, localization.false_unknown, _EXEMPLARS)
     shown = samples if looks is None else looks
     return Recogniser(classifiers, known.fit(shown) if known.can_fit(shown) else None)
 
