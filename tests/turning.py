@@ -53,6 +53,11 @@ def turn(package: str, **constants: object) -> None:
 
 def configured(section: type[Section], package: str, settings: Mapping[str, object]) -> Section:
     """Settings of a section; what is a constant of a package is turned until the test ends."""
-    known = {name: value for name, value in settings.items() if name in section.model_fields}
+    return altered(section(), package, settings)
+
+
+def altered(config: Section, package: str, settings: Mapping[str, object]) -> Section:
+    """The settings with others in their place, as `configured` has them."""
+    known = {name: value for name, value in settings.items() if name in type(config).model_fields}
     turn(package, **{name: settings[name] for name in settings.keys() - known.keys()})
-    return section.model_validate(known)
+    return type(config).model_validate({**config.model_dump(), **known})

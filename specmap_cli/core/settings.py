@@ -257,55 +257,52 @@ class SegmentationConfig(_Section):
 class RecognitionConfig(_Section):
     """Section III of the paper: features, boosting, loop closure."""
 
-    feature_set: str = Field("full", description="of raw scans; packages can add sets")
-    booster: Literal["trees", "stumps"] = Field("trees", description="stumps: the paper's own")
-    rounds: int = Field(200, ge=1, description="weak classifiers of a submap's final classifier")
-    shrinkage: float = Field(0.5, gt=0, le=1, description="trees: scale of every vote")
-    feature_share: float = Field(0.1, gt=0, le=1, description="trees: features drawn a round")
-    positives: int = Field(500, ge=10, description="scans of its own submap a classifier sees")
-    negatives: int = Field(3000, ge=10, description="scans of other submaps a classifier sees")
+    feature_set: str = Field(
+        "full", description="Set of features of raw scans; installed packages can add sets."
+    )
+    booster: Literal["trees", "stumps"] = Field(
+        "trees", description="Kind of the weak classifiers; stumps are the paper's own."
+    )
+    rounds: int = Field(
+        200, ge=1, description="Number of weak classifiers of a submap's final classifier."
+    )
+    positives: int = Field(
+        500, ge=10, description="Most scans of its own submap that a classifier learns from."
+    )
+    negatives: int = Field(
+        3000, ge=10, description="Most scans of other submaps that a classifier learns from."
+    )
     augmentation: int = Field(
-        150, ge=0, description="a submap of fewer scans gets so many: some as seen from beside"
+        150,
+        ge=0,
+        description="Submaps of fewer scans get so many, some as seen from beside the way.",
     )
-    closure_rounds: int = Field(30, ge=1, description="weak classifiers while ranking")
-    closure_shrinkage: float = Field(0.5, gt=0, le=1, description="as shrinkage, while ranking")
-    closure_negatives: int = Field(400, ge=10, description="as negatives, while ranking")
-    samples_per_submap: int = Field(60, ge=1, description="scans of a submap used for ranking")
-    groups: int = Field(3, ge=0, description="held-out groups of old submaps; 0 = one by one")
-    refresh_growth: float = Field(0.4, ge=0, description="retrain once the submaps grew by this")
-    xi_threshold: float = Field(0.175, ge=0, le=1, description="eq. 5, judge without `verify`")
-    verify: bool = Field(True, description="a closure needs a match of the two grids")
-    candidates: int = Field(3, ge=1, description="best ranked old submaps whose grids are matched")
-    leftovers: int = Field(2, ge=0, description="pairs matched a submap in search of duplicates")
-    members: int = Field(2, ge=1, description="visits of an old submap whose grids are matched")
+    closure_rounds: int = Field(
+        30, ge=1, description="Number of weak classifiers while old submaps are ranked."
+    )
+    closure_negatives: int = Field(
+        400, ge=10, description="Most scans of other submaps while old submaps are ranked."
+    )
+    groups: int = Field(
+        3, ge=0, description="Number of held-out groups of old submaps; 0: one by one."
+    )
+    refresh_growth: float = Field(
+        0.4, ge=0, description="Growth of the submaps after which classifiers learn anew."
+    )
+    xi_threshold: float = Field(
+        0.175, ge=0, le=1, description="Least xi of eq. 5 that closes a loop without `verify`."
+    )
+    verify: bool = Field(True, description="Whether a closure needs a match of the two grids.")
     stays_kept: int = Field(
-        16, ge=1, description="visits of a submap that are remembered, those that saw most"
+        16, ge=1, description="Most visits of a submap that are remembered: those that saw most."
     )
-    match_cell_m: float = Field(
-        0.3, ge=0.02, description="two grids are first matched on cells of about this side"
+    min_score: float = Field(
+        0.75,
+        le=1,
+        description="Least score of a match: inliers less twice the contradictions.",
     )
-    hopeless_score: float = Field(0.3, le=1, description="a match below this is given up")
-    sure_score: float = Field(0.8, le=1, description="a match above this needs no other rotation")
-    match_sigma_m: float = Field(0.15, gt=0, description="how near matched walls pull each other")
-    inlier_m: float = Field(0.15, gt=0, description="a wall point this near a wall agrees")
-    contradiction_m: float = Field(
-        0.3, gt=0, description="one farther than this from walls, and in free space, contradicts"
-    )
-    contradiction_depth_m: float = Field(
-        0.25, ge=0, description="free space counts this far from its edge, which noise blurs"
-    )
-    min_score: float = Field(0.75, le=1, description="inliers less twice the contradictions")
-    min_lead: float = Field(0.1, ge=0, description="over the next best match, or it is ambiguous")
-    min_wall_m: float = Field(5.0, ge=0, description="metres of wall that agree, cell by cell")
-    min_overlap: float = Field(0.4, ge=0, le=1, description="shared part of one's walls")
-    least_overlap: float = Field(0.15, ge=0, le=1, description="shared part of the other's walls")
-    merge_overlap: float = Field(0.4, ge=0, le=1, description="of both tracks, for a merge")
-    merge_reach_m: float = Field(1.0, gt=0, description="tracks this close overlap")
     max_drift: float = Field(
-        0.1, ge=0, description="metres per metre driven that a closure may mend"
-    )
-    twin_margin_m: float = Field(
-        0.5, ge=0, description="and metres besides; a match that mends more is of twin rooms"
+        0.1, ge=0, description="Metres per metre driven that a closure may mend."
     )
 
 
@@ -390,109 +387,41 @@ class QualityConfig(_Section):
 class LocalizationConfig(_Section):
     """The hidden Markov filter over the topology, and virtual scans."""
 
-    virtual: bool = Field(True, description="virtual full-circle scans over the last metres")
-    feature_set: str = Field("places", description="of virtual scans; packages can add sets")
-    window_m: float = Field(10.0, gt=0, description="path whose scans make a virtual scan")
-    virtual_beams: int = Field(360, ge=16, description="bearings of a virtual scan")
-    virtual_range_m: float = Field(20.0, gt=0, description="farther returns are not in it")
-    virtual_spacing_m: float = Field(0.2, ge=0, description="motion between the scans in it")
-    virtual_spacing_rad: float = Field(0.3, ge=0, description="or turn between them")
-    track_samples: int = Field(800, ge=1, description="virtual scans along the track, training")
-    augmentation: int = Field(1500, ge=0, description="virtual scans from free cells, training")
-    augmentation_reach_m: float = Field(
-        1.5, gt=0, description="such cells lie this near the track: farther, much was never seen"
+    virtual: bool = Field(
+        True, description="Whether virtual full-circle scans over the last metres are labelled."
     )
-    augmentation_clearance_m: float = Field(
-        0.25, ge=0, description="and this far from walls, as a robot does"
+    feature_set: str = Field(
+        "places", description="Set of features of virtual scans; installed packages can add sets."
+    )
+    track_samples: int = Field(
+        800, ge=1, description="Virtual scans along the track that classifiers learn from."
+    )
+    augmentation: int = Field(
+        1500, ge=0, description="Virtual scans from free cells that classifiers learn from."
     )
     stay: float = Field(
-        0.95, gt=0, lt=1, description="chance to stay in a submap from view to view"
+        0.95, gt=0, lt=1, description="Chance to stay in a submap from view to view."
     )
-    leap: float = Field(
-        1e-4, gt=0, lt=0.5, description="chance to be anywhere next, by a way that was never driven"
+    unknown: bool = Field(True, description="Whether scans may get the label unknown.")
+    false_unknown: float = Field(
+        0.05, gt=0, lt=1, description="Share of the scans of known places that are given up."
     )
-    leave: float = Field(1e-4, ge=0, lt=0.5, description="chance to leave the map, or to come back")
-    trust: float = Field(
-        1.0, gt=0, description="in what scans say, 1: as sure as the map's classifiers proved to be"
-    )
-    view_m: float = Field(
-        0.05, ge=0, description="motion to a new view; scans of one view are averaged, not summed"
-    )
-    view_rad: float = Field(0.0524, ge=0, description="or turn to it: a keyframe's, 3 degrees")
-    unknown: bool = Field(True, description="allow the label unknown")
-    unknown_prior: float = Field(0.5, gt=0, lt=1, description="chance of unknown at the start")
-    independent_m: float = Field(1.0, gt=0, description="motion to a view that says something new")
-    independent_rad: float = Field(1.0, gt=0, description="or turn to it; a part of it counts so")
-    false_unknown: float = Field(0.05, gt=0, lt=1, description="share of known scans given up")
-    exemplars: int = Field(80, ge=1, description="scans kept of a submap, to tell unknown ones by")
-    strange_alone: float = Field(
-        1.0, gt=0, description="a single scan is unknown beyond this share of the limit"
-    )
-    strange_from: float = Field(
-        0.87, gt=0, description="from this share of the limit on, a scan speaks for unknown"
-    )
-    strange_gain: float = Field(
-        2.0, ge=0, description="log likelihood for unknown, per share of the limit beyond that"
-    )
-    strange_most: float = Field(
-        1.0, ge=0, description="and the most of it: views that are strange come in a row"
-    )
-    fit_range_m: float = Field(
-        8.0, gt=0, description="returns matched with walls: farther ones are seen through doors"
-    )
-    fit_submaps: int = Field(2, ge=0, description="likely submaps that are searched, 0: no walls")
-    fit_search_m: float = Field(
-        1.0, gt=0, description="path between searches while a scan fits no walls"
-    )
-    fit_step_m: float = Field(
-        0.2, ge=0, description="motion between looks at walls while a scan fits where it leads"
-    )
-    fit_step_rad: float = Field(0.2, ge=0, description="or turn between them")
-    fit_most: float = Field(4.0, ge=0, description="log likelihood that walls give at the most")
-    held_out_m: float = Field(
-        1.0, gt=0, description="path before and after a view that is held out with it, training"
-    )
-    held_out_reach_m: float = Field(
-        1.5, gt=0, description="and the rest of the map comes so near, or it is a new place"
-    )
-    usual_misfit: float = Field(
-        0.1, gt=0, le=1, description="mean share of returns off the walls, for a map that has none"
-    )
-    usual_misfit_views: int = Field(
-        5, ge=1, description="weight of that, in views that the map held out"
+    fit_submaps: int = Field(
+        2, ge=0, description="Number of likely submaps whose walls are searched; 0: no walls."
     )
     least_misfit: float = Field(
-        0.05, gt=0, le=1, description="of known places: people pass, and doors move"
-    )
-    behind_usual: float = Field(
-        0.2, ge=0, lt=1, description="share of a scan behind walls of its own place that moved"
-    )
-    unseen_weight: float = Field(
-        0.25, ge=0, le=1, description="of returns off the walls where the map saw nothing"
-    )
-    foreign_misfit: float = Field(
-        0.32, gt=0, le=1, description="of other places where they fit best, on average"
-    )
-    foreign_misfit_spread: float = Field(
-        0.13, gt=0, le=1, description="and its standard deviation, seen on plans and logs"
-    )
-    view_slack_rad: float = Field(
-        0.0873, ge=0, description="a laser is refused that sees by more than this less"
-    )
-    range_share: float = Field(
-        0.5, ge=0, le=1, description="or that sees less far than this share of the map's laser"
-    )
-    follow_m: float = Field(
-        0.4, gt=0, description="a pose in a submap is sought this near where motion says it is"
-    )
-    follow_rad: float = Field(0.2094, gt=0, description="and turned this much")
-    follow_score: float = Field(
-        0.8, ge=0, le=1, description="from it on, a pose to which the motion leads is not sought"
+        0.05,
+        gt=0,
+        le=1,
+        description="Share of returns off the walls that is usual in known places: people pass, "
+        "doors move.",
     )
     lead: float = Field(
-        0.95, gt=0.5, lt=1, description="chance of a place from which on its pose is given"
+        0.95,
+        gt=0.5,
+        lt=1,
+        description="Chance of a place from which on its pose is given.",
     )
-    lost_score: float = Field(0.55, ge=0, le=1, description="below it the whole submap is searched")
 
 
 class UpdateConfig(_Section):

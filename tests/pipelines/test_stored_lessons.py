@@ -50,7 +50,7 @@ def test_a_map_keeps_what_its_classifiers_learned_from(flat_map: StoredMap) -> N
     "changed",
     [
         {"recognition": {"feature_set": "table1"}},
-        {"localization": {"virtual_range_m": 5.0}},
+        {"localization": {"false_unknown": 0.1}},
     ],
 )
 def test_other_settings_learn_anew(flat_map: StoredMap, changed: dict[str, Any]) -> None:
