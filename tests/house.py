@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.json_values import PropertyValue, runs_of
 from specmap_cli.core.records import Closure, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
@@ -18,7 +19,6 @@ from specmap_cli.topology.topological_map import (
     Break,
     Edge,
     LogInfo,
-    Property,
     Stay,
     Submap,
     TopologicalMap,
@@ -55,7 +55,7 @@ def stay(number: int, submap: int, keyframes: Iterable[int]) -> Stay:
     of = tuple(keyframes)
     start, end = (START_NS + k * 1_000_000_000 for k in (of[0], of[-1]))
     return Stay(
-        number=number, submap=submap, keyframes=of, origin=of[0], start_ns=start, end_ns=end
+        number=number, submap=submap, runs=runs_of(of), origin=of[0], start_ns=start, end_ns=end
     )
 
 
@@ -74,13 +74,13 @@ def whole_of(submaps: Iterable[Submap]) -> GridMap:
 @pytest.fixture
 def result() -> MapResult:
     """Corridor 0, room 1 driven into, room 2 joined by a closure; 10 keyframes each."""
-    noted: dict[str, Property] = {"floor": 2, "heated": True, "owner": "Ann", "rent": 9.5}
+    noted: dict[str, PropertyValue] = {"floor": 2, "heated": True, "owner": "Ann", "rent": 9.5}
     submaps = {
         0: _submap(0, Pose2(0.0, 0.0, 0.0), (12.0, 2.0)),
         1: replace(_submap(1, Pose2(-3.0, 3.5, 0.3), (3.0, 4.0)), properties=noted),
         2: _submap(2, Pose2(3.0, 3.5, -2.0), (4.0, 3.0)),
     }
-    crossing = Traversal(1_700_000_010_000_001_000, 0, 1, Pose2(-3.0, 1.25, 1.5))
+    crossing = Traversal(1_700_000_010_000_001_000, 0, 1, -3.0, 1.25, 1.5)
     edges = {
         (0, 1): Edge(
             source=0,
@@ -126,7 +126,7 @@ def result() -> MapResult:
             stay(2, 2, range(20, 30)),
             stay(3, 0, (5, 6, 7)),
         ),
-        breaks=(Break(20, (0.5, 0.05)), Break(25)),
+        breaks=(Break(20, 0.5, 0.05), Break(25)),
         next_id=5,
     )
     stamps = START_NS + np.arange(30) * 1_000_000_000

@@ -73,6 +73,7 @@ HEAVY = {
     "rosbags",
     "scipy",
     "sklearn",
+    "yaml",
 }
 MODULES = sorted(ROOT.rglob("*.py"))
 

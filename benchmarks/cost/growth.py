@@ -19,10 +19,11 @@ from benchmarks.making.recordings import simulated
 from benchmarks.making.replays import write_plays
 from benchmarks.making.worlds import Place, corridors, drive_along
 from benchmarks.scoreboard.bench import Bench, build
-from benchmarks.scoreboard.rows import Figures, Row
+from benchmarks.scoreboard.rows import Figure, Figures, Row
 from specmap_cli.simulation.lasers import OdometryErrors
 
 PLAYS = 4
+LIMIT_S = 60.0  # of a log that should take 10 s
 TWO_PERCENT = OdometryErrors(distance_scale=0.02, turn_scale=0.02)
 ROUND = (
     (0, 0), (2, 0), (2, 2), (0, 2), (0, 0), (1, 0), (1, 1), (2, 1), (2, 2), (1, 2), (1, 1), (0, 1),
@@ -46,7 +47,7 @@ ROWS = (
     Row("large_mb", "260 x 220 m, simulated: memory", 500, 500, "less", ".0f", "MB"),
     Row("ual", "ual: wall time a scan, times fr079", 2.0, 1.5, "less", ".1f"),
     Row("ual_mb", "ual: memory", 400, 400, "less", ".0f", "MB"),
-    Row("beams", "61 scans of 99,999 beams", 10, 10, "less", ".0f", "s"),
+    Row("beams", "61 scans of 99,999 beams, wall time", 10, 10, "less", ".0f", "s"),
     Row("beams_mb", "the same: memory", 500, 500, "less", ".0f", "MB"),
 )
 
@@ -69,6 +70,7 @@ def measure(bench: Bench) -> Figures:
         ual_scans = _scans(folder)
         bench.adopt("ual", folder / "map")
         beams = hostile(data_folder() / "damaged" / "third" / "beams.mcap", folder)
+    note = "stopped there" if beams.wall_s > LIMIT_S else ""
     return {
         "plays_cpu": plays.processor_s / first.processor_s,
         "plays_largest": plays.memory_mb / first.memory_mb,
@@ -78,8 +80,8 @@ def measure(bench: Bench) -> Figures:
         "large_mb": large.together_mb,
         "ual": ual.wall_s / ual_scans / of_one[1],
         "ual_mb": ual.together_mb,
-        "beams": beams.processor_s,
-        "beams_mb": beams.together_mb,
+        "beams": Figure(beams.wall_s, note=note),
+        "beams_mb": Figure(beams.together_mb, note=note),
     }
 
 
@@ -119,8 +121,8 @@ def long_building(
 
 
 def hostile(log: Path, folder: Path) -> Cost:
-    """What a log costs that is made to cost much; it may be refused."""
+    """What a log costs that is made to cost much, until the limit; it may be refused."""
     command = [SPECMAP, "build", str(log), "-o", str(folder / "hostile"), "-q"]
-    cost = measured(command, folder, may_fail=True)
+    cost = measured(command, folder, limit_s=LIMIT_S)
     print(f"{log.name}: {told(cost)}", flush=True)
     return cost

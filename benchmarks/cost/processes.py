@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -28,23 +30,35 @@ class Cost(NamedTuple):
     together_mb: float
 
 
-def measure(command: list[str], folder: Path, *, may_fail: bool = False, **settings: str) -> Cost:
-    """Run a process to its end; raises RuntimeError with its last words when it fails."""
+def measure(
+    command: list[str], folder: Path, *, limit_s: float = math.inf, **settings: str
+) -> Cost:
+    """Run a process to its end; raises RuntimeError with its last words when it fails.
+
+    With a limit it may fail, and is stopped after so many seconds: the cost is then that so far.
+    """
     own = {name: value for name, value in os.environ.items() if name[:8] != "SPECMAP_"}
     start = time.perf_counter()
     with tempfile.TemporaryFile() as output:
         process = subprocess.Popen(
-            command, cwd=folder, env=own | settings, stdout=output, stderr=subprocess.STDOUT
+            command,
+            cwd=folder,
+            env=own | settings,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=limit_s < math.inf,
         )
         ended, together = 0, 0.0
         while not ended:
             together = max(together, proportional_mb(process.pid))
             time.sleep(_SAMPLED_EVERY_S)
+            if time.perf_counter() - start > limit_s:
+                os.killpg(process.pid, signal.SIGKILL)
             ended, status, usage = os.wait4(process.pid, os.WNOHANG)
         seconds = time.perf_counter() - start
         output.seek(0)
         told = output.read().decode("utf-8", "replace").strip().splitlines()
-    if status != 0 and not may_fail:
+    if status != 0 and limit_s == math.inf:
         last = told[-1] if told else "nothing"
         raise RuntimeError(f"{' '.join(command)} ended with status {status}: {last}")
     return Cost(seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0, together)

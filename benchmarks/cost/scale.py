@@ -22,9 +22,9 @@ from benchmarks.data import RESOLUTION_M, plan, rooms_of
 from benchmarks.localized import localized
 from benchmarks.scoreboard.bench import Bench, build
 from benchmarks.scoreboard.rows import Figures, Row
+from benchmarks.scores import map_scores
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
-from specmap_cli.evaluation.rooms import map_scores
 from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.ray_casting import cast_rays

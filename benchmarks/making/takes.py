@@ -1,9 +1,9 @@
 """Recordings of one building that should all become the same map.
 
-Each take is one variation of the first: another seed (of a simulated robot the errors of laser and
-wheels, too), noise of 10 mm more, the way backwards, another start, another way. Nobody can drive a
-recorded log again: it is played backwards, as if the robot drove in reverse gear, and from a third
-of it to its beginning and then to its end, without a jump.
+Each take is one variation of the first: noise of 10 mm (a simulated robot has other errors of the
+wheels, too), the way backwards, another start or another way. Nobody can drive a recorded log
+again: it is played backwards, as if the robot drove in reverse gear, and from a third of it to its
+beginning and then to its end, without a jump.
 """
 
 from __future__ import annotations
@@ -29,11 +29,10 @@ _EARLIER = 1 / 3  # of the way: where a tour from another start begins
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """The sweeps of a recording of a building, and the seed that its map is built with."""
+    """The sweeps of a recording of a building."""
 
     kind: str
     sweeps: Iterable[Sweep]
-    seed: int = 0
 
 
 def takes(building: str) -> Iterator[Take]:
@@ -49,17 +48,14 @@ def _simulated(building: str, options: SimulationOptions) -> Iterator[Take]:
     world = plan(building)
     first = simulated_tour(world, options)
     way = first.truth.poses[:, :2]
-    early = round(_EARLIER * len(way))
     ways = {
         "first": (way, options),
-        "seed": (way, options.model_copy(update={"seed": options.seed + 1})),
         "noise": (way, options.model_copy(update={"noise_m": NOISE_M, "seed": options.seed + 10})),
         "reversed": (way[::-1], options),
-        "start": (np.concatenate([way[:early][::-1], way]), options),
     }
     for kind, (along, chosen) in ways.items():
         tour = tour_along(along, first.world, chosen, area_m2=first.area_m2)
-        yield Take(kind, (sweep for sweep, _ in tour.scans()), int(kind == "seed"))
+        yield Take(kind, (sweep for sweep, _ in tour.scans()))
     other = simulated_tour(world, options.model_copy(update={"seed": options.seed + 21}))
     yield Take("tour", (sweep for sweep, _ in other.scans()))
 

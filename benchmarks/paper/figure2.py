@@ -12,8 +12,8 @@ from benchmarks.paper import pictures
 from benchmarks.paper.blocks import Block, Found, Picture, Row, Table, figure, gallery
 from benchmarks.paper.cases import STATA, Case
 from benchmarks.paper.workshop import OURS, PRESETS, WORDS, Workshop, beside
+from benchmarks.scores import RoomScores, room_scores
 from specmap_cli.core.config import load_config
-from specmap_cli.evaluation.scores import RoomScores, room_scores
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.segmentation.division import segment
 from specmap_cli.simulation.room_truth import RoomTruth

@@ -23,9 +23,9 @@ from benchmarks.paper.blocks import (
 from benchmarks.paper.cases import FREIBURG, STATA, Case, Drawing
 from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Built, Workshop, beside
 from benchmarks.real.closure_truth import true_poses
+from benchmarks.scores import VisitScores
 from benchmarks.simulated.online import Tour, scored
 from specmap_cli.drawing.split_tests import draw_test
-from specmap_cli.evaluation.scores import VisitScores
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter
 from specmap_cli.segmentation.splitting import SplitTest
 

@@ -21,8 +21,8 @@ from benchmarks.cost.processes import measure as measured
 from benchmarks.data import data_folder
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figures, Row
+from benchmarks.scores import overlap_table
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.evaluation.scores import overlap_table
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps.store import read_map

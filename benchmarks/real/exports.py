@@ -139,7 +139,7 @@ def foxglove(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
         for _, _, _, scene in reader.iter_decoded_messages(topics=["/submaps", "/graph"]):
             entities += scene.entities
     links = [entity for entity in entities if entity.id.startswith("link")]
-    passable = {f"link {edge.source}-{edge.target}" for edge in stored.record.edges if edge.path}
+    passable = {f"link {edge.source}-{edge.target}" for edge in stored.record.edges if edge.corners}
     lines = [link.lines[0].points for link in links if link.id in passable]
     length = sum(np.hypot(b.x - a.x, b.y - a.y) for line in lines for a, b in pairwise(line))
     submaps = sum(entity.id.startswith("submap") for entity in entities)

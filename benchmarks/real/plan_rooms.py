@@ -19,7 +19,7 @@ from scipy import fft
 from benchmarks.data import plan, rooms_of
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figures, Row
-from specmap_cli.evaluation.scores import overlap_table
+from benchmarks.scores import overlap_table
 from specmap_cli.maps.store import StoredMap, read_map
 
 PLAN = "Freiburg79_scan"

@@ -13,6 +13,7 @@ stopped goes on where it was. `--again` measures anew.
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 from pathlib import Path
 
@@ -95,10 +96,9 @@ def _told(section: Section, done: Done, key: str = "") -> list[str]:
 
 def _all(sections: list[Section], work: Path, again: bool, *, write: bool) -> int:
     """Measure the sections, print all rows, and write the page."""
-    folder = folder_of(work)
     if again:
-        for path in (folder / "sections").glob("*.json"):
-            path.unlink()
+        shutil.rmtree(work, ignore_errors=True)
+    folder = folder_of(work)
     done = run(sections, folder)
     for section in sections:
         print("\n".join(_told(section, done[section.name])))

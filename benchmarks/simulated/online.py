@@ -2,7 +2,7 @@
 
 The poses are those of the front end, with drifting odometry. Homogeneity is of submaps against
 rooms, completeness of submaps against visits of a room, and segments per visit counts every region
-that was split off (specmap_cli/evaluation/scores.py). The milliseconds (of processor time) are
+that was split off (benchmarks/scores.py). The milliseconds (of processor time) are
 those of taking in a keyframe with a test, whatever the test entails.
 """
 
@@ -17,10 +17,10 @@ import numpy as np
 from benchmarks.data import plan, rooms_of
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figure, Figures, Row
+from benchmarks.scores import VisitScores, visit_scores, visits_of
 from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import Config
-from specmap_cli.evaluation.scores import VisitScores, visit_scores, visits_of
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.registration import FrontEnd

@@ -1,7 +1,7 @@
 """Drawn floor plans divided into rooms: the maps of Bormann et al. (ICRA 2016), and random ones.
 
 Ten plans with rooms drawn by hand, as they are and furnished: recall, precision and IoU as in
-specmap_cli/evaluation/scores.py, and their doors (doors.py). Random plans are drawn by
+benchmarks/scores.py, and their doors (doors.py). Random plans are drawn by
 making/buildings.py: offices along a corridor, corridors around a core, halls with side rooms, and
 flats, which no setting was chosen on; a room is joined that shares its region with another one.
 """
@@ -15,11 +15,11 @@ from benchmarks.making.buildings import BUILDINGS
 from benchmarks.making.drawing import Drawing
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figure, Figures, Row
+from benchmarks.scores import RoomScores, room_scores
 from benchmarks.simulated.door_truth import true_doors
 from benchmarks.simulated.doors import DoorScores, Truth, against, checked
 from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.core.settings import Config, WaysConfig
-from specmap_cli.evaluation.scores import RoomScores, room_scores
 from specmap_cli.segmentation.division import segment
 from specmap_cli.segmentation.floorplan import segment_floorplan
 from specmap_cli.segmentation.kmeans import LabelArray

@@ -21,11 +21,11 @@ from benchmarks.making.recordings import write
 from benchmarks.making.spoiling import without_odometry
 from benchmarks.scoreboard.bench import Bench, verdict_of
 from benchmarks.scoreboard.rows import Figure, Figures, Row
+from benchmarks.scores import MapScores, map_scores
 from benchmarks.simulated.door_truth import true_doors
 from benchmarks.simulated.doors import DoorScores, Truth, against, checked, map_from_plan
 from benchmarks.simulated.plans import random_plan
 from specmap_cli.core.records import Trajectory
-from specmap_cli.evaluation.rooms import MapScores, map_scores
 from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import read_map

@@ -23,24 +23,21 @@ from specmap_cli.core.shortage import reason
 _FORMAT = 1  # of what is hashed
 
 
-def digest_of(job: Job, version: str) -> str:
-    """The digest of a job, hexadecimal.
+def digest_of(job: Job, version: str, inputs: Iterable[InputRecord]) -> str:
+    """The digest of a job and its `inputs_of`, hexadecimal.
 
-    Raises LogError or PlaceError for a log that cannot be reached, UsageError for a file of an
-    option that cannot be read.
+    Raises UsageError for a file of an option that cannot be read.
     """
-    return digest_from(job, version, inputs_of(job))
-
-
-def digest_from(job: Job, version: str, inputs: Iterable[InputRecord]) -> str:
-    """The same of inputs that are known already."""
     steps = [[step.command, *_options(step)] for step in job.steps]
     told = [_FORMAT, version, steps, [each.identity for each in inputs]]
     return _hash(json.dumps(told).encode())
 
 
 def inputs_of(job: Job) -> tuple[InputRecord, ...]:
-    """The logs of a job as they are now."""
+    """The logs of a job as they are now.
+
+    Raises LogError or PlaceError for a log that cannot be reached.
+    """
     return tuple(_input(log, sources_of(log)) for log in job.logs)
 
 

@@ -33,7 +33,6 @@ COMMANDS: tuple[Command, ...] = get_args(Command)
 #   worker    the worker was lost or told to end
 #   bug       a bug of the program (1)
 Kind = Literal["log", "no-result", "rule", "settings", "memory", "time", "place", "worker", "bug"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
 
 OptionValue = str | int | float | bool | list[Any]
 

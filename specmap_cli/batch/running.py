@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from specmap_cli import __version__
-from specmap_cli.batch.digest import digest_from, inputs_of
+from specmap_cli.batch.digest import digest_of, inputs_of
 from specmap_cli.batch.folders import Folder, files_in, folder_at, write_record
 from specmap_cli.batch.outcomes import may_retry, stands
 from specmap_cli.batch.places import PlaceError
@@ -125,7 +125,7 @@ def _refuse_edited(folder: Folder) -> None:
 def _known(job: Job) -> _Known:
     try:
         inputs = inputs_of(job)
-        return _Known(inputs, digest_from(job, __version__, inputs))
+        return _Known(inputs, digest_of(job, __version__, inputs))
     except SpecmapError as error:
         return _Known(refused=_refusal(error))
 

@@ -12,8 +12,8 @@ from typing import Literal
 
 from pydantic import Field
 
+from specmap_cli.core.json_values import Record
 from specmap_cli.core.schemas import ModelSchema
-from specmap_cli.maps.schema_values import Record
 
 SCHEMA_VERSION = 1
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
-from specmap_cli.core.text import seconds
+from pydantic import Field
+
+from specmap_cli.core.json_values import Number, StampNs, Value
 
 # How much a finding takes from the trust in a map. A `note` takes nothing.
 Severity = Literal["note", "doubtful", "poor"]
@@ -18,50 +20,68 @@ INPUT = "input"  # the code of what reading and registration have to say about t
 Place = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """One thing that was found out, by a stable `code`.
+@dataclass(frozen=True, slots=True)
+class Where(Value):
+    """When and where something was found."""
 
-    `value` is its size and `limit` what it should not exceed, in the unit that the code is
-    documented with; `stamp_ns` and `place` (x, y), metres in the map, say where. Each of these is
-    None where there is none. `message` says the same in a sentence, `advice` what to try.
-    """
+    stamp_ns: Annotated[
+        StampNs | None, Field(alias="stamp", description="seconds; null where it has no stamp")
+    ]
+    x: Annotated[Number | None, Field(description="metres; null where it has no place")]
+    y: Annotated[Number | None, Field(description="metres; null where it has no place")]
 
-    code: str
-    severity: Severity
-    message: str
-    advice: str = ""
-    value: float | None = None
-    limit: float | None = None
-    stamp_ns: int | None = None
-    place: Place | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """The same for a machine."""
-        nowhere = self.stamp_ns is None and self.place is None
-        x, y = self.place or (None, None)
-        stamp = None if self.stamp_ns is None else seconds(self.stamp_ns)
-        return {
-            "code": self.code,
-            "severity": self.severity,
-            "message": self.message,
-            "advice": self.advice,
-            "value": self.value,
-            "limit": self.limit,
-            "where": None if nowhere else {"stamp": stamp, "x": x, "y": y},
-        }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Quality:
-    """What is thought of a map: the worst of its findings decides the verdict."""
-
-    findings: tuple[Finding, ...] = ()
+    @classmethod
+    def of(cls, stamp_ns: int | None, place: Place | None) -> Where | None:
+        """When and where, as far as it is known; None where neither is."""
+        if stamp_ns is None and place is None:
+            return None
+        return cls(stamp_ns, *(place or (None, None)))
 
     @property
-    def verdict(self) -> Verdict:
-        """`good`, `doubtful` or `poor`."""
-        return max((_verdict(finding) for finding in self.findings), key=_rank, default="good")
+    def place(self) -> Place | None:
+        """Where in the map (x, y), metres."""
+        return None if self.x is None or self.y is None else (self.x, self.y)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding(Value):
+    """Something that was found out about the map; docs/quality.md lists the codes."""
+
+    code: Annotated[str, Field(description="what was found, stable over versions")]
+    severity: Annotated[Severity, Field(description="how grave it is")]
+    message: Annotated[str, Field(description="the same in words")]
+    advice: Annotated[str, Field(description="what to do about it")] = ""
+    value: Annotated[
+        float | None, Field(description="what was measured; null where nothing was")
+    ] = None
+    limit: Annotated[
+        float | None, Field(description="what the value is compared with; null for nothing")
+    ] = None
+    where: Annotated[Where | None, Field(description="null for what holds for the whole map")] = (
+        None
+    )
+
+    @property
+    def place(self) -> Place | None:
+        """Where in the map (x, y), metres; None without a place."""
+        return None if self.where is None else self.where.place
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quality(Value):
+    """What is thought of the map."""
+
+    verdict: Annotated[
+        Verdict, Field(description="what the gravest of the findings makes of the map")
+    ]
+    findings: Annotated[tuple[Finding, ...], Field(description="all findings")]
+
+    @classmethod
+    def of(cls, findings: Iterable[Finding]) -> Quality:
+        """The worst of the findings decides the verdict."""
+        all_ = tuple(findings)
+        verdicts = [_verdict(finding) for finding in all_]
+        return cls(verdict=max(verdicts, key=_rank, default=VERDICTS[0]), findings=all_)
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
@@ -76,16 +96,7 @@ class Quality:
     @property
     def worst(self) -> tuple[Finding, ...]:
         """The findings that decide the verdict, in their order; none of a good map."""
-        verdict = self.verdict
-        return tuple(finding for finding in self.findings if finding.severity == verdict)
-
-    def as_dict(self) -> dict[str, Any]:
-        """The same for a machine."""
-        findings = [finding.as_dict() for finding in self.findings]
-        return {"verdict": self.verdict, "findings": findings}
-
-
-UNDOUBTED = Quality()  # nothing was found
+        return tuple(finding for finding in self.findings if finding.severity == self.verdict)
 
 
 def at_least_as_bad(verdict: Verdict, limit: Verdict) -> bool:
@@ -114,3 +125,6 @@ def _verdict(finding: Finding) -> Verdict:
 
 def _rank(verdict: Verdict) -> int:
     return VERDICTS.index(verdict)
+
+
+UNDOUBTED = Quality.of(())  # nothing was found

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.json_values import Count, MaybeNan, Motion, Value
 from specmap_cli.core.tracks import path_length
 
 IntArray = NDArray[np.int64]
@@ -96,24 +99,47 @@ class PosedScan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Closure:
-    """One considered pair of submaps: the claims of eq. 4, xi of eq. 5, the geometric check.
+class Closure(Value):
+    """Two stays that loop closure compared."""
 
-    `score` is the geometric score (NaN when the pair was not checked), `verified` whether the grids
-    match, `merged` whether the new submap became part of the old one; `old_from_new` the transform
-    between the submap frames, None when unverified. `reason` says why, in one phrase.
-    """
-
-    new: int
-    old: int
-    xi: float
-    claims_new_by_old: float
-    claims_old_by_new: float
-    verified: bool
-    merged: bool
-    score: float
-    reason: str
-    old_from_new: Pose2 | None = None
+    new: Annotated[Count, Field(description="number of the later stay")]
+    old: Annotated[Count, Field(description="number of the earlier stay")]
+    new_submap: Annotated[
+        Count | None,
+        Field(description="id of the node that `new` ended in; null where it is not known"),
+    ] = None
+    old_submap: Annotated[
+        Count | None,
+        Field(description="id of the node that `old` ended in; null where it is not known"),
+    ] = None
+    xi: Annotated[MaybeNan, Field(description="eq. 5 of the paper: the product of the two claims")]
+    claims_new_by_old: Annotated[
+        MaybeNan,
+        Field(description="eq. 4: share of the scans of `new` that the classifier of `old` claims"),
+    ]
+    claims_old_by_new: Annotated[
+        MaybeNan,
+        Field(description="eq. 4: share of the scans of `old` that the classifier of `new` claims"),
+    ]
+    verified: Annotated[bool, Field(description="whether the two grids match")]
+    score: Annotated[
+        MaybeNan,
+        Field(
+            description="how well the grids match, 1 is perfect; null when they were not compared"
+        ),
+    ]
+    merged: Annotated[
+        bool, Field(alias="accepted", description="whether the two became one submap")
+    ]
+    reason: Annotated[str, Field(description="why they did, or why not")]
+    old_from_new: Annotated[
+        Motion | None,
+        Field(
+            alias="transform",
+            description="[x, y, theta] of the frame of `new`, its `origin`, in that of `old`; "
+            "null when not verified",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)

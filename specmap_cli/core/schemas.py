@@ -8,7 +8,6 @@ version, which is the `schema_version` of what it describes.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,18 +21,6 @@ PACKAGE = Path(__file__).parents[1]
 ENDING = ".schema.json"
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 SETTINGS = "config"  # what `config` prints
-ERROR = "error"  # what any command prints when it fails
-
-# The schemas of the JSON files that are written: in map directories, and beside pages and tables.
-FILES: Mapping[str, str] = {
-    "topology.json": "topology",
-    "run.json": "run",
-    "classifiers.json": "classifiers",
-    "compare.json": "comparison",
-    "history.json": "history",
-    "job.json": "job",
-}
-_PRINTED: Mapping[str, str] = {"compare": FILES["compare.json"]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +37,7 @@ class ModelSchema:
 
     def document(self) -> dict[str, Any]:
         """The schema (draft 2020-12)."""
-        made = self.model.model_json_schema()
+        made = _called_by_title(self.model.model_json_schema())
         head = {"$schema": DRAFT, "$id": f"urn:specmap:{self.name}:{self.version}"}
         return {**head, **made, "title": self.title}
 
@@ -59,9 +46,15 @@ class ModelSchema:
         return json.dumps(self.document(), indent=2, sort_keys=True) + "\n"
 
 
-def name_of_command(command: str) -> str:
-    """The schema of what a command prints with `--json`: its own name, but for `compare`."""
-    return _PRINTED.get(command, command)
+def _called_by_title(schema: dict[str, Any]) -> dict[str, Any]:
+    """A schema whose definitions are called by their titles, not by their classes."""
+    parts = schema.get("$defs", {})
+    titles = {name: part.get("title", name) for name, part in parts.items()}
+    text = json.dumps({**schema, "$defs": {titles[name]: part for name, part in parts.items()}})
+    for name, title in titles.items():
+        text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{title}"')
+    found: dict[str, Any] = json.loads(text)
+    return found if parts else schema
 
 
 def schema_names() -> list[str]:

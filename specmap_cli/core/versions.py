@@ -18,6 +18,7 @@ STANDS_ON = (
     "opencv-python-headless",
     "protobuf",
     "pydantic",
+    "pyyaml",
     "rich",
     "rosbags",
     "scipy",

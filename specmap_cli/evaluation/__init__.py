@@ -1,1 +1,1 @@
-"""Simulated logs, scores and protocols."""
+"""The paper's protocols, and their scores."""

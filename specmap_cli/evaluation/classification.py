@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-UNKNOWN = -1
-
 
 @dataclass(frozen=True, slots=True)
 class ClassificationScores:

@@ -12,12 +12,12 @@ from functools import partial
 from operator import attrgetter
 from typing import IO, Any
 
+from specmap_cli.core.json_values import PropertyValue
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import plain
 from specmap_cli.exports.fields import DOOR, LINK, SUBMAP, fields_of
 from specmap_cli.maps.schema import NodeRecord, TopologyRecord
-from specmap_cli.maps.schema_values import PropertyValue
 from specmap_cli.maps.store import StoredMap
 
 _SAME_DAY = (1980, 1, 1, 0, 0, 0)  # the first a zip knows: the same map gives the same bytes

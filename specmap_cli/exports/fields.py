@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping
 from operator import attrgetter
 from typing import Any
 
-from specmap_cli.maps.schema import EdgeRecord, NodeRecord
-from specmap_cli.maps.schema_graph import DoorRecord
-from specmap_cli.maps.schema_values import Point
+from specmap_cli.core.json_values import Point
+from specmap_cli.maps.schema import NodeRecord
+from specmap_cli.topology.topological_map import Door, Edge
 
 Fields = dict[str, Any]
 
@@ -22,10 +22,10 @@ def centre_of(node: NodeRecord) -> Point:
     return node.centroid or (node.x, node.y)
 
 
-def link_line(edge: EdgeRecord, nodes: Mapping[int, NodeRecord]) -> list[Point]:
+def link_line(edge: Edge, nodes: Mapping[int, NodeRecord]) -> list[Point]:
     """The way of a link; without one straight from place to place over its crossing."""
-    if edge.path:
-        return edge.path
+    if edge.corners:
+        return edge.corners
     start, end = (nodes[id_].anchor or centre_of(nodes[id_]) for id_ in (edge.source, edge.target))
     return [start, *([] if edge.x is None or edge.y is None else [(edge.x, edge.y)]), end]
 
@@ -46,7 +46,7 @@ SUBMAP: Mapping[str, Callable[[NodeRecord], Any]] = {
     "visits": lambda node: len(node.visits),
 }
 # A link between two submaps; the ids of its doors are one text, as flat formats need it.
-LINK: Mapping[str, Callable[[EdgeRecord], Any]] = {
+LINK: Mapping[str, Callable[[Edge], Any]] = {
     **_same("kind"),
     "passable": lambda edge: edge.path is not None,
     **_same("forbidden", "length_m", "clearance_m", "width_m"),
@@ -56,7 +56,7 @@ LINK: Mapping[str, Callable[[EdgeRecord], Any]] = {
     **_same("x", "y"),
 }
 # A door between two submaps.
-DOOR: Mapping[str, Callable[[DoorRecord], Any]] = {
+DOOR: Mapping[str, Callable[[Door], Any]] = {
     **_same("width_m", "theta", "driven"),
     "crossings": lambda door: len(door.crossings),
     **_same("forbidden"),

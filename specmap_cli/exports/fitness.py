@@ -8,8 +8,9 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import counted
 from specmap_cli.exports.routes import is_way, parts
-from specmap_cli.maps.schema import EdgeRecord, TopologyRecord
+from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.topology.topological_map import Edge
 
 _MOST = 5  # submaps, links or parts that a message names
 
@@ -37,7 +38,7 @@ def _why_no_way(record: TopologyRecord) -> str:
             "it has one submap: record a drive through more rooms, or cut it with "
             "`specmap edit --split`"
         )
-    if any(edge.forbidden and edge.path for edge in record.edges):
+    if any(edge.forbidden and edge.corners for edge in record.edges):
         return "those that there are were forbidden: allow one with `specmap edit`"
     radius = record.graph.robot_radius_m
     return (
@@ -77,7 +78,7 @@ def _warnings(record: TopologyRecord) -> list[str]:
 def _left_out(record: TopologyRecord) -> list[str]:
     """What the file has not, for good reasons."""
     forbidden = [edge for edge in record.edges if edge.forbidden]
-    narrow = [edge for edge in record.edges if not edge.path and not edge.forbidden]
+    narrow = [edge for edge in record.edges if not edge.corners and not edge.forbidden]
     return [
         *([f"left out: {_links(forbidden)} forbidden"] if forbidden else []),
         *([f"left out: {_links(narrow)} without a way wide enough"] if narrow else []),
@@ -90,7 +91,7 @@ def _submaps(ids: Sequence[int]) -> str:
     return f"{noun} {_few([str(id_) for id_ in ids])}"
 
 
-def _links(edges: Sequence[EdgeRecord]) -> str:
+def _links(edges: Sequence[Edge]) -> str:
     """`1 link (3-4)`."""
     names = [f"{edge.source}-{edge.target}" for edge in edges]
     return f"{counted(len(edges), 'link')} ({_few(names)})"

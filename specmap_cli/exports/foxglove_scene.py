@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from specmap_cli.core.json_values import Point
 from specmap_cli.drawing.palette import darker
 from specmap_cli.exports.fields import (
     DOOR,
@@ -22,10 +23,8 @@ from specmap_cli.exports.fields import (
 )
 from specmap_cli.exports.foxglove_schemas import LINE_LOOP, LINE_STRIP
 from specmap_cli.exports.layers import WAY, Rgb, door_colour, link_colour
-from specmap_cli.maps.schema import EdgeRecord, NodeRecord, TopologyRecord
-from specmap_cli.maps.schema_graph import DoorRecord
-from specmap_cli.maps.schema_values import Point
-from specmap_cli.maps.way_conversion import door_of
+from specmap_cli.maps.schema import NodeRecord, TopologyRecord
+from specmap_cli.topology.topological_map import Door, Edge
 
 _LINE_PX, _NO_WAY_PX, _OUTLINE_PX, _TEXT_PX = 3.0, 1.0, 2.0, 14.0
 _ANCHOR_M = 0.25
@@ -87,7 +86,7 @@ def _told(node: NodeRecord) -> Fields:
     return {"id": node.id, **fields_of(node, SUBMAP), **noted_fields(node)}
 
 
-def _link_id(edge: EdgeRecord) -> str:
+def _link_id(edge: Edge) -> str:
     return f"link {edge.source}-{edge.target}"
 
 
@@ -112,13 +111,13 @@ def _name(node: NodeRecord, fill: Rgb) -> dict[str, Any]:
     }
 
 
-def _way(edge: EdgeRecord, nodes: Mapping[int, NodeRecord]) -> dict[str, Any]:
-    width_px = _LINE_PX if edge.path else _NO_WAY_PX
+def _way(edge: Edge, nodes: Mapping[int, NodeRecord]) -> dict[str, Any]:
+    width_px = _LINE_PX if edge.corners else _NO_WAY_PX
     return _line(link_line(edge, nodes), link_colour(edge), width_px, _WAY_Z)
 
 
-def _door(door: DoorRecord) -> dict[str, Any]:
-    return _line(door_of(door).sides, door_colour(door), 2.0 * _LINE_PX, _WAY_Z)
+def _door(door: Door) -> dict[str, Any]:
+    return _line(door.sides, door_colour(door), 2.0 * _LINE_PX, _WAY_Z)
 
 
 def _line(

@@ -12,10 +12,9 @@ from typing import IO, Any
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import to_json
 from specmap_cli.exports.fields import DOOR, LINK, SUBMAP, Fields, fields_of, link_line
-from specmap_cli.maps.schema import EdgeRecord, NodeRecord
-from specmap_cli.maps.schema_graph import DoorRecord
+from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.way_conversion import door_of
+from specmap_cli.topology.topological_map import Door, Edge
 
 
 class GeoJson:
@@ -76,11 +75,11 @@ def _anchor(node: NodeRecord) -> Fields:
     )
 
 
-def _door(record: DoorRecord) -> Fields:
+def _door(record: Door) -> Fields:
     """The line of a door."""
     return feature(
         "LineString",
-        [[round(value, 6) for value in side] for side in door_of(record).sides],
+        [[round(value, 6) for value in side] for side in record.sides],
         {
             **fields_of(record, DOOR),
             "kind": "door",
@@ -90,7 +89,7 @@ def _door(record: DoorRecord) -> Fields:
     )
 
 
-def _link(edge: EdgeRecord, nodes: Mapping[int, NodeRecord]) -> Fields:
+def _link(edge: Edge, nodes: Mapping[int, NodeRecord]) -> Fields:
     """A link along its way."""
     return feature(
         "LineString",

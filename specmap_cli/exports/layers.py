@@ -25,10 +25,9 @@ from specmap_cli.drawing.palette import (
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
-from specmap_cli.maps.schema import EdgeRecord
-from specmap_cli.maps.schema_graph import DoorRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.topology.topological_map import Door, Edge
 
 RgbaArray = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
@@ -100,14 +99,14 @@ def _filled(owner: NDArray[np.integer], fills: Mapping[int, Rgb]) -> RgbaArray:
     return rgba
 
 
-def link_colour(edge: EdgeRecord) -> Rgb:
+def link_colour(edge: Edge) -> Rgb:
     """Blue where the robot drove, grey where it did not, or cannot; red is forbidden."""
     if edge.forbidden:
         return _FORBIDDEN
-    return WAY if edge.path and edge.traversals else _UNDRIVEN
+    return WAY if edge.corners and edge.traversals else _UNDRIVEN
 
 
-def door_colour(door: DoorRecord) -> Rgb:
+def door_colour(door: Door) -> Rgb:
     """Brown, or red for a forbidden one."""
     return _FORBIDDEN if door.forbidden else _DOOR
 

@@ -46,7 +46,6 @@ from specmap_cli.exports.layers import (
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.way_conversion import door_of
 
 _TRAJECTORY: Rgb = (150, 60, 150)
 _OUTLINE_Z, _WAY_Z, _NAME_Z = 0.02, 0.04, 0.06  # above the map, metres
@@ -168,7 +167,7 @@ def _write_graph(recording: _Recording, record: TopologyRecord) -> None:
         entity, line = f"graph/links/{edge.source}-{edge.target}", link_line(edge, nodes)
         recording.line(entity, line, link_colour(edge), _WAY_Z, fields_of(edge, LINK))
     for door in record.graph.doors:
-        entity, line = f"graph/doors/{door.id}", list(door_of(door).sides)
+        entity, line = f"graph/doors/{door.id}", list(door.sides)
         recording.line(entity, line, door_colour(door), _WAY_Z, fields_of(door, DOOR))
 
 

@@ -17,9 +17,8 @@ import networkx as nx
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.maps.schema import EdgeRecord, TopologyRecord
-from specmap_cli.maps.schema_graph import DoorRecord
-from specmap_cli.maps.way_conversion import door_of
+from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.topology.topological_map import Door, Edge
 
 StopKind = Literal["anchor", "door", "bend"]
 
@@ -45,7 +44,7 @@ class Leg:
     start: int
     end: int
     length_m: float
-    link: EdgeRecord
+    link: Edge
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +55,7 @@ class Routes:
     legs: tuple[Leg, ...]
 
 
-def is_way(edge: EdgeRecord) -> bool:
+def is_way(edge: Edge) -> bool:
     """Whether a robot can and may drive along a link."""
     return edge.path is not None and len(edge.path) > 1 and not edge.forbidden
 
@@ -105,14 +104,12 @@ def without_bends(found: Routes) -> Routes:
     return Routes(tuple(stop for stop in found.stops if stop.id not in bends), tuple(legs))
 
 
-def _leg(start: Stop, end: Stop, edge: EdgeRecord) -> Leg:
+def _leg(start: Stop, end: Stop, edge: Edge) -> Leg:
     length = float(np.hypot(end.x - start.x, end.y - start.y))
     return Leg(start=start.id, end=end.id, length_m=length, link=edge)
 
 
-def _between(
-    edge: EdgeRecord, doors: Mapping[int, DoorRecord], ids: Iterator[int]
-) -> Iterator[Stop]:
+def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Iterator[Stop]:
     """The stops of a way between its two anchors, in their order."""
     path = np.array(edge.path, dtype=np.float64)
     marks: dict[float, int | None] = dict.fromkeys(map(float, range(1, len(path) - 1)))
@@ -125,12 +122,12 @@ def _between(
             yield Stop(id=next(ids), kind=kind, x=x, y=y, door=passed)
 
 
-def _passage(path: FloatArray, door: DoorRecord) -> float:
+def _passage(path: FloatArray, door: Door) -> float:
     """Where a path (N, 2) crosses the line of a door, else where it comes nearest to its middle.
 
     In corners: 2.5 is half way from corner 2 to corner 3.
     """
-    right, left = (np.array(side) for side in door_of(door).sides)
+    right, left = (np.array(side) for side in door.sides)
     for number, (start, end) in enumerate(pairwise(path)):
         share = _crossing(start, end, right, left)
         if share is not None:

@@ -14,10 +14,11 @@ from datetime import UTC, datetime
 from typing import IO, Any
 
 from specmap_cli.core.progress import Progress
+from specmap_cli.core.text import seconds
+from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports.fields import Fields, known
 from specmap_cli.exports.fitness import check_routes
 from specmap_cli.exports.routes import Leg, Routes, Stop, routes, without_bends
-from specmap_cli.exports.yaml_text import yaml_text
 from specmap_cli.maps.schema import NodeRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
 
@@ -59,7 +60,7 @@ def _document(record: TopologyRecord, name: str) -> Fields:
 
 def _updated(record: TopologyRecord) -> str:
     """When the last of the recordings ended (UTC): the same map gives the same text."""
-    end = max((log.end or 0.0 for log in record.graph.logs), default=0.0)
+    end = max((seconds(log.end_ns or 0) for log in record.graph.logs), default=0.0)
     return datetime.fromtimestamp(max(end, 0.0), UTC).strftime("%Y-%m-%d_%H-%M-%S")
 
 

@@ -89,7 +89,7 @@ def add_keyframes(
     for first in range(0, len(taken), _AT_ONCE):
         some, at = zip(*taken[first : first + _AT_ONCE], strict=True)
         lasers = compose(np.array(at), np.array([store.base_from_laser(k) for k in some]))
-        grid.integrate_all([store.scan(k) for k in some], lasers, np.array(at))
+        grid.integrate([store.scan(k) for k in some], lasers, np.array(at))
 
 
 @dataclass(frozen=True, slots=True)

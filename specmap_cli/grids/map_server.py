@@ -7,20 +7,27 @@ row of the image is the highest y.
 from __future__ import annotations
 
 import errno
-import math
-import re
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.files import read_bytes, write_bytes, write_text
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.shortage import reason
+from specmap_cli.core.yaml import read_yaml
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
 from specmap_cli.grids.pictures import read_picture
 
@@ -32,15 +39,10 @@ OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 # or furniture and hatching in a floor plan. A YAML beside the picture can say otherwise.
 PICTURE_FREE_THRESHOLD = 0.0196
 
-_QUOTED, _COMMENT = re.compile(r"(['\"])(.*?)\1"), re.compile(r"\s#")
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _LARGEST_YAML_MB = 0.066  # such a file has some hundred: anything larger is something else
 _DECIMALS = 6  # of lengths written: a micrometre
 _FARTHEST_M = 1e8  # twice around the earth: no place of a map is farther off
 _LARGEST_TURN = 1e-9  # rad; more than rounding, so meant
-_MODES = ("trinary", "scale", "raw")
-
-Entries = dict[str, str]
 
 _GREY = np.zeros(256, dtype=np.uint8)
 _GREY[[FREE, OCCUPIED, UNKNOWN]] = (254, 0, 205)
@@ -100,40 +102,93 @@ def read_grid(
     fault.
     """
     path = Path(path)
+    scale = {} if resolution is None else {"resolution": resolution}
     if path.suffix.lower() in (".yaml", ".yml"):
-        return _read_map_server(path, resolution, limits)
-    if resolution is None:
+        about = _about(path, _read_entries(path) | scale)
+    elif resolution is None:
         raise MapError(f"{path}: a picture has no scale: give metres a pixel with --resolution")
-    reading = _Reading("trinary", False, OCCUPIED_THRESHOLD, PICTURE_FREE_THRESHOLD)
-    return GridMap(reading.cells(read_picture(path, limits)), _length(path, resolution))
+    else:
+        about = _about(path, {"image": path.name, "free_thresh": PICTURE_FREE_THRESHOLD} | scale)
+    cells = about.cells(read_picture(path.parent / about.image, limits))
+    return GridMap(cells, about.resolution, (about.origin[0], about.origin[1]))
 
 
-def _read_map_server(path: Path, resolution: float | None, limits: LimitsConfig | None) -> GridMap:
-    entries = _read_entries(path)
-    image = entries.get("image")
-    if not image:
-        raise MapError(f"{path}: no `image` entry: expected a map_server YAML")
-    mode = entries.get("mode", "trinary")
-    if mode not in _MODES:
-        raise MapError(f"{path}: mode is {mode!r}: expected one of {', '.join(_MODES)}")
-    occupied = _share(path, entries, "occupied_thresh", OCCUPIED_THRESHOLD)
-    free = _share(path, entries, "free_thresh", FREE_THRESHOLD)
-    if free >= occupied:
-        raise MapError(f"{path}: free_thresh {free:g} is not below occupied_thresh {occupied:g}")
-    scale = _resolution(path, entries) if resolution is None else _length(path, resolution)
-    origin = _origin(path, entries)
-    negate = entries.get("negate", "0").lower() in ("1", "true", "yes")
-    reading = _Reading(mode, negate, occupied, free)
-    return GridMap(reading.cells(read_picture(path.parent / image, limits)), scale, origin)
+def _read_entries(path: Path) -> dict[str, Any]:
+    expected = "expected a map_server YAML"
+    try:
+        entries = read_yaml(read_bytes(path, _LARGEST_YAML_MB))
+    except ValueError as error:
+        raise MapError(f"{path}: {error}: {expected}") from None
+    except OSError as error:
+        if error.errno == errno.EFBIG:
+            size = f"larger than {_LARGEST_YAML_MB * 1000:g} kB"
+            raise MapError(f"{path}: {size}: {expected}") from None
+        raise MapError(f"{path}: cannot read the map: {reason(error)}") from None
+    return entries if isinstance(entries, dict) else {}
 
 
-class _Reading(NamedTuple):
-    """How greys become cells."""
+def _about(path: Path, entries: dict[str, Any]) -> _MapYaml:
+    try:
+        return _MapYaml.model_validate(entries)
+    except ValidationError as error:
+        raise MapError(f"{path}: {_complaint(error, entries)}") from None
 
-    mode: str
-    negate: bool
-    occupied: float
-    free: float
+
+def _complaint(error: ValidationError, entries: dict[str, Any]) -> str:
+    """What is wrong first: the key, what stands there and what should."""
+    first = error.errors()[0]
+    if first["type"] == "value_error":
+        return str(first["ctx"]["error"])
+    key = str(first["loc"][0])
+    if first["type"] == "missing":
+        return f"no `{key}` entry: expected a map_server YAML"
+    return f"{key} is {_written(entries[key])!r}: expected {_MapYaml.model_fields[key].description}"
+
+
+def _written(value: Any) -> str:
+    """A value as it stands in the file, about."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_written, value))}]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+_Metres = Annotated[float, Field(ge=-_FARTHEST_M, le=_FARTHEST_M)]
+_Share = Annotated[float, Field(ge=0.0, le=1.0, description="a number from 0 to 1")]
+
+
+class _MapYaml(BaseModel):
+    """The entries of a map_server YAML: where its picture is, and how greys become cells.
+
+    The description of each is what a complaint says was expected.
+    """
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    image: str = Field(min_length=1, description="the name of a picture")
+    mode: Literal["trinary", "scale", "raw"] = Field(
+        "trinary", description="one of trinary, scale, raw"
+    )
+    resolution: _Metres = Field(gt=0.0, description="metres a cell, above 0")
+    origin: list[_Metres] = Field(
+        [0.0, 0.0, 0.0], min_length=2, max_length=3, description="[x, y, 0]"
+    )
+    negate: bool = Field(False, description="0 or 1")
+    occupied_thresh: _Share = OCCUPIED_THRESHOLD
+    free_thresh: _Share = FREE_THRESHOLD
+
+    @field_validator("origin")
+    @classmethod
+    def _stands_straight(cls, origin: list[float]) -> list[float]:
+        if len(origin) == 3 and abs(origin[2]) > _LARGEST_TURN:
+            raise ValueError(f"origin is turned by {origin[2]:g} rad: turn the image, write 0")
+        return origin
+
+    @model_validator(mode="after")
+    def _leaves_room_for_unknown(self) -> _MapYaml:
+        free, occupied = self.free_thresh, self.occupied_thresh
+        if free >= occupied:
+            raise ValueError(f"free_thresh {free:g} is not below occupied_thresh {occupied:g}")
+        return self
 
     def cells(self, picture: NDArray[Any]) -> CellArray:
         """(H, W) cells of a picture (H, W, C)."""
@@ -146,8 +201,8 @@ class _Reading(NamedTuple):
         values = picture / (257.0 if picture.dtype == np.uint16 else 1.0)
         occupancy = _percent(values) if self.mode == "raw" else _occupancy(values, self.negate)
         cells = np.full(occupancy.shape, UNKNOWN, dtype=np.uint8)
-        cells[occupancy > self.occupied] = OCCUPIED
-        cells[occupancy < self.free] = FREE
+        cells[occupancy > self.occupied_thresh] = OCCUPIED
+        cells[occupancy < self.free_thresh] = FREE
         return cells
 
 
@@ -164,77 +219,3 @@ def _percent(picture: FloatArray) -> FloatArray:
     """(H, W) 0 to 1 of values that are percent as they stand, NaN above a hundred."""
     percent = picture[..., 0]
     return np.where(percent <= 100.0, percent / 100.0, np.nan)
-
-
-def _read_entries(path: Path) -> Entries:
-    """The entries of a YAML without nesting, as text; a list is the text of its lines."""
-    try:
-        text = read_bytes(path, _LARGEST_YAML_MB).decode("utf-8")
-    except OSError as error:
-        if error.errno == errno.EFBIG:
-            expected = "expected a map_server YAML"
-            raise MapError(
-                f"{path}: larger than {_LARGEST_YAML_MB * 1000:g} kB: {expected}"
-            ) from None
-        raise MapError(f"{path}: cannot read the map: {reason(error)}") from None
-    except UnicodeDecodeError:
-        raise MapError(f"{path}: not a text file: expected a map_server YAML") from None
-    entries: Entries = {}
-    key = ""
-    for line in text.splitlines():
-        if line.lstrip().startswith("#"):
-            continue
-        if line[:1] in (" ", "-") and key and not line.startswith("---"):  # a list goes on
-            entries[key] = f"{entries[key]} {_scalar(line)}".strip()
-        elif ":" in line:
-            key, _, value = line.partition(":")
-            entries[key] = _scalar(value)
-    return entries
-
-
-def _scalar(text: str) -> str:
-    """The value in the text after a key, without its quotes and without a comment behind it."""
-    text = text.strip()
-    quoted = _QUOTED.match(text)
-    return quoted[2] if quoted else _COMMENT.split(f" {text}")[0].strip()
-
-
-def _numbers(path: Path, entries: Entries, key: str) -> list[float]:
-    if key not in entries:
-        raise MapError(f"{path}: no `{key}` entry: expected a map_server YAML")
-    return [float(text) for text in _NUMBER.findall(entries[key])]
-
-
-def _resolution(path: Path, entries: Entries) -> float:
-    numbers = _numbers(path, entries, "resolution")
-    if len(numbers) != 1:
-        raise MapError(f"{path}: resolution is {entries['resolution']!r}: expected metres a cell")
-    return _length(path, numbers[0])
-
-
-def _length(path: Path, resolution: float) -> float:
-    if not 0.0 < resolution < math.inf:
-        raise MapError(f"{path}: resolution is {resolution:g}: expected metres a cell, above 0")
-    if resolution > _FARTHEST_M:
-        raise MapError(f"{path}: resolution is {resolution:g}: a cell larger than the earth")
-    return float(resolution)
-
-
-def _origin(path: Path, entries: Entries) -> tuple[float, float]:
-    if "origin" not in entries:
-        return 0.0, 0.0
-    numbers = _numbers(path, entries, "origin")
-    if len(numbers) not in (2, 3) or not all(abs(n) <= _FARTHEST_M for n in numbers):
-        raise MapError(f"{path}: origin is {entries['origin']!r}: expected [x, y, 0]")
-    if len(numbers) == 3 and abs(numbers[2]) > _LARGEST_TURN:
-        raise MapError(f"{path}: origin is turned by {numbers[2]:g} rad: turn the image, write 0")
-    return numbers[0], numbers[1]
-
-
-def _share(path: Path, entries: Entries, key: str, default: float) -> float:
-    if key not in entries:
-        return default
-    numbers = _numbers(path, entries, key)
-    if len(numbers) != 1 or not 0.0 <= numbers[0] <= 1.0:
-        raise MapError(f"{path}: {key} is {entries[key]!r}: expected a number from 0 to 1")
-    return numbers[0]

@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.evidence import SUBPIXEL_BITS, Cell, Fan, fans_of, footprints_of
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, slices_near
 
+_OCCUPIED_SHARE = 0.25  # hits / (hits + misses) of a wall
 _FREE, _OCCUPIED, _UNKNOWN = (np.uint8(state) for state in (FREE, OCCUPIED, UNKNOWN))
 _ONCE = np.float32(1.0)
 _GROWTH_CELLS = 128  # added on a side that grows: some 6 m at once, so that it seldom does
@@ -39,18 +40,13 @@ class OccupancyGrid:
         # counts as OpenCV adds them up fastest; whole numbers up to 16 million are exact
         self._misses: NDArray[np.float32] = np.zeros((0, 0), dtype=np.float32)
 
-    def integrate(self, scan: PlanarScan, grid_from_laser: Pose2) -> None:
-        """Add one scan taken at `grid_from_laser`: each cell counts once a scan at the most."""
-        for fan in fans_of([scan], np.array([grid_from_laser]), self.config):
-            self._add(fan)
-
-    def integrate_all(
+    def integrate(
         self, scans: Sequence[PlanarScan], grid_from_laser: FloatArray, grid_from_base: FloatArray
     ) -> None:
         """Add scans taken at `grid_from_laser` (n, 3) by a robot at `grid_from_base` (n, 3).
 
-        The same as to integrate each in turn and to mark the footprint of the settings there, but
-        quicker: for some dozens of scans at once, as these are held in memory.
+        A cell counts once a scan at the most. What the robot covered counts as passed through,
+        where the grid may grow to hold it. Some dozens of scans at once are quickest.
         """
         discs = footprints_of(grid_from_base, self.config.footprint_m, self.resolution)
         stood = []
@@ -58,14 +54,6 @@ class OccupancyGrid:
             self._add(fan)
             stood.append(self._cover(discs.low[number], discs.high[number]))
         self._pass_through(*discs.cells(stood))
-
-    def mark_free_disc(self, x: float, y: float, radius: float) -> None:
-        """Count the robot's own footprint, `radius` metres round (x, y), as passed through.
-
-        Nothing is counted where the grid may not grow to hold it.
-        """
-        disc = footprints_of(np.array([[x, y]]), radius, self.resolution)
-        self._pass_through(*disc.cells([self._cover(disc.low[0], disc.high[0])]))
 
     def snapshot(self) -> GridMap:
         """The trinary grid as it stands."""
@@ -137,7 +125,7 @@ class OccupancyGrid:
         cells = np.where(misses > 0, _FREE, _UNKNOWN)
         hit = np.nonzero(hits)
         seen = hits[hit] + misses[hit].astype(np.float64)
-        occupied = hits[hit] >= self.config.occupied_share * seen
+        occupied = hits[hit] >= _OCCUPIED_SHARE * seen
         cells[hit] = np.where(occupied, _OCCUPIED, _FREE)
         x, y = self._origin
         left, low = int(columns.start), int(rows.start)

@@ -23,11 +23,12 @@ from pydantic import (
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.files import read_bytes
+from specmap_cli.core.json_values import PropertyValue, Record, point
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.toml import Keys, TomlFormat
 from specmap_cli.maps import filenames
-from specmap_cli.maps.schema_values import PropertyValue, Record
-from specmap_cli.topology.topological_map import SubmapKind
+from specmap_cli.topology.borders import Border, Merge, Split
+from specmap_cli.topology.topological_map import Said, SubmapKind
 
 _LONGEST_NAME = 80  # characters: what a badge, a row of a table and a legend can show
 _SHORTEST_LINE_M = 0.1
@@ -173,10 +174,6 @@ class Edits(Record):
     submaps: Annotated[dict[int, SubmapEdit], BeforeValidator(_by_id)] = Field(default_factory=dict)
     changes: tuple[Change, ...] = ()
 
-    def of(self, submap: int) -> SubmapEdit:
-        """What is said of one submap."""
-        return self.submaps.get(submap, SubmapEdit())
-
 
 def in_words(change: Change) -> str:
     """A change for a person, as an order."""
@@ -188,6 +185,27 @@ def in_words(change: Change) -> str:
         return f"split {change.split} from {x1:g}, {y1:g} to {x2:g}, {y2:g}{made}"
     where = "" if change.at is None else f" at {change.at[0]:g}, {change.at[1]:g}"
     return f"forbid the way between {change.forbid[0]} and {change.forbid[1]}{where}"
+
+
+def said_in(edits: Edits) -> tuple[Said, ...]:
+    """What is said of the submaps, by id, as a map keeps it."""
+    return tuple(
+        Said(id_, edit.name, edit.kind, dict(edit.properties))
+        for id_, edit in sorted(edits.submaps.items())
+        if edit != SubmapEdit()
+    )
+
+
+def borders_in(edits: Edits) -> list[Border]:
+    """The borders that are asked for, to the decimals that a map keeps."""
+    return [_wished(change) for change in edits.changes if not isinstance(change, ForbidEdit)]
+
+
+def _wished(change: MergeEdit | SplitEdit) -> Border:
+    if isinstance(change, MergeEdit):
+        return Merge(change.merge)
+    one, other = change.line
+    return Split(submap=change.split, line=(point(one), point(other)), new=change.new)
 
 
 def read_edits(directory: Path, limits: LimitsConfig | None = None) -> Edits:

@@ -8,14 +8,19 @@ Lengths are metres, angles radians, stamps seconds; everything is in the frame n
 
 from __future__ import annotations
 
+import itertools
+import math
 import sys
-from typing import Literal
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import Literal, Self
 
+import numpy as np
 from pydantic import Field
 
-from specmap_cli.core.schemas import ModelSchema
-from specmap_cli.maps.schema_graph import SCHEMA_VERSION, GraphRecord, TraversalRecord
-from specmap_cli.maps.schema_values import (
+from specmap_cli.core.findings import Quality
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.json_values import (
     Amount,
     Count,
     InnerPath,
@@ -23,17 +28,95 @@ from specmap_cli.maps.schema_values import (
     Point,
     PropertyValue,
     Record,
-    Stamp,
-    Transform,
+    point,
+    transform,
 )
-from specmap_cli.topology.topological_map import EdgeKind, SubmapKind
+from specmap_cli.core.records import Closure
+from specmap_cli.core.schemas import ModelSchema
+from specmap_cli.core.text import to_json
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.topology.borders import Border
+from specmap_cli.topology.kinds import kind_of
+from specmap_cli.topology.outlines import Outline
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.topological_map import (
+    Break,
+    Door,
+    Edge,
+    LogInfo,
+    Said,
+    Stay,
+    Submap,
+    SubmapKind,
+    TopologicalMap,
+    Visit,
+    default_name,
+)
+
+SCHEMA_VERSION = 2
 
 
-class VisitRecord(Record):
-    """One visit of the robot to a submap."""
+class EditsRecord(Record):
+    """Which of a person's edits the map shows."""
 
-    start: Stamp = Field(description="stamp of its first keyframe, seconds")
-    end: Stamp = Field(description="stamp of its last keyframe, seconds")
+    submaps: tuple[Said, ...] = Field(description="names, kinds and properties, by id")
+    borders: tuple[Border, ...] = Field(
+        description="merges and splits, in the order in which they were made"
+    )
+
+
+class GraphRecord(Record):
+    """What holds for the whole map."""
+
+    schema_version: Literal[2] = Field(description="the version of this format")
+    frame: str = Field(description="the frame of all coordinates that have no other")
+    next_id: Count = Field(description="smallest id that no node has ever had")
+    logs: tuple[LogInfo, ...] = Field(
+        min_length=1, description="what the map was made of, in the order of the keyframes"
+    )
+    stays: tuple[Stay, ...] = Field(description="by number")
+    breaks: tuple[Break, ...] = Field(description="where tracking restarted, in order")
+    closures: tuple[Closure, ...] = Field(
+        description="all pairs of stays that were compared, in the order of the comparisons"
+    )
+    doors: tuple[Door, ...] = Field(description="every door between two submaps, by id")
+    robot_radius_m: Amount | None = Field(
+        description="what the paths of edges keep off walls and off what nobody saw, metres; null "
+        "where nobody looked for paths"
+    )
+    edits: EditsRecord = Field(description="what of edits.toml the map shows")
+    quality: Quality | None = Field(description="null where the map was not judged")
+
+    @classmethod
+    def of(
+        cls,
+        topology: TopologicalMap,
+        logs: Sequence[LogInfo],
+        frame: str,
+        quality: Quality | None,
+    ) -> Self:
+        """What holds for a map; closures name the submaps that their stays are in by now."""
+        submap_of = {stay.number: stay.submap for stay in topology.stays}
+        return cls(
+            schema_version=SCHEMA_VERSION,
+            frame=frame,
+            next_id=max(topology.next_id, 1 + max(topology.submaps, default=-1)),
+            logs=tuple(logs),
+            stays=topology.stays,
+            breaks=topology.breaks,
+            closures=tuple(
+                replace(
+                    closure,
+                    new_submap=submap_of.get(closure.new),
+                    old_submap=submap_of.get(closure.old),
+                )
+                for closure in topology.closures
+            ),
+            doors=topology.doors,
+            robot_radius_m=topology.robot_radius_m,
+            edits=EditsRecord(submaps=topology.said, borders=topology.borders),
+            quality=quality,
+        )
 
 
 class NodeRecord(Record):
@@ -64,41 +147,52 @@ class NodeRecord(Record):
     )
     area_m2: Amount = Field(description="area of its free cells, square metres")
     scans: Count = Field(description="number of its keyframes")
-    visits: list[VisitRecord] = Field(description="when the robot was in it, in order")
+    visits: tuple[Visit, ...] = Field(description="when the robot was in it, in order")
     image: InnerPath = Field(description="picture of its grid in this directory; a YAML beside it")
 
+    @classmethod
+    def of(cls, submap: Submap, shape: Outline) -> Self:
+        """A submap of a map in which it owns the region of that shape."""
+        x, y, theta = transform(submap.map_from_submap)
+        return cls(
+            id=submap.id,
+            name=submap.name or default_name(submap.id),
+            kind=submap.kind or kind_of(shape.polygon),
+            properties=dict(submap.properties),
+            x=x,
+            y=y,
+            theta=theta,
+            centroid=None if shape.centroid is None else point(shape.centroid),
+            anchor=None if submap.anchor is None else point(submap.anchor),
+            anchor_clearance_m=submap.anchor_clearance_m,
+            polygon=[point(corner) for corner in shape.polygon],
+            area_m2=shape.area_m2,
+            scans=len(submap.keyframes),
+            visits=submap.visits,
+            image=image_stem(submap.id) + ".png",
+        )
 
-class EdgeRecord(Record):
-    """An undirected link between two submaps."""
+    @property
+    def frame(self) -> Pose2:
+        """The pose of its frame in the map."""
+        return Pose2(self.x, self.y, self.theta)
 
-    source: Count = Field(description="id of a node, smaller than `target`")
-    target: Count = Field(description="id of a node")
-    kind: EdgeKind = Field(description="how the two are known to be joined")
-    traversals: list[TraversalRecord] = Field(description="each crossing, in order")
-    doors: list[Count] = Field(
-        description="ids of the doors that `path` goes through, in order; none: it crosses an open "
-        "border. Without a path: of all doors between the two"
-    )
-    path: list[Point] | None = Field(
-        description="from the anchor of `source` to that of `target`, inside the two submaps, "
-        "through free cells that the robot can pass; null where it is too wide for every way"
-    )
-    length_m: Amount | None = Field(description="along the path, metres; null without one")
-    clearance_m: Amount | None = Field(
-        description="the least on the path; without one that of the widest way, smaller than "
-        "graph.robot_radius_m; null where no free cells join the two"
-    )
-    x: Number | None = Field(
-        description="of the first door on the path; in the open the mean of the traversals; null "
-        "without them"
-    )
-    y: Number | None = Field(description="as x")
-    distance_m: Amount = Field(description="from centroid to centroid, through the crossing")
-    width_m: Amount | None = Field(description="of the first door on the path; null in the open")
-    transform: Transform = Field(
-        description="[x, y, theta] of the frame of `target` in the frame of `source`"
-    )
-    forbidden: bool = Field(description="whether a person said that robots must not go there")
+    def submap(self, grid: GridMap, keyframes: Iterable[int]) -> Submap:
+        """The submap with what stands in other files: its grid, and its keyframes in order."""
+        polygon = np.array(self.polygon, dtype=np.float64).reshape(-1, 2)
+        return Submap(
+            id=self.id,
+            map_from_submap=self.frame,
+            keyframes=tuple(keyframes),
+            visits=self.visits,
+            grid=grid,
+            polygon=self.frame.inverse().apply(polygon),
+            name=self.name,
+            kind=self.kind,
+            properties=self.properties,
+            anchor=self.anchor,
+            anchor_clearance_m=self.anchor_clearance_m,
+        )
 
 
 class TopologyRecord(Record):
@@ -107,8 +201,76 @@ class TopologyRecord(Record):
     directed: Literal[False] = Field(description="for networkx")
     multigraph: Literal[False] = Field(description="for networkx")
     graph: GraphRecord = Field(description="what holds for the whole map")
-    nodes: list[NodeRecord] = Field(description="the submaps, by id")
-    edges: list[EdgeRecord] = Field(description="the links, by source and target")
+    nodes: tuple[NodeRecord, ...] = Field(description="the submaps, by id")
+    edges: tuple[Edge, ...] = Field(description="the links, by source and target")
+
+    @classmethod
+    def of(
+        cls,
+        topology: TopologicalMap,
+        regions: Regions,
+        logs: Sequence[LogInfo],
+        frame: str = "map",
+        quality: Quality | None = None,
+    ) -> Self:
+        """The file of a map with these regions, made of `logs`; `frame` is that of coordinates."""
+        return cls(
+            directed=False,
+            multigraph=False,
+            graph=GraphRecord.of(topology, logs, frame, quality),
+            nodes=tuple(
+                NodeRecord.of(topology.submaps[id_], regions.outline(id_))
+                for id_ in sorted(topology.submaps)
+            ),
+            edges=tuple(
+                _placed(topology.edges[pair], topology, regions) for pair in sorted(topology.edges)
+            ),
+        )
+
+    def topology(
+        self,
+        grid_of: Callable[[NodeRecord], GridMap],
+        keyframes_of: Callable[[int], Iterable[int]],
+    ) -> TopologicalMap:
+        """The map; grids and keyframe numbers come from the files beside this one."""
+        graph = self.graph
+        return TopologicalMap(
+            submaps={
+                node.id: node.submap(grid_of(node), keyframes_of(node.id) if node.scans else ())
+                for node in self.nodes
+            },
+            edges={(edge.source, edge.target): edge for edge in self.edges},
+            closures=graph.closures,
+            stays=graph.stays,
+            breaks=graph.breaks,
+            next_id=graph.next_id,
+            doors=graph.doors,
+            robot_radius_m=graph.robot_radius_m,
+            said=graph.edits.submaps,
+            borders=graph.edits.borders,
+        )
+
+    def text(self) -> str:
+        """The file as it is written: the same text for the same map."""
+        return to_json(self.model_dump(by_alias=True))
+
+
+def image_stem(submap: int) -> str:
+    """Where the grid of a submap is kept in the map directory, without the suffix."""
+    return f"submaps/{submap:03d}"
+
+
+def _placed(edge: Edge, topology: TopologicalMap, regions: Regions) -> Edge:
+    """An edge with its crossing, and how far it is over that from centroid to centroid."""
+    crossing = edge.crossing
+    ends = []
+    for id_ in (edge.source, edge.target):
+        centroid = regions.outline(id_).centroid
+        ends.append(topology.submaps[id_].map_from_submap[:2] if centroid is None else centroid)
+    stops = [ends[0], *([] if crossing is None else [crossing]), ends[1]]
+    x, y = crossing or (None, None)
+    distance_m = sum(math.dist(a, b) for a, b in itertools.pairwise(stops))
+    return replace(edge, x=x, y=y, distance_m=distance_m)
 
 
 SCHEMA = ModelSchema(TopologyRecord, "topology", SCHEMA_VERSION, "specmap topology.json")

@@ -23,14 +23,12 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps import filenames
-from specmap_cli.maps.conversion import from_record
-from specmap_cli.maps.edit_conversion import fences_in
 from specmap_cli.maps.features_file import Arrays, read_features
-from specmap_cli.maps.graph_conversion import log_of
 from specmap_cli.maps.json_files import first_finding, map_json, map_text
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.tables import read_labels
 from specmap_cli.maps.topology_file import read_topology
+from specmap_cli.topology.borders import Merge, fences_of
 from specmap_cli.topology.regions import Regions, divide
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap, default_name
 
@@ -88,8 +86,7 @@ class StoredMap:
     def topology(self) -> TopologicalMap:
         """The map with all its grids; keyframes are rows of `labels`."""
         self._check_keyframes()
-        return from_record(
-            self.record,
+        return self.record.topology(
             lambda node: self.grid(node.id),
             lambda id_: np.flatnonzero(self.labels.submaps == id_).tolist(),
         )
@@ -97,8 +94,9 @@ class StoredMap:
     def _check_keyframes(self) -> None:
         """Refuse stays, breaks and merges of keyframes that are none, and one in two stays."""
         graph = self.record.graph
-        runs = [run for stay in graph.stays for run in stay.keyframes]
-        merged = [run for each in graph.edits.borders for run in getattr(each, "keyframes", ())]
+        runs = [run for stay in graph.stays for run in stay.runs]
+        merges = [each for each in graph.edits.borders if isinstance(each, Merge)]
+        merged = [run for merge in merges for run in merge.runs]
         last = max(
             [end for _, end in runs + merged] + [each.keyframe for each in graph.breaks], default=-1
         )
@@ -114,7 +112,7 @@ class StoredMap:
     @cached_property
     def regions(self) -> Regions:
         """The whole map divided among the submaps, as in overview.png."""
-        return divide(self.map_grid, self.labels, fences_in(self.record.graph.edits))
+        return divide(self.map_grid, self.labels, fences_of(self.record.graph.edits.borders))
 
     @cached_property
     def labels(self) -> Labels:
@@ -189,7 +187,7 @@ class StoredMap:
     @property
     def logs(self) -> tuple[LogInfo, ...]:
         """The recordings that the map was made of, in the order of their keyframes."""
-        return tuple(log_of(record) for record in self.record.graph.logs)
+        return self.record.graph.logs
 
     @cached_property
     def config(self) -> Config:

@@ -8,13 +8,12 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from specmap_cli.core.errors import MapError
+from specmap_cli.core.json_values import Span
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.maps.json_files import first_finding, map_json
-from specmap_cli.maps.schema import TopologyRecord
-from specmap_cli.maps.schema_edits import EditsRecord, SplitRecord
-from specmap_cli.maps.schema_graph import SCHEMA_VERSION
-from specmap_cli.maps.schema_values import Span
+from specmap_cli.maps.schema import SCHEMA_VERSION, EditsRecord, TopologyRecord
 from specmap_cli.maps.upgrading import MISSING, upgraded, version_of
+from specmap_cli.topology.borders import Split
 
 
 def read_topology(path: Path, limits: LimitsConfig) -> tuple[TopologyRecord, str]:
@@ -90,9 +89,9 @@ def _stay_faults(record: TopologyRecord) -> Iterator[str]:
     if len(numbers) != len(stays):
         yield "graph.stays: a number occurs twice"
     for place, stay in enumerate(stays):
-        if not _are_ascending(stay.keyframes):
+        if not _are_ascending(stay.runs):
             yield f"graph.stays.{place}: its keyframes are out of order"
-        if not any(first <= stay.origin <= last for first, last in stay.keyframes):
+        if not any(first <= stay.origin <= last for first, last in stay.runs):
             yield f"graph.stays.{place}: its origin is none of its keyframes"
     for place, closure in enumerate(record.graph.closures if stays else ()):
         if not {closure.new, closure.old} <= numbers:
@@ -103,12 +102,12 @@ def _edit_faults(record: EditsRecord) -> Iterator[str]:
     """Merges of keyframes out of order or beyond those known, and lines without a length."""
     for place, border in enumerate(record.borders):
         where = f"graph.edits.borders.{place}"
-        if isinstance(border, SplitRecord):
-            if border.line[0] == border.line[1] or border.fence[0] == border.fence[1]:
+        if isinstance(border, Split):
+            if any(line is not None and line[0] == line[1] for line in (border.line, border.fence)):
                 yield f"{where}: a line without a length"
-        elif not _are_ascending(border.keyframes):
+        elif not _are_ascending(border.runs):
             yield f"{where}: its keyframes are out of order"
-        elif any(last >= border.known for _, last in border.keyframes):
+        elif any(last >= border.known for _, last in border.runs):
             yield f"{where}: more keyframes than the map had"
 
 

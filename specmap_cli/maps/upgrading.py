@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from specmap_cli.maps.schema_graph import SCHEMA_VERSION
+from specmap_cli.maps.schema import SCHEMA_VERSION
 
 MISSING = (
     "a map of an earlier version (schema 1): it keeps no keyframes, stays, kinds of submaps, doors "

@@ -21,9 +21,8 @@ from specmap_cli.core.text import to_json
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import write_grid, write_png
 from specmap_cli.maps import filenames
-from specmap_cli.maps.conversion import image_stem, to_record
 from specmap_cli.maps.features_file import Arrays, write_features
-from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.maps.schema import TopologyRecord, image_stem
 from specmap_cli.maps.tables import labels_text
 from specmap_cli.maps.tum import trajectory_text
 from specmap_cli.topology.regions import Regions
@@ -74,7 +73,9 @@ def write_map(
             write_keyframes(path, keyframes, result.labels.poses, result.frame)
         except UsageError as error:  # as of the other files: the directory has the word
             raise error.__context__ or error from None
-    record = to_record(result.topology, result.regions, result.logs, result.frame, result.quality)
+    record = TopologyRecord.of(
+        result.topology, result.regions, result.logs, result.frame, result.quality
+    )
     _write_topology(directory, result.topology, record)
     write_grid(directory / filenames.MAP_GRID, result.regions.grid)
     write_png(directory / filenames.OVERVIEW, result.overview)
@@ -105,7 +106,7 @@ def write_segmentation(
     submap id + 1.
     """
     directory = Path(directory)
-    _write_topology(directory, topology, to_record(topology, regions, (log,)))
+    _write_topology(directory, topology, TopologyRecord.of(topology, regions, (log,)))
     labels = (regions.owner + 1).astype(np.uint16)
     write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
     write_png(directory / filenames.OVERVIEW, overview)
@@ -113,8 +114,7 @@ def write_segmentation(
 
 def _write_topology(directory: Path, topology: TopologicalMap, record: TopologyRecord) -> None:
     """Write topology.json and the grid of each submap."""
-    text = to_json(record.model_dump(by_alias=True))
-    (directory / filenames.TOPOLOGY).write_text(text, encoding="utf-8")
+    (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
     (directory / filenames.SUBMAPS).mkdir()
     for id_, submap in topology.submaps.items():
         write_grid(directory / image_stem(id_), submap.grid)

@@ -13,12 +13,11 @@ from specmap_cli.checking.reports import lines_of
 from specmap_cli.checking.rules import VERDICT, Rules, judged, read_rules
 from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.errors import NoResultError
-from specmap_cli.core.findings import Severity
+from specmap_cli.core.findings import Finding, Severity
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import plain
 from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.maps.comparison import ComparisonRecord
-from specmap_cli.maps.schema_graph import FindingRecord
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.compare import compare_maps
 
@@ -90,7 +89,7 @@ def _told(stored: StoredMap) -> Iterable[tuple[str, str]]:
     quality = stored.record.graph.quality
     if quality is None:
         return
-    by_code: dict[str, list[FindingRecord]] = {}
+    by_code: dict[str, list[Finding]] = {}
     for finding in quality.findings:
         if finding.severity != "note":
             by_code.setdefault(finding.code, []).append(finding)

@@ -121,7 +121,7 @@ def _are_identical(old: StoredMap, new: StoredMap) -> bool:
     """Whether two maps hold the same submaps and the same grid."""
     one, other = old.map_grid, new.map_grid
     return (
-        old.record == new.record
+        old.record.text() == new.record.text()
         and one.origin == other.origin
         and one.resolution == other.resolution
         and np.array_equal(one.cells, other.cells)

@@ -24,8 +24,7 @@ from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.core.versions import versions
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.edit_conversion import borders_in, borders_of
-from specmap_cli.maps.edits import Edits, edits_text, in_words
+from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words
 from specmap_cli.maps.edits_text import written
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.maps.writing import write_map
@@ -123,7 +122,7 @@ def edit_map(
     found = _drawn(stored, with_wishes(edits_of_stored(stored), wishes))
     _refuse_absent(found.submaps, wishes)
     _refuse_unapplied(_skipped(found), found, wishes)
-    anew = found.borders != borders_of(stored.record.graph.edits)
+    anew = found.borders != stored.record.graph.edits.borders
     with OutputDirectory(target, overwrite or in_place, progress) as partial:
         if anew:
             edited = _made_anew(stored, found, config, progress, partial)
@@ -153,7 +152,7 @@ class _Edited:
 def _drawn(stored: StoredMap, edits: Edits) -> Drawn:
     """The keyframes with the borders of the edits; a finished grid has none that could be moved."""
     graph = stored.record.graph
-    if not borders_in(edits.changes) and not graph.edits.borders:
+    if not borders_in(edits) and not graph.edits.borders:
         return Drawn(np.array(stored.ids, dtype=np.int64), (), graph.next_id, edits)
     if not (stored.path / filenames.KEYFRAMES).exists():
         raise MapError(
@@ -161,7 +160,7 @@ def _drawn(stored: StoredMap, edits: Edits) -> Drawn:
             "map that this version of `specmap build` made of a recording"
         )
     whole, labels = stored.map_grid, stored.labels
-    return drawn(whole, labels, borders_of(graph.edits), edits, graph.next_id)
+    return drawn(whole, labels, graph.edits.borders, edits, graph.next_id)
 
 
 def _refuse_absent(submaps: IntArray, wishes: Wishes) -> None:

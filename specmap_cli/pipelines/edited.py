@@ -13,8 +13,15 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps import filenames
-from specmap_cli.maps.edit_conversion import borders_in, said_in, said_of
-from specmap_cli.maps.edits import Edits, ForbidEdit, SplitEdit, SubmapEdit, read_edits
+from specmap_cli.maps.edits import (
+    Edits,
+    ForbidEdit,
+    SplitEdit,
+    SubmapEdit,
+    borders_in,
+    read_edits,
+    said_in,
+)
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.topology.borders import Border, Split
 from specmap_cli.topology.detours import with_detours
@@ -52,12 +59,12 @@ def edits_of_stored(stored: StoredMap) -> Edits:
             f"{path}: is missing, but the map shows edits: put it back, or make it an empty file "
             "to undo them"
         )
-    shown = said_of(record)
+    shown = {each.id: each for each in record.submaps}
     submaps = dict(edits.submaps)
     for node in stored.record.nodes:
-        by_hand, before = submaps.get(node.id, SubmapEdit()), shown.get(node.id, Said())
+        by_hand, before = submaps.get(node.id, SubmapEdit()), shown.get(node.id, Said(node.id))
         name = "" if node.name == default_name(node.id) else node.name
-        if name != before.name and (by_hand.name or "") == before.name:
+        if name != (before.name or "") == (by_hand.name or ""):
             by_hand = by_hand.model_copy(update={"name": name or None})
         if node.properties != before.properties and by_hand.properties == before.properties:
             by_hand = by_hand.model_copy(update={"properties": node.properties})
@@ -72,7 +79,7 @@ def drawn(
 ) -> Drawn:
     """The keyframes with the borders that the edits ask for, instead of those that they have."""
     places = [n for n, change in enumerate(edits.changes) if not isinstance(change, ForbidEdit)]
-    found = redrawn(whole, labels, borders, borders_in(edits.changes), next_id)
+    found = redrawn(whole, labels, borders, borders_in(edits), next_id)
     skipped = {places[place]: why for place, why in found.skipped.items()}
     made = dict(zip([n for n in places if n not in skipped], found.borders, strict=True))
     changes = tuple(_with_id(change, made.get(n)) for n, change in enumerate(edits.changes))
@@ -88,17 +95,21 @@ def named(
     `topology` and its `regions` have the borders of the edits; `skipped` are the changes that could
     not be made. Where the regions are known ways lead round forbidden doors.
     """
-    said = {id_: each for id_, each in said_in(edits).items() if id_ in topology.submaps}
+    said = said_in(edits)
+    shown = {each.id: each for each in said if each.id in topology.submaps}
     submaps = {}
     for id_, submap in topology.submaps.items():
-        own = said.get(id_, Said())
-        submaps[id_] = replace(submap, name=own.name, kind=own.kind, properties=own.properties)
+        own = shown.get(id_, Said(id_))
+        submaps[id_] = replace(
+            submap, name=own.name or "", kind=own.kind, properties=own.properties
+        )
     allowed, unlinked = _forbidden(topology, regions, edits, skipped)
-    gone = sorted(set(said_in(edits)) - set(said))
-    told = [f"submaps.{id_}: there is no submap {id_}" for id_ in gone]
+    told = [
+        f"submaps.{each.id}: there is no submap {each.id}" for each in said if each.id not in shown
+    ]
     why = sorted({**skipped, **unlinked}.items())
     told += [f"{number_of(place)}: {reason}" for place, reason in why]
-    return replace(allowed, submaps=submaps, said=said), tuple(told)
+    return replace(allowed, submaps=submaps, said=tuple(shown.values())), tuple(told)
 
 
 def number_of(place: int) -> str:

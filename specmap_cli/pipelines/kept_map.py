@@ -21,7 +21,6 @@ from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, edits_text
-from specmap_cli.maps.graph_conversion import finding_of
 from specmap_cli.maps.json_files import map_text
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.tum import read_trajectory
@@ -177,7 +176,7 @@ def seen_of_log(
 def _findings(stored: StoredMap) -> tuple[Finding, ...]:
     """What was found out about the recordings."""
     quality = stored.record.graph.quality
-    found = [] if quality is None else [finding_of(record) for record in quality.findings]
+    found = [] if quality is None else quality.findings
     return tuple(one for one in found if one.code not in LAYOUT_CODES)
 
 
@@ -224,7 +223,9 @@ def _breaks(topology: TopologicalMap, logs: Sequence[LogInfo]) -> dict[int, Brid
     return {
         **dict.fromkeys(starts_of(logs)),
         **{
-            each.keyframe: None if each.bridge is None else Bridge(*each.bridge)
+            each.keyframe: None
+            if each.position_m is None or each.heading_rad is None
+            else Bridge(each.position_m, each.heading_rad)
             for each in topology.breaks
         },
     }

@@ -94,10 +94,11 @@ def _learned(stored: StoredMap, recogniser: Recogniser, store: KeyframeStore) ->
 
 
 def _stirred(margins: FloatArray, owner: IntArray) -> FloatArray:
-    """(n, m) how much more a classifier votes for a scan than it usually does for foreign ones.
+    """(n, m) the votes of each classifier for each scan, against its votes for foreign scans.
 
-    In deviations of its `margins` (n, m) for scans that are not its own, by `owner` (n,) a column:
-    some classifiers vote more than others for whatever they see. Its own scans have -inf.
+    Some classifiers give many votes to any scan. So of the `margins` (n, m) in a column the mean of
+    those for scans of other submaps, by `owner` (n,), is subtracted, and the rest is divided by
+    their standard deviation. Its own scans have -inf.
     """
     stirred = np.full(margins.shape, -np.inf)
     for column in range(margins.shape[1]):

@@ -112,11 +112,11 @@ def oldest(maps: Sequence[StoredMap]) -> StoredMap:
     return min(maps, key=_age)
 
 
-def _age(stored: StoredMap) -> tuple[float, float, int, str]:
+def _age(stored: StoredMap) -> tuple[int, int, int, str]:
     """What orders maps whatever the order they are given in."""
     logs = stored.record.graph.logs
-    start = min((log.start for log in logs if log.start is not None), default=0.0)
-    end = max((log.end for log in logs if log.end is not None), default=0.0)
+    start = min((log.start_ns for log in logs if log.start_ns is not None), default=0)
+    end = max((log.end_ns for log in logs if log.end_ns is not None), default=0)
     return start, end, len(stored.labels.stamps_ns), stored.classifiers
 
 
@@ -132,9 +132,9 @@ def _names(maps: Sequence[StoredMap]) -> list[str]:
 def _refuse_twice(maps: Sequence[StoredMap]) -> None:
     """Refuse maps that hold the same recording: its walls would count twice."""
     for one, other in combinations(maps, 2):
-        known = {(log.name, log.start, log.scans) for log in one.record.graph.logs}
+        known = {(log.name, log.start_ns, log.scans) for log in one.record.graph.logs}
         for log in other.record.graph.logs:
-            if (log.name, log.start, log.scans) in known:
+            if (log.name, log.start_ns, log.scans) in known:
                 raise InputError(
                     f"{other.path}: holds {log.name}, and so does {one.path}: leave out one of them"
                 )

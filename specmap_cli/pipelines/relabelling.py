@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +12,15 @@ import numpy as np
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.shortage import reason
-from specmap_cli.core.text import to_json
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.overview import render_overview, render_segmentation
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.map_server import write_png
 from specmap_cli.grids.pictures import read_picture
 from specmap_cli.maps import filenames
-from specmap_cli.maps.edit_conversion import edits_record
-from specmap_cli.maps.graph_conversion import finding_of, log_of
-from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.maps.schema import EditsRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.tum import read_trajectory
-from specmap_cli.maps.way_conversion import door_record
 from specmap_cli.quality.verdict import quality_of
 from specmap_cli.topology.kinds import kind_of
 from specmap_cli.topology.regions import NOBODY, Regions
@@ -44,17 +41,17 @@ def record_with(record: TopologyRecord, topology: TopologicalMap) -> TopologyRec
             "properties": dict(submap.properties),
         }
         nodes.append(node.model_copy(update=said))
-    edges = [
-        edge.model_copy(update={"forbidden": topology.edges[(edge.source, edge.target)].forbidden})
+    edges = tuple(
+        replace(edge, forbidden=topology.edges[edge.source, edge.target].forbidden)
         for edge in record.edges
-    ]
+    )
     shown = {
-        "edits": edits_record(topology.said, topology.borders),
+        "edits": EditsRecord(submaps=topology.said, borders=topology.borders),
         "next_id": topology.next_id,
-        "doors": [door_record(door) for door in topology.doors],
+        "doors": topology.doors,
     }
     graph = record.graph.model_copy(update=shown)
-    return record.model_copy(update={"graph": graph, "nodes": nodes, "edges": edges})
+    return record.model_copy(update={"graph": graph, "nodes": tuple(nodes), "edges": edges})
 
 
 def write_relabelled(
@@ -63,8 +60,7 @@ def write_relabelled(
     """Write a map into an empty directory: as it is stored, but named as `topology` says."""
     record = record_with(stored.record, topology)
     carry_over(stored.path, directory, _REWRITTEN)
-    text = to_json(record.model_dump(by_alias=True))
-    (directory / filenames.TOPOLOGY).write_text(text, encoding="utf-8")
+    (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
     write_png(directory / filenames.OVERVIEW, _overview(stored, topology))
     if edits:
         (directory / filenames.EDITS).write_text(edits, encoding="utf-8")
@@ -87,18 +83,17 @@ def carry_over(source: Path, target: Path, without: Collection[str]) -> None:
 def quality_of_stored(stored: StoredMap) -> Quality:
     """What was thought of a map when it was made."""
     quality = stored.record.graph.quality
-    return UNDOUBTED if quality is None else quality_of([finding_of(f) for f in quality.findings])
+    return UNDOUBTED if quality is None else quality_of(quality.findings)
 
 
 def _overview(stored: StoredMap, topology: TopologicalMap) -> Image:
     """The picture of a map, of a recording or of a finished grid."""
     graph = stored.record.graph
-    logs = [log_of(record) for record in graph.logs]
     if not (stored.path / filenames.LABELS).exists():
-        return render_segmentation(topology, _segmented(stored), logs[0])
+        return render_segmentation(topology, _segmented(stored), graph.logs[0])
     trajectory = read_trajectory(stored.path / filenames.TRAJECTORY, stored.limits)
     return render_overview(
-        topology, stored.regions, trajectory, stored.labels, logs, quality_of_stored(stored)
+        topology, stored.regions, trajectory, stored.labels, graph.logs, quality_of_stored(stored)
     )
 
 

@@ -71,7 +71,7 @@ def _said(before: Mapping[str, Any], id_: int, wishes: Wishes) -> dict[str, Any]
 
 
 def _not_undone(edits: Edits, undo: Collection[int]) -> list[Change]:
-    """The changes that stay. A door that was forbidden in a part stays so in what the part was."""
+    """The changes that stay. A door forbidden for a part stays so for the whole it was cut from."""
     for number in undo:
         if not 1 <= number <= len(edits.changes):
             known = counted(len(edits.changes), "change")

@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.findings import Finding
+from specmap_cli.core.findings import Finding, Where
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import IntArray, Trajectory
 from specmap_cli.core.settings import QualityConfig
@@ -194,8 +194,7 @@ def unwatched(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
             advice=_ADVICE[hole.kind],
             value=hole.seconds,
             limit=config.hole_s if hole.kind == "missing" else None,
-            stamp_ns=stamp_ns,
-            place=place_at(evidence.trajectory, hole.row),
+            where=Where.of(stamp_ns, place_at(evidence.trajectory, hole.row)),
         )
 
 

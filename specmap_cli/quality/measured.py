@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from specmap_cli.core.findings import Finding
+from specmap_cli.core.findings import Finding, Where
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.labels import runs
 from specmap_cli.core.records import IntArray
@@ -43,8 +43,7 @@ def unmeasured_way(evidence: Evidence, config: QualityConfig) -> Iterator[Findin
             advice="record odometry",
             value=way_m,
             limit=config.unmeasured_m,
-            stamp_ns=stamp_ns,
-            place=place_at(trajectory, start),
+            where=Where.of(stamp_ns, place_at(trajectory, start)),
         )
 
 
@@ -78,8 +77,7 @@ def odometry_disagrees(evidence: Evidence, config: QualityConfig) -> Iterator[Fi
         else "",
         value=usual if everywhere else float(apart[worst]),
         limit=config.odometry_share if everywhere else config.odometry_slip_share,
-        stamp_ns=stamp_ns,
-        place=place_at(trajectory, row),
+        where=Where.of(stamp_ns, place_at(trajectory, row)),
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from specmap_cli.core.findings import Finding
+from specmap_cli.core.findings import Finding, Where
 from specmap_cli.core.settings import QualityConfig
 from specmap_cli.core.text import counted
 from specmap_cli.core.tracks import step_lengths
@@ -38,8 +38,7 @@ def loose_parts(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
             advice="drive through a place seen before, or record odometry",
             value=share,
             limit=limit,
-            stamp_ns=stamp_ns,
-            place=evidence.place_of(start),
+            where=Where.of(stamp_ns, evidence.place_of(start)),
         )
 
 
@@ -64,8 +63,7 @@ def walls(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
             advice="the map is bent or folded there, or the building changed",
             value=share,
             limit=limit,
-            stamp_ns=later_ns,
-            place=worst.place,
+            where=Where.of(later_ns, worst.place),
         )
 
 
@@ -109,8 +107,7 @@ def moved_parts(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
             f"{part.moved_m:.1f} m, to where closures and passes ({part.votes}) put it",
             value=part.moved_m,
             limit=config.moved_m,
-            stamp_ns=stamp_ns,
-            place=evidence.place_of(part.first),
+            where=Where.of(stamp_ns, evidence.place_of(part.first)),
         )
 
 

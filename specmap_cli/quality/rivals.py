@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from specmap_cli.core.findings import Finding
+from specmap_cli.core.findings import Finding, Where
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.settings import QualityConfig
 from specmap_cli.core.text import counted
@@ -40,8 +40,7 @@ def rival_places(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]
             advice="record odometry, and without holes",
             value=float(votes),
             limit=float(_LEAST),
-            stamp_ns=stamp_ns,
-            place=evidence.place_of(start),
+            where=Where.of(stamp_ns, evidence.place_of(start)),
         )
 
 

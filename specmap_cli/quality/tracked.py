@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from specmap_cli.core.findings import Finding
+from specmap_cli.core.findings import Finding, Where
 from specmap_cli.core.labels import runs
 from specmap_cli.core.settings import QualityConfig
 from specmap_cli.core.text import counted
@@ -38,8 +38,7 @@ def lost_scans(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
         else "record odometry, or more scans a second",
         value=share,
         limit=limit,
-        stamp_ns=stamp_ns,
-        place=place_at(trajectory, start),
+        where=Where.of(stamp_ns, place_at(trajectory, start)),
     )
 
 
@@ -56,6 +55,5 @@ def breaks(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
             severity="note",
             message=f"registration lost the robot before {stamp_ns * 1e-9:.3f} s and started "
             f"afresh, where {bridge} led",
-            stamp_ns=stamp_ns,
-            place=evidence.place_of(keyframe),
+            where=Where.of(stamp_ns, evidence.place_of(keyframe)),
         )

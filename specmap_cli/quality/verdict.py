@@ -76,7 +76,7 @@ def of_layout(evidence: Evidence, config: QualityConfig) -> list[Finding]:
 def quality_of(findings: Sequence[Finding]) -> Quality:
     """The findings, the gravest first; what reading had to say comes last of its kind."""
     ordered = sorted(findings, key=lambda one: one.code == INPUT)
-    return Quality(findings=tuple(sorted(ordered, key=lambda one: _ORDER.index(one.severity))))
+    return Quality.of(sorted(ordered, key=lambda one: _ORDER.index(one.severity)))
 
 
 def _found(checks: Sequence[Check], evidence: Evidence, config: QualityConfig) -> list[Finding]:

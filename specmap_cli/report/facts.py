@@ -6,11 +6,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from specmap_cli.core.findings import Verdict
+from specmap_cli.core.findings import Finding, Verdict
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.maps import filenames
-from specmap_cli.maps.schema_graph import FindingRecord
 from specmap_cli.report.frame import Frame
 from specmap_cli.report.ground import Ground
 from specmap_cli.report.track import Track
@@ -38,7 +37,7 @@ class FoundAt:
     """A finding, numbered as on the map; `place` in the drawing where it has one."""
 
     number: int
-    record: FindingRecord
+    record: Finding
     place: tuple[int, int] | None
 
 
@@ -46,7 +45,6 @@ class FoundAt:
 class Run:
     """How the map was made, as run.json has it; empty parts for a map without that file."""
 
-    inputs: tuple[str, ...] = ()
     selection: tuple[tuple[str, str], ...] = ()
     settings: tuple[tuple[str, str, str], ...] = ()
     counts: tuple[tuple[str, str], ...] = ()
@@ -74,11 +72,8 @@ def findings_of(ground: Ground) -> list[FoundAt]:
     return [FoundAt(k, each, _place(each, ground.frame)) for k, each in enumerate(ranked, start=1)]
 
 
-def _place(finding: FindingRecord, frame: Frame) -> tuple[int, int] | None:
-    where = finding.where
-    if where is None or where.x is None or where.y is None:
-        return None
-    return frame.place((where.x, where.y))
+def _place(finding: Finding, frame: Frame) -> tuple[int, int] | None:
+    return None if finding.place is None else frame.place(finding.place)
 
 
 def headline(ground: Ground) -> str:
@@ -100,7 +95,7 @@ def facts_of(ground: Ground, track: Track) -> list[Fact]:
     if track.known:
         way = driven_m(ground.stored.logs, ground.labels)
         found.append(Fact(f"{way:,.0f}", "m", f"driven in {lasting(track.duration_s)}"))
-        merged = sum(closure.accepted for closure in closures)
+        merged = sum(closure.merged for closure in closures)
         found.append(Fact(f"{merged:,}", "", _plural(merged, "revisit") + " recognised"))
         lost = len(ground.lost)
         scans = sum(log.scans for log in record.graph.logs)
@@ -128,7 +123,6 @@ def run_of(ground: Ground) -> Run:
         (key, float(value)) for key, value in _dict(run, "seconds").items() if _is_number(value)
     ]
     return Run(
-        inputs=_texts(run.get("inputs")),
         selection=_pairs(_dict(run, "selection")),
         settings=tuple(_changed(stored.config)),
         counts=tuple((key, f"{count:,}") for key, count in stored.counts.items() if count),

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.json_values import Span
+from specmap_cli.core.records import Closure
 from specmap_cli.core.sampling import evenly
 from specmap_cli.drawing.overview import drawn_as
-from specmap_cli.maps.schema_graph import ClosureRecord
-from specmap_cli.maps.schema_values import Span
-from specmap_cli.maps.way_conversion import door_of
 from specmap_cli.report.colours import fill_names
 from specmap_cli.report.frame import Frame, path_data
 from specmap_cli.report.ground import Ground, middle_of
@@ -124,7 +124,7 @@ def links_of(ground: Ground) -> list[Link]:
     for record in ground.stored.record.edges:
         ends = [middle_of(ground.nodes[id_]) for id_ in (record.source, record.target)]
         crossing = [] if record.x is None or record.y is None else [(record.x, record.y)]
-        line = record.path or [ends[0], *crossing, ends[1]]
+        line = record.corners or [ends[0], *crossing, ends[1]]
         found.append(
             Link(
                 source=record.source,
@@ -144,7 +144,7 @@ def doors_of(ground: Ground) -> list[DoorMark]:
     return [
         DoorMark(
             id=record.id,
-            line=path_data([frame.places(np.array(door_of(record).sides))]),
+            line=path_data([frame.places(np.array(record.sides))]),
             middle=frame.place((record.x, record.y)),
             width_m=record.width_m,
             between=record.between,
@@ -160,9 +160,9 @@ def closures_of(ground: Ground) -> Closures:
     places, frame = _places_of_stays(ground), ground.frame
     closures = ground.stored.record.graph.closures
     known = [each for each in closures if {each.new, each.old} <= places.keys()]
-    accepted = [each for each in known if each.accepted]
-    refused = [each for each in known if not each.accepted]
-    drawn = sorted(refused, key=lambda one: -(one.xi or 0.0))[:MOST_REFUSED]
+    accepted = [each for each in known if each.merged]
+    refused = [each for each in known if not each.merged]
+    drawn = sorted(refused, key=lambda one: 0.0 if math.isnan(one.xi) else -one.xi)[:MOST_REFUSED]
     return Closures(_marks(accepted, places, frame), _marks(drawn, places, frame), len(refused))
 
 
@@ -171,7 +171,7 @@ def _places_of_stays(ground: Ground) -> dict[int, FloatArray]:
     poses = ground.labels.poses
     found = {}
     for stay in ground.stored.record.graph.stays:
-        middle = _middle_of(stay.keyframes)
+        middle = _middle_of(stay.runs)
         if middle < len(poses):
             found[stay.number] = poses[middle, :2]
     return found
@@ -188,12 +188,12 @@ def _middle_of(runs: Sequence[Span]) -> int:
 
 
 def _marks(
-    closures: Iterable[ClosureRecord], places: dict[int, FloatArray], frame: Frame
+    closures: Iterable[Closure], places: dict[int, FloatArray], frame: Frame
 ) -> list[ClosureMark]:
     return [
         ClosureMark(
             line=path_data([frame.places(np.array([places[each.new], places[each.old]]))]),
-            xi=each.xi,
+            xi=None if math.isnan(each.xi) else each.xi,
             reason=each.reason,
             submaps=(each.new_submap, each.old_submap),
         )

@@ -33,7 +33,7 @@ _SCRIPTS = (
     "spectra.js",
 )
 _STYLES = ("page.css", "map.css", "parts.css", "print.css")
-_FILTERS = ("clock", "lasting", "moment", "percent", "figure", "feature_words")
+_FILTERS = ("clock", "lasting", "stamp", "percent", "figure", "feature_words")
 # heads of the table of submaps: their words, and how the column is sorted
 _COLUMNS = (
     ("id", "number"),
@@ -131,7 +131,7 @@ def _words(ground: Ground, track: Track, evidence: Evidence) -> dict[str, Any]:
 def _reasons(ground: Ground) -> list[tuple[str, bool, int]]:
     """Why closures were accepted or refused, and how often, the most frequent first."""
     closures = ground.stored.record.graph.closures
-    counts = Counter((each.reason, each.accepted) for each in closures)
+    counts = Counter((each.reason, each.merged) for each in closures)
     ranked = sorted(counts.items(), key=lambda one: (not one[0][1], -one[1], one[0][0]))
     return [(reason, accepted, count) for (reason, accepted), count in ranked]
 

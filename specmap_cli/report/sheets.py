@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.text import seconds
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.maps.schema import NodeRecord
-from specmap_cli.maps.schema_graph import DoorRecord
 from specmap_cli.report.evidence import Learned
 from specmap_cli.report.ground import Ground
-from specmap_cli.topology.topological_map import default_name
+from specmap_cli.topology.topological_map import Door, default_name
 
 _THUMBNAIL = 240  # pixels of the longer side, at most
 _AROUND_M = 0.7  # shown round the outline of a submap
@@ -86,7 +86,10 @@ def _sheet(node: NodeRecord, ground: Ground, learned: Learned) -> Sheet:
         named=node.name != default_name(node.id),
         doors=tuple(_door(door, node.id) for door in doors if node.id in door.between),
         open_to=_open_to(node.id, ground),
-        visits=tuple((visit.start, visit.end - visit.start) for visit in node.visits),
+        visits=tuple(
+            (seconds(visit.start_ns), seconds(visit.end_ns) - seconds(visit.start_ns))
+            for visit in node.visits
+        ),
         thumbnail=thumbnail,
         thumbnail_size=size,
         learned=Learned(
@@ -98,7 +101,7 @@ def _sheet(node: NodeRecord, ground: Ground, learned: Learned) -> Sheet:
     )
 
 
-def _door(door: DoorRecord, submap: int) -> DoorLine:
+def _door(door: Door, submap: int) -> DoorLine:
     a, b = door.between
     return DoorLine(
         id=door.id,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime
 
-from specmap_cli.core.text import legible
+from specmap_cli.core.text import legible, seconds
 
 _EPOCH_S = 1e8  # stamps below this count from the start of a robot or of a simulation
 _MINUTE, _HOUR = 60, 3600
@@ -69,6 +69,11 @@ def moment(stamp_s: float | None) -> str:
     if stamp_s < _EPOCH_S:
         return f"{stamp_s:.1f} s"
     return datetime.fromtimestamp(stamp_s, tz=UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def stamp(stamp_ns: int) -> str:
+    """A stamp in nanoseconds as `moment` says it."""
+    return moment(seconds(stamp_ns))
 
 
 def percent(share: float | None) -> str:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from specmap_cli.core.errors import NoResultError
@@ -18,7 +17,6 @@ from specmap_cli.segmentation.division import Segmentation, segment
 __all__ = [
     "FloorplanResult",
     "FloorplanSubmap",
-    "label_image",
     "segment_floorplan",
     "submap_grid",
 ]
@@ -71,16 +69,6 @@ def _in_one_piece(found: Segmentation) -> Segmentation:
             largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
             labels[window][piece == largest] = label
     return replace(found, labels=labels)
-
-
-def label_image(result: FloorplanResult) -> NDArray[np.uint16]:
-    """(H, W) submap id + 1, 0 unlabelled, as a picture: its top row is the map's highest y.
-
-    Raises NoResultError when there are more regions than 16 bits count.
-    """
-    if len(result.submaps) >= 2**16:
-        raise NoResultError(f"{len(result.submaps)} regions do not fit a 16-bit picture")
-    return np.ascontiguousarray(result.segmentation.labels[::-1] + 1).astype(np.uint16)
 
 
 def submap_grid(result: FloorplanResult, submap: int) -> GridMap:

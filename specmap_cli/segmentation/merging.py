@@ -66,7 +66,7 @@ class _Clusters:
         self._percentile = percentile
         self._nodes = list(widths)
         self._width = [self._width_of(nodes) for nodes in widths]
-        self._parent = list(range(len(widths)))
+        self._kept = np.arange(len(widths))  # of each cluster: the one that it is a part of
         self._touching: list[dict[int, float]] = [{} for _ in widths]
         for (one, other), border in borders.items():
             self._touching[one][other] = self._touching[other][one] = border
@@ -86,7 +86,7 @@ class _Clusters:
 
     def join(self, keep: int, gone: int) -> None:
         """Make cluster `gone` a part of `keep`."""
-        self._parent[gone] = keep
+        self._kept[self._kept == gone] = keep
         self._nodes[keep] = np.concatenate([self._nodes[keep], self._nodes[gone]])
         self._width[keep] = self._width_of(self._nodes[keep])
         for other, border in self._touching[gone].items():
@@ -98,9 +98,5 @@ class _Clusters:
 
     def names(self) -> list[int]:
         """The label of every cluster: those that were kept are numbered 0, 1, ... in order."""
-        root = list(range(len(self._parent)))
-        for label in root:
-            while self._parent[root[label]] != root[label]:
-                root[label] = self._parent[root[label]]
-        numbers = {label: number for number, label in enumerate(sorted(set(root)))}
-        return [numbers[label] for label in root]
+        labels: list[int] = np.unique(self._kept, return_inverse=True)[1].tolist()
+        return labels

@@ -51,12 +51,12 @@ class Orientation:
 
 
 def canonical(free: BoolArray, block: int = 1) -> Orientation:
-    """The window of the free cells (H, W), in the turn in which it lies and leans to one side.
+    """The window of the free cells (H, W), turned by a multiple of 90 degrees.
 
-    It lies: the free space is wider than it is high. Of the two turns left that one is taken in
-    which its distribution leans to the upper right. Both are said by the bulk of the free space,
-    without rays that left through doors and windows, so that no single cell tips them. Of maps that
-    are as symmetric the turn counts whose picture is smallest as bytes.
+    After the turn the free space is wider than it is high. Of the two such turns the one is taken
+    by which its distribution is skewed to the upper right. Both are computed without rays that left
+    through doors and windows, so that no single cell decides. For a symmetric map, the turn counts
+    whose picture is smallest as bytes.
     """
     rows, columns = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
     if not len(rows):

@@ -1,37 +1,73 @@
-"""Borders that a person moved: two submaps made one, or one cut in two along a line."""
+"""Borders that a person moved: two submaps made one, or one cut in two along a line.
+
+One that is wished and one that was made are the same thing: only the latter has `runs` and `known`,
+or `new` and a `fence`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Annotated
 
-Line = tuple[tuple[float, float], tuple[float, float]]  # its two ends, metres
+from pydantic import Field
 
+from specmap_cli.core.json_values import Count, Point, Span, Value, Written, numbers_of
 
-@dataclass(frozen=True, slots=True)
-class Merge:
-    """The submap `gone` became part of `kept`.
-
-    Once made: `keyframes` are those that came with it, of the `known` first ones of the map.
-    """
-
-    kept: int
-    gone: int
-    keyframes: tuple[int, ...] = ()
-    known: int = 0
+Line = tuple[Point, Point]  # its two ends, metres
 
 
 @dataclass(frozen=True, slots=True)
-class Split:
-    """A submap cut along a line: what is right of it, seen along it, is the submap `new`.
+class Merge(Value):
+    """One submap became part of another."""
 
-    `new` is None until an id is given. Once made: `fence` is the line from wall to wall.
-    """
+    merge: Annotated[tuple[Count, Count], Field(description="[kept, gone]: ids of the two")]
+    runs: Annotated[
+        tuple[Span, ...],
+        Field(
+            alias="keyframes",
+            description="runs [first, last] of the keyframes that came with it, rows of labels.csv",
+        ),
+    ] = ()
+    known: Annotated[Count, Field(description="number of keyframes that the map had then")] = 0
 
-    submap: int
-    line: Line
-    new: int | None = None
-    fence: Line | None = None
+    @property
+    def kept(self) -> int:
+        """The submap that the other one became part of."""
+        return self.merge[0]
+
+    @property
+    def gone(self) -> int:
+        """The submap that became part of the other one."""
+        return self.merge[1]
+
+    @property
+    def keyframes(self) -> tuple[int, ...]:
+        """The keyframes that came with it, of the `known` first ones of the map."""
+        return numbers_of(self.runs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Split(Value):
+    """A submap was cut along a line."""
+
+    submap: Annotated[
+        Count,
+        Field(alias="split", description="id of the submap, and of what is left of the line"),
+    ]
+    new: Annotated[
+        int | None,
+        Written(Count),
+        Field(description="id of what is right of the line, seen along it"),
+    ] = None
+    line: Annotated[Line, Field(description="two places in the map, as a person gave them")]
+    fence: Annotated[
+        Line | None,
+        Written(Line),
+        Field(
+            description="the line from border to border of the submap; no region reaches across it"
+        ),
+    ] = None
 
 
 Border = Merge | Split
@@ -40,8 +76,8 @@ Border = Merge | Split
 def bare(border: Border) -> Border:
     """A border as it was wished."""
     if isinstance(border, Merge):
-        return Merge(border.kept, border.gone)
-    return Split(border.submap, border.line, border.new)
+        return Merge(border.merge)
+    return Split(submap=border.submap, line=border.line, new=border.new)
 
 
 def fences_of(borders: Iterable[Border]) -> tuple[Line, ...]:

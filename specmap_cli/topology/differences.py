@@ -43,12 +43,6 @@ class Differences:
     appeared: tuple[PlacedThing, ...] = ()
     vanished: tuple[PlacedThing, ...] = ()
 
-    @property
-    def changes(self) -> int:
-        """How many differences of the building there are, whatever became of the submaps."""
-        parts = self.closed, self.opened, self.appeared, self.vanished
-        return sum(len(part) for part in parts) + len(self.identity.gone)
-
 
 def differences(
     old: Regions, new: Regions, tracks: tuple[FloatArray, FloatArray], old_from_new: BentMotion

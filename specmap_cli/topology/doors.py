@@ -85,14 +85,15 @@ def _crossed(
     """The doors of one pair with the traversals that went through them."""
     crossings: list[list[Traversal]] = [[] for _ in doors]
     for traversal in traversals:
-        here = np.array(traversal.pose[:2])
+        here = np.array([traversal.x, traversal.y])
         away = [math.dist(here, (door.x, door.y)) - door.width_m / 2.0 for door in doors]
         nearest = int(np.argmin(away))
         in_the_open = math.inf if opening is None else _distance(opening, here)
         if away[nearest] <= in_the_open:
             crossings[nearest].append(traversal)
     return [
-        replace(door, crossings=tuple(mine)) for door, mine in zip(doors, crossings, strict=True)
+        replace(door, crossings=tuple(mine), driven=bool(mine))
+        for door, mine in zip(doors, crossings, strict=True)
     ]
 
 

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.cluster.hierarchy import DisjointSet
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.labels import runs
 from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.core.tracks import travelled
@@ -43,12 +45,10 @@ def submap_of_regions(regions: Iterable[int], merges: Iterable[Pair]) -> dict[in
     `merges` are pairs of regions that are one submap, in any order and over any others. Raises
     KeyError for a merge of what is no region.
     """
-    submap = {region: region for region in regions}
+    sets = DisjointSet(regions)
     for a, b in merges:
-        kept, gone = sorted((submap[a], submap[b]))
-        if kept != gone:
-            submap = {region: kept if of == gone else of for region, of in submap.items()}
-    return submap
+        sets.merge(a, b)
+    return {region: min(together) for together in sets.subsets() for region in together}
 
 
 def settle_labels(labels: IntArray, poses: FloatArray, min_path_m: float) -> IntArray:
@@ -115,7 +115,7 @@ def stays_of(
         Stay(
             number=number,
             submap=int(np.bincount(labels[list(keyframes)]).argmax()),
-            keyframes=tuple(sorted(keyframes)),
+            runs=runs_of(sorted(keyframes)),
             origin=keyframes[0],
             start_ns=stamps_ns[min(keyframes)],
             end_ns=stamps_ns[max(keyframes)],
@@ -181,8 +181,8 @@ def _driven(
             yield _Contact(pair, "loose")
             continue
         x, y, _ = ((poses[end - 1] + poses[after]) / 2.0).tolist()
-        crossing = Pose2(x, y, float(poses[after, 2]))
-        yield _Contact(pair, "traversed", Traversal(stamps_ns[after], source, target, crossing))
+        crossing = (x, y, float(poses[after, 2]))
+        yield _Contact(pair, "traversed", Traversal(stamps_ns[after], source, target, *crossing))
 
 
 def _recognised(

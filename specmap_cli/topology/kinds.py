@@ -1,8 +1,8 @@
 """What a submap is by its shape: a corridor, a hall, or a room.
 
-The measure is the mean width: four times the mean distance of its places from its border. For a
-long strip it is the width of the strip, however the strip bends; for a square two thirds of its
-side.
+The measure is the mean width: the distance to the nearest border is measured at every point of the
+submap, and the mean width is four times the mean of these distances. For a long strip, straight or
+bent, it is the width of the strip; for a square it is two thirds of its side.
 """
 
 from __future__ import annotations

@@ -112,7 +112,8 @@ def with_way(edge: Edge, way: Way, doors: Sequence[Door]) -> Edge:
     first = through[0] if through else None
     return replace(
         edge,
-        doorway=None if first is None else (first.x, first.y),
+        x=None if first is None else first.x,
+        y=None if first is None else first.y,
         width_m=None if first is None else first.width_m,
         doors=tuple(door.id for door in through),
         path=way.path,

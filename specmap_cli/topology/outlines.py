@@ -32,16 +32,11 @@ class Outline:
 NOTHING = Outline(np.zeros((0, 2)), None, 0.0)
 
 
-def outline(grid: GridMap) -> Outline:
-    """The outline of the free cells of `grid`, in the grid's frame."""
-    return outline_of(grid.free, grid)
-
-
 def outline_of(region: BoolArray, grid: GridMap) -> Outline:
-    """The outline of the cells `region` (H, W) of `grid`, simplified to within a cell's side.
+    """The outline of the cells `region` (H, W) in the frame of `grid`.
 
-    The centroid is the centre of the region's cell nearest the mean of its cells, so that it lies
-    inside a region of any shape.
+    It is simplified to within a cell's side. The centroid is the centre of the region's cell
+    nearest the mean of its cells, so that it lies inside a region of any shape.
     """
     if not region.any():
         return NOTHING

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.topology.borders import Border, Merge, Split, bare, fences_of
@@ -87,7 +88,7 @@ def carried(borders: Sequence[Border], old: FloatArray, new: FloatArray) -> tupl
         if isinstance(border, Split)
         else replace(
             border,
-            keyframes=tuple(np.flatnonzero(np.isin(nearest, border.keyframes)).tolist()),
+            runs=runs_of(np.flatnonzero(np.isin(nearest, border.keyframes)).tolist()),
             known=len(new),
         )
         for border in borders
@@ -122,7 +123,7 @@ def _merged(state: Redrawn, border: Merge) -> Redrawn | str:
     own = np.flatnonzero(state.submaps == border.gone)
     submaps = state.submaps.copy()
     submaps[own] = border.kept
-    made = replace(border, keyframes=tuple(own.tolist()), known=len(submaps))
+    made = replace(border, runs=runs_of(own.tolist()), known=len(submaps))
     return replace(state, submaps=submaps, borders=(*state.borders, made))
 
 

@@ -5,11 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.json_values import (
+    Amount,
+    Corners,
+    Count,
+    Motion,
+    Number,
+    Point,
+    PropertyValue,
+    Span,
+    StampNs,
+    Value,
+    numbers_of,
+    titled,
+)
 from specmap_cli.core.records import Closure, Labels
 from specmap_cli.core.tracks import path_length
 from specmap_cli.grids.gridmap import GridMap
@@ -21,15 +36,18 @@ from specmap_cli.topology.borders import Border
 EdgeKind = Literal["traversed", "closure", "loose", "seen", "doorway"]
 # What a submap is by its shape (`topology.kinds`), or by a person's word.
 SubmapKind = Literal["room", "corridor", "hall"]
-Property = str | float | bool  # of a submap, by a person's word
 
 
 @dataclass(frozen=True, slots=True)
-class Visit:
-    """One stay in a submap, by the header stamps of its first and last keyframe."""
+class Visit(Value):
+    """One visit of the robot to a submap."""
 
-    start_ns: int
-    end_ns: int
+    start_ns: Annotated[
+        StampNs, Field(alias="start", description="stamp of its first keyframe, seconds")
+    ]
+    end_ns: Annotated[
+        StampNs, Field(alias="end", description="stamp of its last keyframe, seconds")
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +68,7 @@ class Submap:
     polygon: FloatArray | None = None
     name: str = ""
     kind: SubmapKind | None = None
-    properties: Mapping[str, Property] = field(default_factory=dict)
+    properties: Mapping[str, PropertyValue] = field(default_factory=dict)
     anchor: tuple[float, float] | None = None
     anchor_clearance_m: float | None = None
 
@@ -61,12 +79,15 @@ class Submap:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class Said(Value):
     """What a person said of a submap."""
 
-    name: str = ""
-    kind: SubmapKind | None = None
-    properties: Mapping[str, Property] = field(default_factory=dict)
+    id: Annotated[Count, Field(description="of the node")]
+    name: Annotated[str | None, Field(description="null where nobody named it")] = None
+    kind: Annotated[SubmapKind | None, Field(description="null where its shape says it")] = None
+    properties: Annotated[dict[str, PropertyValue], Field(description="those of the node")] = field(
+        default_factory=dict
+    )
 
 
 def default_name(submap: int) -> str:
@@ -75,38 +96,46 @@ def default_name(submap: int) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Traversal:
-    """The robot crossed from one submap to another at `pose` (map frame)."""
+class Traversal(Value):
+    """The robot went from one submap to another, and its pose at that moment."""
 
-    stamp_ns: int
-    source: int
-    target: int
-    pose: Pose2
+    stamp_ns: Annotated[StampNs, Field(alias="stamp", description="seconds")]
+    source: Annotated[Count, Field(alias="from", description="id of the node that the robot left")]
+    target: Annotated[Count, Field(alias="to", description="id of the node that it came to")]
+    x: Annotated[Number, Field(description="of the robot, metres")]
+    y: Annotated[Number, Field(description="of the robot, metres")]
+    theta: Annotated[Number, Field(description="of the robot, radians")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Door:
-    """A narrow passage between two submaps, `between` the smaller id and the larger.
+class Door(Value):
+    """A narrow passage between two submaps: narrower than the space on both sides of it."""
 
-    `x`, `y` are its middle in the map, `width_m` the clear width from wall to wall, `theta` the
-    direction of who goes through it from the first submap to the second. `crossings` are the
-    traversals that went through it, in order of time: none for a door that was only seen.
-    `forbidden`: a person said that robots must not go through.
-    """
-
-    id: int
-    x: float
-    y: float
-    width_m: float
-    theta: float
-    between: tuple[int, int]
-    crossings: tuple[Traversal, ...] = ()
-    forbidden: bool = False
-
-    @property
-    def driven(self) -> bool:
-        """Whether the robot went through it."""
-        return bool(self.crossings)
+    id: Annotated[
+        Count, Field(description="what edges call it by; given afresh whenever a map is made")
+    ]
+    x: Annotated[Number, Field(description="of its middle, metres")]
+    y: Annotated[Number, Field(description="of its middle, metres")]
+    width_m: Annotated[Amount, Field(description="clear width from wall to wall, metres")]
+    theta: Annotated[
+        Number,
+        Field(
+            description="direction of who goes through it from the first of `between` to the "
+            "second, radians; its line stands across that"
+        ),
+    ]
+    between: Annotated[
+        tuple[Count, Count], Field(description="ids of two nodes, the smaller one first")
+    ]
+    crossings: Annotated[
+        tuple[Traversal, ...], Field(description="when the robot went through, in order")
+    ] = ()
+    driven: Annotated[
+        bool, Field(description="whether it ever did; false: the door was only seen")
+    ] = False
+    forbidden: Annotated[
+        bool, Field(description="whether a person said that robots must not go through")
+    ] = False
 
     @property
     def sides(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -116,72 +145,127 @@ class Door:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Edge:
-    """An undirected link between two submaps, `source` < `target`.
+class Edge(Value):
+    """An undirected link between two submaps."""
 
-    `traversals` are in order of time. `path` (N, 2), metres of the map, leads from anchor to anchor
-    through `doors` (their ids; none in the open) at a clearance of `clearance_m`. It is None when
-    the robot is too wide for every way: then `clearance_m` is that of the widest, or None.
-    `doorway` (map frame) and `width_m` are of the first of the doors. `forbidden`: a person said
-    that robots must not go there.
-    """
-
-    source: int
-    target: int
-    kind: EdgeKind
-    traversals: tuple[Traversal, ...] = ()
-    source_from_target: Pose2 = IDENTITY
-    doorway: tuple[float, float] | None = None
-    width_m: float | None = None
-    doors: tuple[int, ...] = ()
-    path: FloatArray | None = None
-    length_m: float | None = None
-    clearance_m: float | None = None
-    forbidden: bool = False
+    source: Annotated[Count, Field(description="id of a node, smaller than `target`")]
+    target: Annotated[Count, Field(description="id of a node")]
+    kind: Annotated[EdgeKind, Field(description="how the two are known to be joined")]
+    traversals: Annotated[tuple[Traversal, ...], Field(description="each crossing, in order")] = ()
+    doors: Annotated[
+        tuple[Count, ...],
+        Field(
+            description="ids of the doors that `path` goes through, in order; none: it crosses an "
+            "open border. Without a path: of all doors between the two"
+        ),
+    ] = ()
+    path: Annotated[
+        Corners | None,
+        Field(
+            description="from the anchor of `source` to that of `target`, inside the two submaps, "
+            "through free cells that the robot can pass; null where it is too wide for every way"
+        ),
+    ] = None
+    length_m: Annotated[
+        Amount | None, Field(description="along the path, metres; null without one")
+    ] = None
+    clearance_m: Annotated[
+        Amount | None,
+        Field(
+            description="the least on the path; without one that of the widest way, smaller than "
+            "graph.robot_radius_m; null where no free cells join the two"
+        ),
+    ] = None
+    x: Annotated[
+        Number | None,
+        Field(
+            description="of the first door on the path; in the open the mean of the traversals; "
+            "null without them"
+        ),
+    ] = None
+    y: Annotated[Number | None, Field(description="as x")] = None
+    distance_m: Annotated[
+        Amount, Field(description="from centroid to centroid, through the crossing")
+    ] = 0.0
+    width_m: Annotated[
+        Amount | None, Field(description="of the first door on the path; null in the open")
+    ] = None
+    source_from_target: Annotated[
+        Motion,
+        Field(
+            alias="transform",
+            description="[x, y, theta] of the frame of `target` in the frame of `source`",
+        ),
+    ] = IDENTITY
+    forbidden: Annotated[
+        bool, Field(description="whether a person said that robots must not go there")
+    ] = False
 
     @property
-    def crossing(self) -> tuple[float, float] | None:
+    def crossing(self) -> Point | None:
         """Its door; in the open the mean place of the traversals, or None if it was not driven."""
-        if self.doorway is not None or not self.traversals:
-            return self.doorway
-        n = len(self.traversals)
-        return (
-            sum(t.pose.x for t in self.traversals) / n,
-            sum(t.pose.y for t in self.traversals) / n,
-        )
+        if self.traversals and (self.x is None or not self.doors):
+            n = len(self.traversals)
+            return sum(t.x for t in self.traversals) / n, sum(t.y for t in self.traversals) / n
+        return None if self.x is None or self.y is None else (self.x, self.y)
+
+    @property
+    def corners(self) -> list[Point]:
+        """The corners of the path; none without one."""
+        return [] if self.path is None else [(x, y) for x, y in self.path.tolist()]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stay:
-    """A piece of the way, in which the robot saw a part of the map: what closures compare.
+class Stay(Value):
+    """A piece of the way in which the robot saw a part of the map; closures compare such pieces."""
 
-    `keyframes` are ascending, `start_ns` and `end_ns` the stamps of the first and the last of them;
-    `submap` is where most of them ended. The pose of the keyframe `origin` is its frame: the first
-    of them, unless the robot came back to the stay and earlier keyframes were added to it.
-    """
+    number: Annotated[Count, Field(description="what closures call it by")]
+    submap: Annotated[Count, Field(description="id of the node that most of its keyframes are in")]
+    start_ns: Annotated[
+        StampNs, Field(alias="start", description="stamp of its first keyframe, seconds")
+    ]
+    end_ns: Annotated[
+        StampNs, Field(alias="end", description="stamp of its last keyframe, seconds")
+    ]
+    origin: Annotated[Count, Field(description="the keyframe whose pose is the frame of the stay")]
+    runs: Annotated[
+        tuple[Span, ...],
+        Field(
+            alias="keyframes",
+            min_length=1,
+            description="runs [first, last] of its keyframes, rows of labels.csv",
+        ),
+    ]
 
-    number: int
-    submap: int
-    keyframes: tuple[int, ...]
-    origin: int
-    start_ns: int
-    end_ns: int
+    @property
+    def keyframes(self) -> tuple[int, ...]:
+        """The keyframes, ascending."""
+        return numbers_of(self.runs)
 
     @property
     def from_origin(self) -> tuple[int, ...]:
-        """The keyframes, that of its frame before the others."""
+        """The keyframes, that of its frame before the others.
+
+        Its frame is that of the first, unless the robot came back and earlier ones were added.
+        """
         return (self.origin, *(keyframe for keyframe in self.keyframes if keyframe != self.origin))
 
 
 @dataclass(frozen=True, slots=True)
-class Break:
-    """Tracking restarted with a keyframe.
+class Break(Value):
+    """Tracking was lost before a keyframe, and restarted with it."""
 
-    `bridge` is how far the motion to it may be off, metres and radians, None where it is a guess.
-    """
-
-    keyframe: int
-    bridge: tuple[float, float] | None = None
+    keyframe: Annotated[Count, Field(description="the keyframe, a row of labels.csv")]
+    position_m: Annotated[
+        Number | None,
+        Field(
+            description="how far odometry may be off over the break, metres; null where the "
+            "motion is a guess"
+        ),
+    ] = None
+    heading_rad: Annotated[
+        Number | None, Field(description="the same for the heading, radians")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -203,7 +287,7 @@ class TopologicalMap:
     next_id: int = 0
     doors: tuple[Door, ...] = ()
     robot_radius_m: float | None = None
-    said: Mapping[int, Said] = field(default_factory=dict)
+    said: tuple[Said, ...] = ()
     borders: tuple[Border, ...] = ()
 
     @property
@@ -215,20 +299,36 @@ class TopologicalMap:
 
 
 @dataclass(frozen=True, slots=True)
-class LogInfo:
-    """What a map was made of: a recording, or a finished grid, which has no stamps.
+class LogInfo(Value):
+    """A recording that the map was made of, or a finished grid, which has no stamps."""
 
-    `name` is that of the file, without directories, which differ from machine to machine.
-    `keyframes` are the first and the last that it gave, None for a grid. `path_m` is how far the
-    robot drove, where the map keeps only some of its keyframes.
-    """
+    __pydantic_config__ = titled("LogRecord")
+    may_lack = frozenset({"path_m"})
 
-    name: str
-    start_ns: int | None = None
-    end_ns: int | None = None
-    scans: int = 0
-    keyframes: tuple[int, int] | None = None
-    path_m: float | None = None
+    name: Annotated[str, Field(description="name of the file, without directories")]
+    start_ns: Annotated[
+        StampNs | None,
+        Field(alias="start", description="stamp of the first scan, seconds; null for a grid"),
+    ] = None
+    end_ns: Annotated[
+        StampNs | None,
+        Field(alias="end", description="stamp of the last scan, seconds; null for a grid"),
+    ] = None
+    scans: Annotated[Count, Field(description="number of its scans that were read")] = 0
+    keyframes: Annotated[
+        Span | None,
+        Field(
+            description="first and last keyframe that it gave, rows of labels.csv; null where "
+            "there are none or it is not known"
+        ),
+    ] = None
+    path_m: Annotated[
+        Amount | None,
+        Field(
+            description="metres driven in it, where the map keeps only some of its keyframes; "
+            "null where it keeps all"
+        ),
+    ] = None
 
 
 def starts_of(logs: Sequence[LogInfo]) -> tuple[int, ...]:

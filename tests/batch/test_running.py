@@ -17,7 +17,7 @@ import jsonschema
 import pytest
 
 from specmap_cli.batch import processes, work
-from specmap_cli.batch.digest import digest_of
+from specmap_cli.batch.digest import digest_of, inputs_of
 from specmap_cli.batch.folders import folder_at
 from specmap_cli.batch.jobs import jobs_of
 from specmap_cli.batch.records import (
@@ -401,12 +401,12 @@ def test_the_digest_knows_the_contents_of_option_files(tmp_path: Path) -> None:
     rules.write_text("verdict = 'good'")
     option = f"--rules={rules}"
     job = Job("a", (str(log),), (Step("build"), Step("check", (option,), (option,))))
-    before = digest_of(job, "1")
+    before = digest_of(job, "1", inputs_of(job))
     moved = tmp_path / "others.toml"
     moved.write_text("verdict = 'good'")
     option = f"--rules={moved}"
     elsewhere = Job("a", job.logs, (job.steps[0], Step("check", (option,), (option,))))
-    assert digest_of(elsewhere, "1") == before
-    assert digest_of(job, "2") != before
+    assert digest_of(elsewhere, "1", inputs_of(elsewhere)) == before
+    assert digest_of(job, "2", inputs_of(job)) != before
     rules.write_text("verdict = 'poor'")
-    assert digest_of(job, "1") != before
+    assert digest_of(job, "1", inputs_of(job)) != before

@@ -18,8 +18,7 @@ import pytest
 
 from specmap_cli.cli import main
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.schemas import ERROR as ERROR_SCHEMA
-from specmap_cli.core.schemas import name_of_command, read_schema
+from specmap_cli.core.schemas import read_schema
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
 from specmap_cli.logs.writer import LogWriter
@@ -29,6 +28,16 @@ ROOT = Path(__file__).parents[2]
 # training would take most of the time of a tiny build
 QUICK = ("--set", "recognition.rounds=4", "--set", "localization.augmentation=10")
 ERROR = "specmap: error: "
+ERROR_SCHEMA = "error"  # of what any command prints when it fails
+# The schemas of the JSON files that are written: in map directories, and beside pages and tables.
+FILE_SCHEMAS = {
+    "topology.json": "topology",
+    "run.json": "run",
+    "classifiers.json": "classifiers",
+    "compare.json": "comparison",
+    "history.json": "history",
+    "job.json": "job",
+}
 START_NS = 1_700_000_000 * 10**9
 
 Run = Callable[..., "Outcome"]
@@ -76,6 +85,11 @@ def hold_to_schema(arguments: Sequence[str | Path], out: str) -> None:
         return
     for found in map(json.loads, out.splitlines()) if words[0] == "batch" else [json.loads(out)]:
         _hold_to_schema(words[0], found)
+
+
+def name_of_command(command: str) -> str:
+    """The schema of what a command prints with `--json`: its own name, but for `compare`."""
+    return "comparison" if command == "compare" else command
 
 
 def _hold_to_schema(command: str, found: Any) -> None:

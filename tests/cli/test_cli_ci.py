@@ -15,6 +15,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 
 from specmap_cli.grids.gridmap import OCCUPIED, GridMap
 from specmap_cli.pipelines.build import build_map
@@ -22,7 +23,6 @@ from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import SimulationOptions
 from tests.cli.conftest import ROOT, validate
 from tests.cli.loaded import write_program
-from tests.exports.consumers import consumer
 from tests.flats import QUICK
 
 EXAMPLES = ROOT / "docs" / "examples"
@@ -39,7 +39,7 @@ class Step:
 
 def read(name: str) -> Any:
     """An example as YAML."""
-    return consumer("yaml").safe_load((EXAMPLES / name).read_text(encoding="utf-8"))
+    return yaml.safe_load((EXAMPLES / name).read_text(encoding="utf-8"))
 
 
 def github_steps() -> Iterator[Step]:

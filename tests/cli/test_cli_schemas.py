@@ -18,15 +18,15 @@ import typer
 
 from specmap_cli.cli.app import app
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.schemas import (
-    ERROR,
-    FILES,
-    SETTINGS,
+from specmap_cli.core.schemas import SETTINGS, read_schema, schema_names
+from tests.cli.conftest import (
+    ERROR_SCHEMA,
+    FILE_SCHEMAS,
+    QUICK,
+    Run,
     name_of_command,
-    read_schema,
-    schema_names,
+    validate,
 )
-from tests.cli.conftest import QUICK, Run, validate
 from tests.flats import Mapped
 
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
@@ -137,7 +137,7 @@ def test_what_a_command_prints_is_as_its_schema_says(
     found = json.loads(said.out)
     assert "$schema" in found or name == SETTINGS or found["schema_version"] == 1
     for path in things.place.rglob("*.json"):
-        validate(json.loads(path.read_text(encoding="utf-8")), FILES[path.name])
+        validate(json.loads(path.read_text(encoding="utf-8")), FILE_SCHEMAS[path.name])
 
 
 def test_what_was_learned_by_the_paper_s_method_is_as_its_schema_says(
@@ -146,7 +146,7 @@ def test_what_was_learned_by_the_paper_s_method_is_as_its_schema_says(
     out = tmp_path / "map"
     assert run("build", tiny_log, "-o", out, "--preset", "paper", "-q").code == 0
     found = json.loads((out / "classifiers.json").read_text(encoding="utf-8"))
-    validate(found, FILES["classifiers.json"])
+    validate(found, FILE_SCHEMAS["classifiers.json"])
 
 
 @pytest.mark.parametrize("name", schema_names())
@@ -170,7 +170,11 @@ def versions_in(schema: Mapping[str, Any]) -> Iterator[int]:
 
 
 def test_every_schema_is_of_a_command_or_a_file() -> None:
-    assert set(schema_names()) == {*map(name_of_command, COMMANDS), *FILES.values(), ERROR}
+    assert set(schema_names()) == {
+        *map(name_of_command, COMMANDS),
+        *FILE_SCHEMAS.values(),
+        ERROR_SCHEMA,
+    }
 
 
 def test_a_part_that_several_schemas_have_is_the_same_everywhere() -> None:

@@ -36,7 +36,7 @@ def test_a_flag_goes_over_the_file_the_file_over_the_preset_and_it_over_the_defa
     assert config.segmentation.neighbours == 9  # the file
     assert config.segmentation.labels == PRESETS["paper"]["segmentation"]["labels"]  # the preset
     assert config.segmentation.labels != Config().segmentation.labels
-    assert config.segmentation.test_metres == Config().segmentation.test_metres  # the default
+    assert config.segmentation.test_keyframes == Config().segmentation.test_keyframes  # the default
 
 
 def test_the_preset_may_stand_in_the_file_and_a_flag_goes_over_it(tmp_path: Path) -> None:

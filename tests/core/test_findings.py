@@ -10,6 +10,7 @@ from specmap_cli.core.findings import (
     Finding,
     Quality,
     Severity,
+    Where,
     at_least_as_bad,
     summary,
 )
@@ -30,7 +31,7 @@ def finding(severity: Severity, code: str = "code", message: str = "said") -> Fi
 )
 def test_the_gravest_finding_decides(severities: tuple[Severity, ...], verdict: str) -> None:
     for order in itertools.permutations(severities):
-        quality = Quality(findings=tuple(finding(severity) for severity in order))
+        quality = Quality.of(finding(severity) for severity in order)
         assert quality.verdict == verdict
         assert all(one.severity == verdict for one in quality.worst)
         assert bool(quality.worst) is (verdict != "good")
@@ -49,8 +50,7 @@ def test_a_finding_for_a_machine_says_where_it_is() -> None:
         advice="look",
         value=0.3,
         limit=0.1,
-        stamp_ns=1_500_000_000,
-        place=(1.0, 2.0),
+        where=Where.of(1_500_000_000, (1.0, 2.0)),
     )
     assert full.as_dict() == {
         "code": "walls-disagree",
@@ -84,8 +84,6 @@ def test_advice_follows_what_was_found() -> None:
 
 
 def test_notes_about_the_result_are_no_warnings() -> None:
-    quality = Quality(
-        findings=(finding("doubtful", "a"), finding("note", "b"), finding("note", "input"))
-    )
+    quality = Quality.of((finding("doubtful", "a"), finding("note", "b"), finding("note", "input")))
     assert [one.code for one in quality.warnings] == ["a", "input"]
     assert [one.code for one in quality.notes] == ["b"]

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.findings import Finding, Quality
+from specmap_cli.core.findings import Finding, Quality, Where
 from specmap_cli.core.geometry import IDENTITY, FloatArray
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.drawing import palette, symbols
@@ -172,7 +172,7 @@ def two_rooms() -> tuple[Regions, dict[int, Submap]]:
 )
 def test_a_link_leads_through_its_crossing(kind: EdgeKind, colour: palette.Colour) -> None:
     regions, submaps = two_rooms()
-    edge = Edge(source=0, target=1, kind=kind, doorway=(4.0, 3.5))
+    edge = Edge(source=0, target=1, kind=kind, x=4.0, y=3.5)
     topology = TopologicalMap(submaps=submaps, edges={(0, 1): edge})
     image = render_segmentation(topology, regions, LogInfo("plan"))
     (crossing,) = places_on(regions, [(4.0, 3.5)]).astype(int)
@@ -249,11 +249,13 @@ def test_badges_on_one_spot_part_without_changing_what_was_given() -> None:
 def test_a_doubtful_place_is_marked_and_the_title_says_why() -> None:
     topology, regions = one_room((80, 120))
     place = (2.0, 3.0)
-    said = Finding(code="walls-disagree", severity="poor", message="bent", place=place)
-    aside = Finding(code="input", severity="note", message="odd", place=(4.0, 3.0))
+    said = Finding(
+        code="walls-disagree", severity="poor", message="bent", where=Where.of(None, place)
+    )
+    aside = Finding(code="input", severity="note", message="odd", where=Where.of(None, (4.0, 3.0)))
     path = along(np.linspace((1.0, 1.0), (5.0, 1.0), 60))
     good, poor = (
-        render_overview(topology, regions, *path, [LogInfo("log")], Quality(findings=findings))
+        render_overview(topology, regions, *path, [LogInfo("log")], Quality.of(findings))
         for findings in ((aside,), (aside, said))
     )
     (middle,) = places_on(regions, [place])

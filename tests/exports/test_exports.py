@@ -195,7 +195,7 @@ def test_gis_tools_measure_shapes_in_metres(
             assert outlines[node.id].equals(shapely.Polygon(node.polygon))
             assert outlines[node.id].buffer(0.05).contains(shapely.Point(node.centroid))
         ways = [(shape, facts) for shape, facts in shapes if facts.get("length_m") is not None]
-        assert len(ways) == len([edge for edge in stored.record.edges if edge.path])
+        assert len(ways) == len([edge for edge in stored.record.edges if edge.corners])
         for shape, facts in ways:
             assert shape.length == pytest.approx(facts["length_m"], abs=1e-5)
 

@@ -118,8 +118,8 @@ def test_the_graph_is_the_map_s(home: StoredMap, tmp_path: Path) -> None:
     assert len([id_ for id_ in entities if id_.startswith("door")]) == len(record.graph.doors)
     for edge in record.edges:
         (line,) = entities[f"link {edge.source}-{edge.target}"].lines
-        if edge.path:
-            assert points(line) == edge.path
+        if edge.corners:
+            assert points(line) == edge.corners
             length = np.hypot(*np.diff(points(line), axis=0).T).sum()
             assert length == pytest.approx(edge.length_m, abs=1e-5)
     (door,) = entities["door 0"].lines

@@ -52,7 +52,7 @@ def test_a_way_is_driven_both_ways_and_is_as_long_as_in_the_map(
 ) -> None:
     for stored in (home, rooms):
         graph = exported(stored, tmp_path / f"{stored.path.name}.geojson")
-        ways = [edge for edge in stored.record.edges if edge.path]
+        ways = [edge for edge in stored.record.edges if edge.corners]
         assert len(ways) >= 2
         for way in ways:
             assert way.length_m is not None
@@ -135,7 +135,7 @@ def test_what_would_mislead_is_a_warning(lived_in: MapResult, tmp_path: Path) ->
         **old.submaps,
         2: dataclasses.replace(old.submaps[2], anchor=None, anchor_clearance_m=None),
     }
-    poor = Quality(findings=(Finding(code="walls", severity="poor", message="walls stand twice"),))
+    poor = Quality.of([Finding(code="walls", severity="poor", message="walls stand twice")])
     topology = dataclasses.replace(old, edges=edges, submaps=submaps)
     stored = written(
         tmp_path / "map", dataclasses.replace(lived_in, topology=topology, quality=poor)

@@ -37,7 +37,7 @@ def test_the_graph_and_the_submaps_are_the_map_s(home: StoredMap, tmp_path: Path
     assert len([entity for entity in found if entity.startswith("graph/doors/")]) == 2
     for edge in record.edges:
         (row,) = found[f"graph/links/{edge.source}-{edge.target}"]
-        if edge.path:
+        if edge.corners:
             ((strip,),) = (row["LineStrips3D:strips"],)
             line = np.array(strip)[:, :2]
             assert np.hypot(*np.diff(line, axis=0).T).sum() == pytest.approx(edge.length_m, 1e-5)

@@ -10,12 +10,12 @@ import jsonschema
 import networkx as nx
 import numpy as np
 import pytest
+import yaml
 
 from specmap_cli.core.errors import MapError
+from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports.table import export_map
-from specmap_cli.exports.yaml_text import yaml_text
 from specmap_cli.maps.store import StoredMap
-from tests.exports.consumers import consumer
 
 TEXT = {"type": "string"}
 # What the consumer's schema asks for, in our words.
@@ -55,7 +55,6 @@ RULES = {
 
 
 def document(stored: StoredMap, out: Path) -> Any:
-    yaml = consumer("yaml")
     export_map(stored, "tmap2", out, overwrite=True)
     return yaml.safe_load(out.read_text(encoding="utf-8"))
 
@@ -89,7 +88,7 @@ def test_the_manager_reads_it_and_its_figures_are_the_map_s(
         jsonschema.validate(found, RULES)
         assert {"parent", "child", "rotation", "translation"} <= found["transformation"].keys()
         graph = graph_of(found)
-        ways = [edge for edge in stored.record.edges if edge.path]
+        ways = [edge for edge in stored.record.edges if edge.corners]
         passed = sum(len(edge.doors) for edge in ways)
         assert len(graph) == len(stored.record.nodes) + passed
         assert graph.number_of_edges() == 2 * (len(ways) + passed)
@@ -120,7 +119,6 @@ def test_a_map_without_ways_is_refused(stored: StoredMap, tmp_path: Path) -> Non
 
 
 def test_words_and_numbers_stay_what_they_are() -> None:
-    yaml = consumer("yaml")
     value = {
         "words": "yes",
         "more": {

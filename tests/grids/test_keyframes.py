@@ -149,8 +149,8 @@ def test_a_grid_of_keyframes_is_that_of_their_scans(
         numbers = list(range(len(taken)))[::-1]
         for number in numbers:
             pose = store.pose(number)
-            direct.integrate(store.scan(number), pose @ store.base_from_laser(number))
-            direct.mark_free_disc(pose.x, pose.y, 0.3)
+            laser = pose @ store.base_from_laser(number)
+            direct.integrate([store.scan(number)], np.array([laser]), np.array([pose]))
         found = integrate_keyframes(store, numbers, store.poses_of(numbers), config).snapshot()
     expected = direct.snapshot()
     np.testing.assert_array_equal(found.cells, expected.cells)

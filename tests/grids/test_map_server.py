@@ -112,7 +112,7 @@ def test_a_given_resolution_wins(tmp_path: Path) -> None:
     ("yaml", "complaint"),
     [
         ("resolution: 0.1\norigin: [0, 0, 0]\n", "no `image`"),
-        (YAML.replace("0.1", "0"), "resolution is 0"),
+        (YAML.replace("0.1", "0"), "resolution is '0'"),
         (YAML.replace("0.1", "fine"), "resolution is 'fine'"),
         (YAML.replace("resolution", "scale"), "no `resolution`"),
         (YAML.replace("[-1.0, 2.5, 0.0]", "[1]"), "origin"),
@@ -195,7 +195,7 @@ def test_any_thresholds_count_and_so_does_negate(
     assert grid.origin == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("word", ["true", "True", "1", "YES"])
+@pytest.mark.parametrize("word", ["true", "True", "1", "YES", "on", "'y'"])
 def test_negate_may_be_a_word(tmp_path: Path, word: str) -> None:
     yaml = YAML.replace("negate: 0", f"negate: {word}")
     path = write_image(tmp_path, np.full((1, 1), 255, dtype=np.uint8), yaml)
@@ -213,6 +213,20 @@ def test_a_picture_may_lie_elsewhere_and_be_called_anything(
     said = picture if absolute else f"pictures/{name}"
     (tmp_path / "m.yaml").write_text(YAML.replace("m.png", f'"{said}"  # the "floor"'))
     assert read_grid(tmp_path / "m.yaml").cells.tolist() == [[OCCUPIED]]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{image: m.png, resolution: 0.1, origin: [-1, 2.5, 0], negate: 0}",
+        "image:\n  m.png\nresolution: 1e-1\norigin:\n- -1.0\n- 2.5\n- 0.0\n",
+        "\ufeff" + YAML,
+        "%YAML 1.1\n---\n" + YAML + "...\n",
+    ],
+)
+def test_any_style_of_yaml_is_read(tmp_path: Path, text: str) -> None:
+    grid = read_grid(write_image(tmp_path, np.zeros((1, 1), dtype=np.uint8), text))
+    assert (grid.resolution, grid.origin) == (0.1, (-1.0, 2.5))
 
 
 def test_comments_and_further_keys_do_no_harm(tmp_path: Path) -> None:
@@ -251,9 +265,19 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     ("yaml", "said"),
     [
         ("", "{}: no `image` entry: expected a map_server YAML"),
+        ("- 1\n", "{}: no `image` entry: expected a map_server YAML"),
+        (YAML.replace("m.png", ""), "{}: image is '': expected the name of a picture"),
         (YAML + "x: " + "y" * 67_000, "{}: larger than 66 kB: expected a map_server YAML"),
-        (YAML.replace("0.1", "[1, 2]"), "{}: resolution is '[1, 2]': expected metres a cell"),
-        (YAML.replace("0.1", "-1"), "{}: resolution is -1: expected metres a cell, above 0"),
+        (
+            YAML.replace("0.1", "[1, 2]"),
+            "{}: resolution is '[1, 2]': expected metres a cell, above 0",
+        ),
+        (YAML.replace("0.1", "-1"), "{}: resolution is '-1': expected metres a cell, above 0"),
+        (YAML.replace("0.1", "5 cm"), "{}: resolution is '5 cm': expected metres a cell, above 0"),
+        (YAML.replace("0.1", "1e9"), "{}: resolution is '1e9': expected metres a cell, above 0"),
+        (YAML.replace("-1.0", "nan"), "{}: origin is '[nan, 2.5, 0.0]': expected [x, y, 0]"),
+        (YAML.replace("-1.0", "1:30"), "{}: origin is '[1:30, 2.5, 0.0]': expected [x, y, 0]"),
+        (YAML.replace("negate: 0", "negate: 2"), "{}: negate is '2': expected 0 or 1"),
         (YAML.replace("-1.0", "1e999"), "{}: origin is '[1e999, 2.5, 0.0]': expected [x, y, 0]"),
         (
             YAML.replace("0.0]", "1.57]"),

@@ -13,19 +13,39 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig
+from specmap_cli.grids.evidence import SURFACE_GAP_M
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
 from tests.strategies import few, planar_scans, poses, seeds
+from tests.turning import turn
 
 CELL = 0.0625  # a power of two, so that shifts by whole cells are exact
-CONFIG = GridConfig(resolution_m=CELL)
+Taken = list[tuple[PlanarScan, Pose2]]
+
+
+def settings(**chosen: float) -> GridConfig:
+    """Cells of that size, and a robot that covers nothing: what is free was passed by a beam."""
+    return GridConfig(**({"resolution_m": CELL, "footprint_m": 0.0} | chosen))
+
+
+CONFIG = settings()
+NOTHING = PlanarScan(0, np.zeros(0), np.zeros(0), 20.0, False)
+
+
+def add(grid: OccupancyGrid, scan: PlanarScan, pose: Pose2) -> None:
+    """One scan, taken by a laser that stands in the middle of the robot."""
+    grid.integrate([scan], np.array([pose]), np.array([pose]))
+
+
+def counts_of(taken: Taken, config: GridConfig = CONFIG) -> OccupancyGrid:
+    grid = OccupancyGrid(config)
+    for scan, pose in taken:
+        add(grid, scan, pose)
+    return grid
 
 
 def gridded(scans: list[PlanarScan], at: list[Pose2], config: GridConfig = CONFIG) -> GridMap:
-    grid = OccupancyGrid(config)
-    for scan, pose in zip(scans, at, strict=True):
-        grid.integrate(scan, pose)
-    return grid.snapshot()
+    return counts_of(list(zip(scans, at, strict=True)), config).snapshot()
 
 
 def known(grid: GridMap) -> dict[tuple[int, int], int]:
@@ -46,7 +66,7 @@ def proved_points(scan: PlanarScan, pose: Pose2, config: GridConfig) -> FloatArr
     beams = np.column_stack([np.cos(scan.bearings), np.sin(scan.bearings)]) * ranges[:, None]
     ends = [beams[returned]]
     gaps = np.linalg.norm(np.diff(beams, axis=0), axis=1)
-    for i in np.flatnonzero(returned[1:] & returned[:-1] & (gaps <= config.surface_gap_m)):
+    for i in np.flatnonzero(returned[1:] & returned[:-1] & (gaps <= SURFACE_GAP_M)):
         ends.append(beams[i] + np.linspace(0, 1, 12)[:, None] * (beams[i + 1] - beams[i]))
     along = np.linspace(0.0, 1.0, 400)[:, None, None] * np.concatenate(ends)[None]
     return pose.apply(along.reshape(-1, 2))
@@ -76,7 +96,7 @@ def test_beams_without_a_return_prove_nothing() -> None:
     bearings = np.linspace(-np.pi, np.pi, 90, endpoint=False)
     for empty in (np.inf, np.nan):
         nothing = PlanarScan(0, bearings, np.full(90, empty), 20.0, True)
-        assert gridded([nothing], [Pose2(1.0, 2.0, 0.3)]).cells.size == 0
+        assert not known(gridded([nothing], [Pose2(1.0, 2.0, 0.3)]))
     ranges = np.full(90, np.inf)
     ranges[45] = 2.0  # bearing 0
     grid = gridded([PlanarScan(0, bearings, ranges, 20.0, True)], [Pose2(0.0, 0.0, 0.0)])
@@ -85,7 +105,7 @@ def test_beams_without_a_return_prove_nothing() -> None:
 
 
 def test_a_beam_longer_than_the_cut_proves_free_space_and_no_wall() -> None:
-    config = GridConfig(resolution_m=CELL, max_range_m=3.0)
+    config = settings(max_range_m=3.0)
     grid = gridded([one_beam(0.0, 5.0)], [Pose2(0.0, 0.0, 0.0)], config)
     places = np.array([[2.5, 0.0], [3.5, 0.0], [5.0, 0.0]])
     assert grid.values_at(places).tolist() == [FREE, UNKNOWN, UNKNOWN]
@@ -125,21 +145,19 @@ def test_a_shift_by_whole_cells_shifts_the_grid(
 
 @pytest.mark.parametrize("limit", [{"max_extent_m": 40.0}, {"max_area_m2": 1600.0}])
 def test_a_grid_never_grows_past_its_limit(limit: dict[str, float]) -> None:
-    grid = OccupancyGrid(GridConfig(resolution_m=CELL, **limit))
-    grid.integrate(one_beam(0.0, 2.0), Pose2(0.0, 0.0, 0.0))
+    grid = OccupancyGrid(settings(**limit))
+    add(grid, one_beam(0.0, 2.0), Pose2(0.0, 0.0, 0.0))
     before = grid.snapshot()
-    grid.integrate(one_beam(0.0, 2.0), Pose2(500.0, 0.0, 0.0))
-    grid.mark_free_disc(0.0, -500.0, 0.3)
+    add(grid, one_beam(0.0, 2.0), Pose2(500.0, 0.0, 0.0))
+    add(grid, NOTHING, Pose2(0.0, -500.0, 0.0))
     np.testing.assert_array_equal(grid.snapshot().cells, before.cells)
-    grid.integrate(one_beam(0.0, 2.0), Pose2(5.0, 5.0, 0.0))
+    add(grid, one_beam(0.0, 2.0), Pose2(5.0, 5.0, 0.0))
     assert grid.snapshot().cells.size * CELL**2 <= 1600.0
     assert grid.snapshot().values_at(np.array([[7.0, 5.0]]))[0] == OCCUPIED
 
 
 def test_the_robot_stood_on_free_floor() -> None:
-    grid = OccupancyGrid(CONFIG)
-    grid.mark_free_disc(1.0, -2.0, 0.3)
-    snapshot = grid.snapshot()
+    snapshot = gridded([NOTHING], [Pose2(1.0, -2.0, 0.0)], settings(footprint_m=0.3))
     assert snapshot.free_area_m2 == pytest.approx(math.pi * 0.09, rel=0.1)
     away = np.linalg.norm(snapshot.centres_of(np.argwhere(snapshot.free)) - (1.0, -2.0), axis=1)
     assert away.max() <= 0.3
@@ -170,9 +188,9 @@ def test_all_along_a_beam_the_cells_are_known(scan: PlanarScan, pose: Pose2) -> 
     share=st.sampled_from([0.1, 0.25, 0.5, 1.0]),
 )
 def test_a_cell_is_occupied_from_its_share_of_hits_on(hits: int, passes: int, share: float) -> None:
-    config = GridConfig(resolution_m=CELL, occupied_share=share)
+    turn("grids", occupied_share=share)
     beams = [one_beam(0.0, 2.0)] * hits + [one_beam(0.0, 4.0)] * passes
-    grid = gridded(beams, [IDENTITY] * len(beams), config)
+    grid = gridded(beams, [IDENTITY] * len(beams), CONFIG)
     expected = UNKNOWN
     if hits + passes:
         expected = OCCUPIED if hits and hits >= share * (hits + passes) else FREE
@@ -182,9 +200,7 @@ def test_a_cell_is_occupied_from_its_share_of_hits_on(hits: int, passes: int, sh
 @given(seeds, st.floats(0.0, 1.5))
 def test_the_footprint_is_every_cell_whose_centre_it_covers(seed: int, radius: float) -> None:
     x, y = np.random.default_rng(seed).uniform(-3.0, 3.0, 2).tolist()
-    grid = OccupancyGrid(CONFIG)
-    grid.mark_free_disc(x, y, radius)
-    snapshot = grid.snapshot()
+    snapshot = gridded([NOTHING], [Pose2(x, y, 0.0)], settings(footprint_m=radius))
     cells = np.argwhere(np.ones_like(snapshot.cells))
     away = np.hypot(*(snapshot.centres_of(cells) - (x, y)).T)
     clear_cut = np.abs(away - radius) > 1e-9
@@ -199,7 +215,8 @@ def test_a_reading_that_is_no_range_changes_nothing(reading: float) -> None:
     whole = PlanarScan(0, bearings, np.array([2.0, 3.0, 2.0]), 20.0, False)
     broken = PlanarScan(0, bearings, np.array([2.0, reading, 2.0]), 20.0, False)
     without = PlanarScan(0, bearings[[0, 2]], np.array([2.0, 2.0]), 20.0, False)
-    config = GridConfig(resolution_m=CELL, surface_gap_m=0.01)
+    turn("grids", surface_gap_m=0.01)
+    config = CONFIG
     assert known(gridded([broken], [IDENTITY], config)) == known(
         gridded([without], [IDENTITY], config)
     )
@@ -211,7 +228,8 @@ def test_a_reading_that_is_no_range_changes_nothing(reading: float) -> None:
 @pytest.mark.parametrize(("gap", "state"), [(0.5, FREE), (0.3, UNKNOWN)])
 def test_between_two_returns_of_one_surface_all_is_free(gap: float, state: int) -> None:
     scan = PlanarScan(0, np.array([-0.1, 0.1]), np.array([2.0, 2.0]), 20.0, False)  # 0.4 m apart
-    config = GridConfig(resolution_m=0.02, surface_gap_m=gap)
+    turn("grids", surface_gap_m=gap)
+    config = settings(resolution_m=0.02)
     grid = gridded([scan], [IDENTITY], config)
     assert grid.values_at(np.array([[1.5, 0.0]]))[0] == state
     assert grid.values_at(1.5 * np.array([[math.cos(0.1), math.sin(0.1)]]))[0] == FREE
@@ -219,12 +237,12 @@ def test_between_two_returns_of_one_surface_all_is_free(gap: float, state: int) 
 
 @pytest.mark.parametrize("limit", [{"max_extent_m": 40.0}, {"max_area_m2": 1600.0}])
 def test_scans_that_reach_beyond_the_largest_grid_are_counted(limit: dict[str, float]) -> None:
-    grid = OccupancyGrid(GridConfig(resolution_m=CELL, **limit))
+    grid = OccupancyGrid(settings(**limit))
     for x in (0.0, 1.0, 500.0, 2.0, -500.0):
-        grid.integrate(one_beam(0.0, 2.0), Pose2(x, 0.0, 0.0))
+        add(grid, one_beam(0.0, 2.0), Pose2(x, 0.0, 0.0))
     assert grid.refused == 2
-    grid.mark_free_disc(500.0, 0.0, 0.2)  # the robot's footprint is no scan
-    grid.integrate(one_beam(0.0, np.inf), Pose2(500.0, 0.0, 0.0))  # nor has this one anything
+    add(grid, NOTHING, Pose2(500.0, 0.0, 0.0))  # the robot's footprint is no scan
+    add(grid, one_beam(0.0, np.inf), Pose2(500.0, 0.0, 0.0))  # nor has this one anything
     assert grid.refused == 2
 
 
@@ -234,26 +252,26 @@ def test_scans_that_reach_beyond_the_largest_grid_are_counted(limit: dict[str, f
 def test_a_scan_that_fits_is_taken_though_the_grid_has_no_cells_to_spare(
     limit: dict[str, float], reach: float
 ) -> None:
-    grid = OccupancyGrid(GridConfig(resolution_m=CELL, **limit))
-    grid.integrate(one_beam(0.0, 2.0), IDENTITY)
-    grid.integrate(one_beam(0.0, reach), IDENTITY)
+    grid = OccupancyGrid(settings(**limit))
+    add(grid, one_beam(0.0, 2.0), IDENTITY)
+    add(grid, one_beam(0.0, reach), IDENTITY)
     assert grid.refused == 0
     snapshot = grid.snapshot()
     assert snapshot.values_at(np.array([[2.0, 0.0], [reach, 0.0]])).tolist() == [OCCUPIED, OCCUPIED]
     height, width = (side * CELL for side in snapshot.cells.shape)
     assert max(height, width) <= limit.get("max_extent_m", np.inf)
     assert height * width <= limit.get("max_area_m2", np.inf)
-    grid.integrate(one_beam(0.0, 9.0), Pose2(0.0, 3.0, 0.0))
+    add(grid, one_beam(0.0, 9.0), Pose2(0.0, 3.0, 0.0))
     assert grid.refused == 1
 
 
 def test_a_snapshot_does_not_change_with_what_comes_after_it() -> None:
     grid = OccupancyGrid(CONFIG)
-    grid.integrate(one_beam(0.0, 2.0), IDENTITY)
+    add(grid, one_beam(0.0, 2.0), IDENTITY)
     before = grid.snapshot()
     cells = before.cells.copy()
-    grid.integrate(one_beam(0.0, 1.0), IDENTITY)
-    grid.integrate(one_beam(1.5, 3.0), IDENTITY)
+    add(grid, one_beam(0.0, 1.0), IDENTITY)
+    add(grid, one_beam(1.5, 3.0), IDENTITY)
     np.testing.assert_array_equal(before.cells, cells)
 
 
@@ -264,28 +282,17 @@ def test_a_snapshot_does_not_change_with_what_comes_after_it() -> None:
 def test_scans_taken_in_at_once_are_those_taken_one_by_one(
     taken: list[tuple[PlanarScan, Pose2, bool]], extent: float
 ) -> None:
-    config = GridConfig(resolution_m=CELL, footprint_m=0.2, max_extent_m=extent)
-    nothing = PlanarScan(0, np.zeros(0), np.zeros(0), 20.0, False)
-    scans = [scan if seen else nothing for scan, _, seen in taken]
-    lasers = [Pose2(0.1, 0.05, 0.3) @ pose for _, pose, _ in taken]
+    config = settings(footprint_m=0.2, max_extent_m=extent)
+    scans = [scan if seen else NOTHING for scan, _, seen in taken]
+    bases = np.array([pose for _, pose, _ in taken])
+    lasers = np.array([Pose2(0.1, 0.05, 0.3) @ pose for _, pose, _ in taken])
     together, in_turn = OccupancyGrid(config), OccupancyGrid(config)
-    together.integrate_all(scans, np.array(lasers), np.array([pose for _, pose, _ in taken]))
-    for scan, laser, (_, base, _) in zip(scans, lasers, taken, strict=True):
-        in_turn.integrate(scan, laser)
-        in_turn.mark_free_disc(base.x, base.y, config.footprint_m)
+    together.integrate(scans, lasers, bases)
+    for k, scan in enumerate(scans):
+        in_turn.integrate([scan], lasers[k : k + 1], bases[k : k + 1])
     assert together.refused == in_turn.refused
     assert together.snapshot().origin == in_turn.snapshot().origin
     np.testing.assert_array_equal(together.snapshot().cells, in_turn.snapshot().cells)
-
-
-Taken = list[tuple[PlanarScan, Pose2]]
-
-
-def counts_of(taken: Taken, config: GridConfig = CONFIG) -> OccupancyGrid:
-    grid = OccupancyGrid(config)
-    for scan, pose in taken:
-        grid.integrate(scan, pose)
-    return grid
 
 
 @few(12)
@@ -299,12 +306,12 @@ def test_grids_are_added_and_taken_from_each_other(taken: Taken, cut: int) -> No
     assert known(rest.snapshot()) == known(counts_of(other).snapshot())
     assert known(both.snapshot()) == known(counts_of(taken).snapshot())
     for scan, pose in one:  # a grid that was cropped grows again
-        rest.integrate(scan, pose)
+        add(rest, scan, pose)
     assert known(rest.snapshot()) == known(counts_of(taken).snapshot())
 
 
 def test_a_grid_is_not_made_larger_than_allowed_by_adding_another() -> None:
-    config = GridConfig(resolution_m=CELL, max_extent_m=20.0)
+    config = settings(max_extent_m=20.0)
     grid = counts_of([(one_beam(0.0, 2.0), IDENTITY)], config)
     grid.include(counts_of([(one_beam(0.0, 2.0), Pose2(50.0, 0.0, 0.0))], config))
     assert grid.refused == 1
@@ -312,9 +319,9 @@ def test_a_grid_is_not_made_larger_than_allowed_by_adding_another() -> None:
 
 
 def test_what_a_full_grid_refused_is_not_taken_from_it() -> None:
-    config = GridConfig(resolution_m=CELL, max_extent_m=4.0)
+    config = settings(max_extent_m=4.0)
     whole = counts_of([(one_beam(0.0, 2.0), IDENTITY), (one_beam(1.5, 3.9), IDENTITY)], config)
-    whole.integrate(one_beam(-1.5, 3.0), IDENTITY)
+    add(whole, one_beam(-1.5, 3.0), IDENTITY)
     assert whole.refused == 1
     rest = whole.without(counts_of([(one_beam(-1.5, 3.0), IDENTITY)], config))
     assert rest.snapshot().values_at(np.array([[2.0, 0.0]]))[0] == OCCUPIED

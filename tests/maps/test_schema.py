@@ -15,8 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
+from specmap_cli.core import json_values
 from specmap_cli.core.schemas import read_schema
-from specmap_cli.maps import schema, schema_values
+from specmap_cli.maps import schema
 
 
 def test_topology_follows_its_schema(stored: Path) -> None:
@@ -119,7 +120,7 @@ def test_every_field_is_described_and_the_schema_has_a_name() -> None:
 
 def accepted(name: str) -> bool:
     try:
-        TypeAdapter(schema_values.InnerPath).validate_python(name)
+        TypeAdapter(json_values.InnerPath).validate_python(name)
     except ValidationError:
         return False
     return True

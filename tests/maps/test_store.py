@@ -48,8 +48,13 @@ def test_there_and_back(stored: Path, result: MapResult) -> None:
     read = read_map(stored)
     topology, written = read.topology, result.topology
     assert read.ids == [0, 1, 2]
-    assert topology.edges == written.edges
-    assert topology.closures[0] == written.closures[0]
+    edges = {
+        pair: dataclasses.replace(edge, x=None, y=None, distance_m=0.0)
+        for pair, edge in topology.edges.items()
+    }
+    assert edges == written.edges
+    closure = dataclasses.replace(topology.closures[0], new_submap=None, old_submap=None)
+    assert closure == written.closures[0]
     assert math.isnan(topology.closures[1].score)
     for id_, submap in written.submaps.items():
         back = topology.submaps[id_]

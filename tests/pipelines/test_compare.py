@@ -85,7 +85,6 @@ def test_two_recordings_of_one_building_differ_in_nothing(
 ) -> None:
     """Of two lasers: one sees three quarters of the circle, the other all of it."""
     found = compare_maps(before, second_tour.map)
-    assert found.differences.changes == 0
     assert "the building: no change found" in found.lines()
 
 
@@ -93,7 +92,6 @@ def test_a_map_is_identical_to_itself(before: Path) -> None:
     found = compare_maps(before, before)
     assert found.identical
     assert found.lines() == [f"{before}: identical to {before}"]
-    assert found.differences.changes == 0
 
 
 def test_a_map_of_another_building_is_refused_with_the_reason(

@@ -135,7 +135,7 @@ class TestNames:
         (own / "topology.json").write_text(json.dumps(document), encoding="utf-8")
         report = edit_map(own, Wishes(names={1: "Lab"}))
         assert read_map(own).names == {0: "Hall", 1: "Lab"}
-        assert report.edits.of(0).properties == {"floor": 2}
+        assert report.edits.submaps[0].properties == {"floor": 2}
 
     def test_edits_that_the_map_shows_must_not_be_lost_unsaid(self, own: Path) -> None:
         edit_map(own, Wishes(names={0: "Hall"}))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from specmap_cli.core.findings import Where
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, Trajectory
 from specmap_cli.core.settings import QualityConfig
@@ -274,7 +275,7 @@ def test_odometry_or_the_same_walls_must_tell_where_the_robot_was(
         f"there are no scans for 30 s before 50.000 s, and {reason}: where the robot was "
         "afterwards is a guess"
     )
-    assert (finding.stamp_ns, finding.place) == (50 * 10**9, (50.0, 0.0))
+    assert finding.where == Where(50 * 10**9, 50.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -298,8 +299,11 @@ def test_each_piece_between_holes_needs_ties_of_its_own() -> None:
     first = hole(STILL, Pose2(1.4, 0.0, 0.0), keyframe=50)
     second = hole(STILL, Pose2(1.4, 0.0, 0.0), keyframe=100)
     over_both = [(10, 130), (20, 145), (30, 160)]
-    stamps = [one.stamp_ns for one in unwatched(evidence(first, second, ties=over_both), CONFIG)]
-    assert stamps == [25 * 10**9]  # what follows the second one is tied to what precedes both
+    (found,) = unwatched(evidence(first, second, ties=over_both), CONFIG)
+    assert found.where is not None
+    assert (
+        found.where.stamp_ns == 25 * 10**9
+    )  # what follows the second one is tied to what precedes both
     middle = [(10, 72), (20, 84), (30, 95)]
     seen = evidence(first, second, ties=[*over_both, *middle])
     assert not list(unwatched(seen, CONFIG))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from specmap_cli.core.findings import Finding, Severity
+from specmap_cli.core.findings import Finding, Severity, Where
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import QualityConfig
@@ -77,7 +77,7 @@ def test_lost_scans_weigh_by_their_share(count: int, severity: Severity) -> None
     finding = only(evidence(lost=tuple(range(30, 30 + count))))
     assert (finding.code, finding.severity) == ("lost-scans", severity)
     assert finding.value == pytest.approx(count / SCANS)
-    assert (finding.stamp_ns, finding.place) == (30 * 10**9, (30.0, 0.0))
+    assert finding.where == Where(30 * 10**9, 30.0, 0.0)
 
 
 def test_lost_scans_are_told_at_the_longest_run() -> None:
@@ -228,9 +228,9 @@ def test_odometry_with_holes_is_compared_where_there_is_some() -> None:
 @pytest.mark.parametrize(("votes", "severity"), [(1, "doubtful"), (2, "doubtful"), (3, "note")])
 def test_a_piece_that_was_moved_far_is_told_of(votes: int, severity: Severity) -> None:
     moves = (
-        PartMove(first=30, moved_m=0.5, turned_rad=0.0, votes=1),
-        PartMove(first=60, moved_m=4.2, turned_rad=0.1, votes=votes),
-        PartMove(first=80, moved_m=9.0, turned_rad=0.1, votes=0),  # loose, which is told elsewhere
+        PartMove(first=30, moved_m=0.5, votes=1),
+        PartMove(first=60, moved_m=4.2, votes=votes),
+        PartMove(first=80, moved_m=9.0, votes=0),  # loose, which is told elsewhere
     )
     base = evidence()
     told = LayoutEvidence(choice="relaxed", parts=moves)

@@ -63,9 +63,8 @@ class Building:
         """A stay of one walk through a room, in the frame of the walk's first pose."""
         poses = self.path(room, seed)
         track = compose(invert(poses[0]), poses)
-        grid, scans = OccupancyGrid(GridConfig()), self.scans(poses)
-        for pose, scan in zip(track, scans, strict=True):
-            grid.integrate(scan, Pose2(*pose.tolist()))
+        grid, scans = OccupancyGrid(GridConfig(footprint_m=0.0)), self.scans(poses)
+        grid.integrate(scans, track, track)
         features = scans_features(scans, feature_set)
         return Stay(number=0, features=features, packed=PackedGrid.of(grid.snapshot()), track=track)
 

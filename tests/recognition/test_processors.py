@@ -40,7 +40,7 @@ import hashlib, numpy as np
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.matching import ScoreField, covariance, refine
-from specmap_cli.recognition.features.sets import scan_features
+from specmap_cli.recognition.features.sets import scans_features
 rng = np.random.default_rng(0)
 bearings = np.linspace(-2.0, 2.0, 181)
 for k in range(20):
@@ -50,7 +50,7 @@ for k in range(20):
     field = ScoreField.from_points(points)
     found = refine(field, points, Pose2(0.07, -0.05, 0.02))
     spread = covariance(field, points[::4], found.pose)
-    made = scan_features(scan, "full"), np.array(found.pose), spread
+    made = scans_features([scan], "full")[0], np.array(found.pose), spread
     print(hashlib.sha256(b"".join(part.tobytes() for part in made)).hexdigest())
 """
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from specmap_cli.core.findings import Finding, Quality
+from specmap_cli.core.findings import Finding, Quality, Where
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
 from specmap_cli.maps.store import StoredMap, read_map
@@ -41,18 +41,24 @@ def house(tmp_path: Path, result: MapResult) -> StoredMap:
             theta=1.5,
             between=(0, 1),
             crossings=topology.edges[0, 1].traversals,
+            driven=True,
         ),
         Door(id=1, x=3.0, y=1.5, width_m=0.8, theta=1.5, between=(0, 2), forbidden=True),
     )
     findings = (
         Finding(code="hole-in-log", severity="note", message=f"a gap {HOSTILE}"),
-        Finding(code="walls-disagree", severity="doubtful", message="walls", place=(1.0, 0.5)),
+        Finding(
+            code="walls-disagree",
+            severity="doubtful",
+            message="walls",
+            where=Where.of(None, (1.0, 0.5)),
+        ),
     )
     changed = replace(topology, submaps=submaps, closures=closures, doors=doors)
     logs = tuple(replace(log, name=f"{HOSTILE}.mcap") for log in result.logs)
     out = tmp_path / "house"
     out.mkdir()
-    quality = Quality(findings=findings)
+    quality = Quality.of(findings)
     write_map(out, replace(result, topology=changed, logs=logs, quality=quality))
     return read_map(out)
 

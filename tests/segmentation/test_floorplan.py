@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,8 +15,6 @@ from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.drawing.split_tests import draw_segmentation
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.floorplan import (
-    FloorplanSubmap,
-    label_image,
     segment_floorplan,
     submap_grid,
 )
@@ -37,14 +34,6 @@ def test_polygons_enclose_their_regions(office: GridMap) -> None:
     for submap in segment_floorplan(office, CONFIG).submaps:
         area = cv2.contourArea(submap.polygon.astype(np.float32))
         assert area == pytest.approx(submap.area_m2, rel=0.06)
-
-
-def test_the_label_picture_is_upright_and_counts_from_one(office: GridMap) -> None:
-    result = segment_floorplan(office, CONFIG)
-    picture = label_image(result)
-    assert picture.dtype == np.uint16
-    assert picture.shape == office.cells.shape
-    np.testing.assert_array_equal(picture[::-1].astype(int) - 1, result.segmentation.labels)
 
 
 def test_the_grid_of_a_submap_is_its_region_where_it_lies(two_rooms: GridMap) -> None:
@@ -108,14 +97,6 @@ def test_the_grids_of_all_submaps_show_all_that_is_labelled(office: GridMap) -> 
         assert (walls >= low - 0.11).all()  # no more than two cells of wall round it
         assert (walls <= high + 0.11).all()
     assert (seen == 1).all()
-
-
-def test_more_regions_than_a_picture_can_number_are_refused(two_rooms: GridMap) -> None:
-    result = segment_floorplan(two_rooms, CONFIG)
-    many: tuple[FloorplanSubmap, ...] = result.submaps * 2**15
-    with pytest.raises(NoResultError, match=r"^65536 regions do not fit a 16-bit picture$"):
-        label_image(replace(result, submaps=many))
-    label_image(replace(result, submaps=many[:-1]))
 
 
 def test_of_a_region_in_scraps_the_largest_stays() -> None:

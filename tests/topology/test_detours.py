@@ -36,7 +36,7 @@ def test_the_way_leads_through_the_door_that_is_left() -> None:
     around = forbidden(topology, regions, used)
     edge = around.edges[0, 1]
     assert (edge.doors, edge.forbidden) == ((other,), False)
-    assert edge.doorway == (around.doors[other].x, around.doors[other].y)
+    assert (edge.x, edge.y) == (around.doors[other].x, around.doors[other].y)
     assert edge.path is not None
     assert edge.path[[0, -1]].tolist() == [list(around.submaps[k].anchor or ()) for k in (0, 1)]
     assert (edge.path[1:-1, 1] < 3.3).all(), "it was north of the middle before"

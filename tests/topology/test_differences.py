@@ -37,6 +37,12 @@ def drawn(regions: Regions, *boxes: tuple[slice, slice], state: int = OCCUPIED) 
     return Regions.of(GridMap(cells, CELL_M, regions.grid.origin), owner)
 
 
+def changes(found: Differences) -> int:
+    """How many differences of the building there are, whatever became of the submaps."""
+    parts = found.closed, found.opened, found.appeared, found.vanished
+    return sum(map(len, parts)) + len(found.identity.gone)
+
+
 def told(old: Regions, new: Regions, track: FloatArray = TRACK) -> Differences:
     return differences(old, new, (TRACK, track), RIGID)
 
@@ -45,7 +51,7 @@ CABINET = (slice(20, 28), slice(50, 66))  # 0.8 m x 0.4 m
 
 
 def test_nothing_is_told_of_a_map_itself() -> None:
-    assert told(flat(), flat()).changes == 0
+    assert changes(told(flat(), flat())) == 0
 
 
 def test_a_cabinet_appears_and_vanishes() -> None:
@@ -62,30 +68,30 @@ def test_a_cabinet_appears_and_vanishes() -> None:
 def test_a_moved_cabinet_is_both() -> None:
     elsewhere = (slice(90, 98), slice(150, 166))
     found = told(drawn(flat(), CABINET), drawn(flat(), elsewhere))
-    assert (len(found.appeared), len(found.vanished), found.changes) == (1, 1, 2)
+    assert (len(found.appeared), len(found.vanished), changes(found)) == (1, 1, 2)
     assert found.appeared[0].old_submap == 1
 
 
 @pytest.mark.parametrize("shift", [1, 2, 3])
 def test_walls_that_are_drawn_some_centimetres_elsewhere_are_the_same(shift: int) -> None:
     moved = drawn(flat(), (slice(4, 4 + shift), slice(4, 98)), (slice(4, 116), slice(4, 4 + shift)))
-    assert told(flat(), moved).changes == 0
+    assert changes(told(flat(), moved)) == 0
 
 
 def test_single_cells_flicker() -> None:
     specks = [(slice(k, k + 1), slice(3 * k, 3 * k + 1)) for k in range(20, 32, 5)]
-    assert told(flat(), drawn(flat(), *specks)).changes == 0
+    assert changes(told(flat(), drawn(flat(), *specks))) == 0
 
 
 def test_what_only_one_map_saw_is_no_change() -> None:
     new = drawn(drawn(flat(), CABINET), (slice(0, 120), slice(0, 100)), state=UNKNOWN)
-    assert told(flat(), new).changes == 0
-    assert told(new, flat()).changes == 0
+    assert changes(told(flat(), new)) == 0
+    assert changes(told(new, flat())) == 0
 
 
 def test_what_was_seen_from_afar_is_not_judged() -> None:
     far = TRACK[TRACK[:, 0] > 8.5]
-    assert told(drawn(flat(), CABINET), flat(), far).changes == 0
+    assert changes(told(drawn(flat(), CABINET), flat(), far)) == 0
     assert len(told(drawn(flat(), CABINET), flat(), TRACK).vanished) == 1
 
 
@@ -111,7 +117,7 @@ def test_a_door_that_was_closed_before_a_room_was_seen_is_told_from_one_side() -
 
 def test_a_door_that_was_not_seen_again_is_not_closed() -> None:
     unseen = drawn(flat(), (slice(0, 120), slice(80, 200)), state=UNKNOWN)
-    assert told(flat(), unseen).changes == 0
+    assert changes(told(flat(), unseen)) == 0
 
 
 def test_a_cabinet_that_leaves_half_of_the_door_free_does_not_close_it() -> None:
@@ -123,7 +129,7 @@ def test_a_cabinet_that_leaves_half_of_the_door_free_does_not_close_it() -> None
 def test_a_way_cut_through_a_wall_is_opened() -> None:
     found = told(flat(door=False), flat())
     assert [way.between for way in found.opened] == [(0, 1)]
-    assert found.changes == 1
+    assert changes(found) == 1
 
 
 def test_places_of_the_new_map_are_told_in_the_frame_of_the_old_one() -> None:

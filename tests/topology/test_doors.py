@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
 from specmap_cli.topology.doors import Passages, passages
 from specmap_cli.topology.regions import NOBODY, Regions
@@ -29,7 +28,7 @@ def door_of(regions: Regions) -> Door:
 
 
 def crossing(x: float, y: float, stamp: int = 0) -> Traversal:
-    return Traversal(stamp, 0, 1, Pose2(x, y, 0.0))
+    return Traversal(stamp, 0, 1, x, y, 0.0)
 
 
 @pytest.mark.parametrize("width", [0.6, 0.7, 0.75, 0.9, 1.0, 1.4, 2.0])

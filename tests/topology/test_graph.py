@@ -44,7 +44,7 @@ def topology_of(
         breaks=[Break(int(keyframe)) for keyframe in breaks],
         closures=closures,
         stays=[
-            Stay(number=region, submap=submap, keyframes=(0,), origin=0, start_ns=0, end_ns=0)
+            Stay(number=region, submap=submap, runs=((0, 0),), origin=0, start_ns=0, end_ns=0)
             for region, submap in (submap_of_region or {label: label for label in labels}).items()
         ],
         grids=grids,
@@ -76,8 +76,8 @@ def test_visits_traversals_and_frames_follow_the_robot() -> None:
         (0, 2): "traversed",
     }
     there, back = topology.edges[0, 1].traversals
-    assert (there.source, there.target, there.pose.x, there.stamp_ns) == (0, 1, 1.5, 2000)
-    assert (back.source, back.target, back.pose.x, back.stamp_ns) == (1, 0, 3.5, 4000)
+    assert (there.source, there.target, there.x, there.stamp_ns) == (0, 1, 1.5, 2000)
+    assert (back.source, back.target, back.x, back.stamp_ns) == (1, 0, 3.5, 4000)
     assert topology.edges[0, 1].crossing == (2.5, 0.0)
     assert topology.edges[0, 1].source_from_target == Pose2(2.0, 0.0, 0.0)
 
@@ -86,7 +86,7 @@ def test_the_robot_looks_ahead_where_it_crosses() -> None:
     """Headings have no mean: that of the first keyframe on the other side is taken."""
     poses = np.array([[0.0, 0.0, 3.1], [1.0, 2.0, -3.1]])
     (crossing,) = topology_of([0, 1], poses=poses).edges[0, 1].traversals
-    assert crossing.pose == (0.5, 1.0, -3.1)
+    assert (crossing.x, crossing.y, crossing.theta) == (0.5, 1.0, -3.1)
 
 
 def test_an_edge_runs_from_the_smaller_id_whichever_was_driven_first() -> None:
@@ -256,10 +256,10 @@ def test_a_stay_has_its_keyframes_and_the_submap_of_most_of_them() -> None:
     regions = {7: (2, 3, 1), 3: (0,), 5: (4, 5)}  # the robot came back, and the second one grew
     found = stays_of(regions, labels, [10 * k for k in range(6)])
     assert found == (
-        Stay(number=3, submap=2, keyframes=(0,), origin=0, start_ns=0, end_ns=0),
+        Stay(number=3, submap=2, runs=((0, 0),), origin=0, start_ns=0, end_ns=0),
         # the smaller of equals
-        Stay(number=5, submap=0, keyframes=(4, 5), origin=4, start_ns=40, end_ns=50),
-        Stay(number=7, submap=0, keyframes=(1, 2, 3), origin=2, start_ns=10, end_ns=30),
+        Stay(number=5, submap=0, runs=((4, 5),), origin=4, start_ns=40, end_ns=50),
+        Stay(number=7, submap=0, runs=((1, 3),), origin=2, start_ns=10, end_ns=30),
     )
     assert [stay.from_origin for stay in found] == [(0,), (4, 5), (2, 1, 3)]
 

@@ -30,7 +30,7 @@ def map_of(regions: Regions, *edges: Edge) -> TopologicalMap:
 
 
 def driven(y: float) -> Edge:
-    crossing = Traversal(7, 0, 1, Pose2(5.4, y, 0.0))
+    crossing = Traversal(7, 0, 1, 5.4, y, 0.0)
     return Edge(source=0, target=1, kind="traversed", traversals=(crossing,))
 
 
@@ -40,8 +40,8 @@ def test_a_driven_edge_gets_its_way_and_its_door() -> None:
     (door,) = found.doors
     edge = found.edges[0, 1]
     assert (edge.kind, edge.doors, len(edge.traversals)) == ("traversed", (0,), 1)
-    assert (edge.doorway, edge.width_m) == ((door.x, door.y), door.width_m)
-    assert edge.crossing == edge.doorway
+    assert (edge.x, edge.y, edge.width_m) == (door.x, door.y, door.width_m)
+    assert edge.crossing == (door.x, door.y)
     assert door.crossings == edge.traversals
     assert edge.path is not None
     assert edge.path[0].tolist() == list(found.submaps[0].anchor or ())
@@ -78,7 +78,7 @@ def test_of_two_doors_the_way_names_the_one_it_goes_through() -> None:
 def test_an_edge_in_the_open_has_a_way_and_no_door() -> None:
     regions = regions_of((9.8, 2.6), {0: [(0.3, 0.3, 5.0, 2.3)], 1: [(5.0, 0.3, 9.5, 2.3)]})
     edge = with_ways(map_of(regions), regions, CONFIG).edges[0, 1]
-    assert (edge.doors, edge.doorway, edge.width_m) == ((), None, None)
+    assert (edge.doors, edge.x, edge.y, edge.width_m) == ((), None, None, None)
     assert edge.length_m == pytest.approx(4.4, abs=0.1)
 
 

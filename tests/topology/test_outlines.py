@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.outlines import outline
+from specmap_cli.topology.outlines import Outline, outline_of
 from specmap_cli.topology.regions import NOBODY, Regions, divide
 from tests.exports.consumers import consumer
 
@@ -18,6 +18,11 @@ def grid_of(picture: list[str], resolution: float = 0.5) -> GridMap:
     """Free cells where a `.` is, the first line being the highest y."""
     cells = [[FREE if letter == "." else UNKNOWN for letter in line] for line in picture[::-1]]
     return GridMap(np.array(cells, dtype=np.uint8), resolution, (10.0, -4.0))
+
+
+def outline(grid: GridMap) -> Outline:
+    """The outline of all free cells."""
+    return outline_of(grid.free, grid)
 
 
 def area(polygon: NDArray[Any]) -> float:

@@ -39,7 +39,7 @@ def after(*wished: Border) -> tuple[IntArray, tuple[Border, ...]]:
 
 
 def test_a_merge_takes_all_keyframes() -> None:
-    submaps, (merge,) = after(Merge(1, 0))
+    submaps, (merge,) = after(Merge((1, 0)))
     assert set(submaps.tolist()) == {1}
     assert isinstance(merge, Merge)
     assert merge.keyframes == tuple(np.flatnonzero(driven().submaps == 0).tolist())
@@ -47,7 +47,7 @@ def test_a_merge_takes_all_keyframes() -> None:
 
 
 def test_a_split_gives_what_is_right_of_the_line_a_new_id() -> None:
-    submaps, (split,) = after(Split(0, ACROSS))
+    submaps, (split,) = after(Split(submap=0, line=ACROSS))
     x = driven().poses[:, 0]
     assert (submaps == 2).tolist() == (x < 2.0).tolist()
     assert isinstance(split, Split)
@@ -56,7 +56,7 @@ def test_a_split_gives_what_is_right_of_the_line_a_new_id() -> None:
     (_, top), (_, bottom) = split.fence
     assert top == pytest.approx(2.0, abs=0.11)
     assert bottom == pytest.approx(0.0, abs=0.11)
-    turned, _ = after(Split(0, ACROSS[::-1]))
+    turned, _ = after(Split(submap=0, line=ACROSS[::-1]))
     assert (turned == 2).tolist() == ((x > 2.0) & (x < 4.05)).tolist()
 
 
@@ -67,7 +67,7 @@ def test_no_region_crosses_the_fence() -> None:
     seen = Labels(
         stamps_ns=labels.stamps_ns[kept], poses=labels.poses[kept], submaps=labels.submaps[kept]
     )
-    found = redrawn(whole, seen, (), [Split(0, ACROSS, 5)], 2)
+    found = redrawn(whole, seen, (), [Split(submap=0, line=ACROSS, new=5)], 2)
     regions = divide(
         whole,
         Labels(stamps_ns=seen.stamps_ns, poses=seen.poses, submaps=found.submaps),
@@ -96,12 +96,12 @@ def test_a_line_through_one_leg_of_a_building_splits_on_foot() -> None:
     labels = Labels(
         stamps_ns=np.arange(len(poses)), poses=poses, submaps=np.zeros(len(poses), dtype=np.int64)
     )
-    found = redrawn(whole, labels, (), [Split(0, ((2.0, 0.8), (2.0, 0.2)))], 1)
+    found = redrawn(whole, labels, (), [Split(submap=0, line=((2.0, 0.8), (2.0, 0.2)))], 1)
     assert np.flatnonzero(found.submaps == 1).tolist() == np.flatnonzero(there[:, 0] < 2).tolist()
 
 
 def test_changes_are_made_in_order_and_undone() -> None:
-    wished: list[Border] = [Split(0, ACROSS, 7), Merge(1, 0), Merge(7, 1)]
+    wished: list[Border] = [Split(submap=0, line=ACROSS, new=7), Merge((1, 0)), Merge((7, 1))]
     submaps, borders = after(*wished)
     assert set(submaps.tolist()) == {7}
     labels = driven()
@@ -116,7 +116,7 @@ def test_changes_are_made_in_order_and_undone() -> None:
 
 def test_keyframes_that_came_after_a_merge_are_parted_by_the_nearest() -> None:
     labels = driven()
-    submaps, borders = after(Merge(1, 0))
+    submaps, borders = after(Merge((1, 0)))
     poses = np.concatenate([labels.poses, [[1.0, 1.2, 0.0], [5.0, 0.8, 0.0]]])
     before = undone(np.append(submaps, [1, 1]), poses, borders)
     assert before[-2:].tolist() == [0, 1]
@@ -127,12 +127,12 @@ def test_keyframes_that_came_after_a_merge_are_parted_by_the_nearest() -> None:
 
 def test_what_cannot_be_made_is_told_and_the_rest_made() -> None:
     wished: list[Border] = [
-        Merge(0, 9),
-        Split(9, ACROSS),
-        Split(0, ((9.0, 9.0), (8.0, 8.0))),
-        Split(0, ((0.05, 1.9), (0.05, 0.1))),
-        Split(0, ACROSS, 1),
-        Split(0, ACROSS),
+        Merge((0, 9)),
+        Split(submap=9, line=ACROSS),
+        Split(submap=0, line=((9.0, 9.0), (8.0, 8.0))),
+        Split(submap=0, line=((0.05, 1.9), (0.05, 0.1))),
+        Split(submap=0, line=ACROSS, new=1),
+        Split(submap=0, line=ACROSS),
     ]
     found = redrawn(hall(), driven(), (), wished, 2)
     assert found.skipped == {
@@ -147,7 +147,7 @@ def test_what_cannot_be_made_is_told_and_the_rest_made() -> None:
 
 
 def test_heirs_are_what_a_submap_became() -> None:
-    borders: list[Border] = [Split(5, ACROSS, 7), Merge(3, 5), Merge(2, 9)]
+    borders: list[Border] = [Split(submap=5, line=ACROSS, new=7), Merge((3, 5)), Merge((2, 9))]
     assert heirs(5, borders) == {3, 7}
     assert heirs(3, borders) == {3}
     assert heirs(5, borders[1:]) == {3}

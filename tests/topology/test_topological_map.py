@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.topology.topological_map import (
     Edge,
@@ -22,7 +22,7 @@ from specmap_cli.topology.topological_map import (
 GRID = GridMap(np.zeros((2, 2), dtype=np.uint8), 0.1)
 SUBMAP = Submap(id=3, map_from_submap=IDENTITY, grid=GRID)
 CROSSINGS = tuple(
-    Traversal(stamp, 0, 1, Pose2(x, y, 0.0)) for stamp, x, y in ((1, 0.0, 3.0), (2, 2.0, 4.0))
+    Traversal(stamp, 0, 1, x, y, 0.0) for stamp, x, y in ((1, 0.0, 3.0), (2, 2.0, 4.0))
 )
 
 
@@ -30,9 +30,10 @@ CROSSINGS = tuple(
     ("known", "crossing"),
     [
         ({}, None),
-        ({"doorway": (5.0, 6.0)}, (5.0, 6.0)),
+        ({"x": 5.0, "y": 6.0}, (5.0, 6.0)),
         ({"traversals": CROSSINGS}, (1.0, 3.5)),
-        ({"traversals": CROSSINGS[:1], "doorway": (5.0, 6.0)}, (5.0, 6.0)),
+        ({"traversals": CROSSINGS, "x": 1.000001, "y": 3.5}, (1.0, 3.5)),  # as it was written
+        ({"traversals": CROSSINGS[:1], "doors": (0,), "x": 5.0, "y": 6.0}, (5.0, 6.0)),
     ],
 )
 def test_an_edge_is_crossed_at_its_door_or_where_it_was_driven(
@@ -51,7 +52,7 @@ def test_a_region_of_a_finished_map_was_never_visited() -> None:
         (SUBMAP, "name"),
         (Edge(source=0, target=1, kind="loose"), "kind"),
         (TopologicalMap(), "submaps"),
-        (CROSSINGS[0], "pose"),
+        (CROSSINGS[0], "theta"),
         (Visit(0, 1), "end_ns"),
         (LogInfo("a.mcap"), "scans"),
     ],

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
-_BYTES_MAX = 1 << 22  # of a metadata.yaml: some kilobytes, with many topics and files a megabyte
-_ENTRY = re.compile(r"^\s*(?:- )?(path|message_count): *(.+?) *$", re.MULTILINE)
-_SECTION = re.compile(r"^\s*files: *$", re.MULTILINE)
+from specmap_cli.core.files import read_bytes
+from specmap_cli.core.yaml import read_yaml
+
+_LARGEST_MB = 4.0  # of a metadata.yaml: some kilobytes, with many topics and files a megabyte
+_MOST = 10**18  # messages in a file
 
 
 def recorded_messages(file: Path) -> int | None:
@@ -17,17 +18,9 @@ def recorded_messages(file: Path) -> int | None:
     no such list.
     """
     try:
-        with file.with_name("metadata.yaml").open(encoding="utf-8") as lines:
-            text = lines.read(_BYTES_MAX)
-    except (OSError, UnicodeDecodeError):
+        found = read_yaml(read_bytes(file.with_name("metadata.yaml"), _LARGEST_MB))
+        files = {one["path"]: one for one in found["rosbag2_bagfile_information"]["files"]}
+        messages = int(files[file.name]["message_count"])
+    except (OSError, ValueError, TypeError, KeyError):  # missing, damaged, or without the list
         return None
-    section = _SECTION.search(text)
-    if section is None:
-        return None
-    named = False
-    for key, value in _ENTRY.findall(text, section.end()):
-        if key == "path":
-            named = value.strip("'\"") == file.name
-        elif named and value.isdecimal():
-            return int(value[:18])
-    return None
+    return messages if 0 <= messages < _MOST else None

@@ -6,12 +6,16 @@ not drifted between these two, however long the way; what may have drifted is th
 
 from __future__ import annotations
 
-import heapq
 import math
 from itertools import pairwise
 
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.closure.stay import Stay
+from specmap_cli.recognition.closure.verdict import TWIN_MARGIN_M
 
 _Tie = tuple[float, float, float]  # two places along the way, and the metres that part them
 
@@ -31,7 +35,7 @@ class UnconfirmedWay:
         """
         ends = old.travelled_m, new.travelled_m
         known = old.map_from_stay is not None and new.map_from_stay is not None
-        if known and all(map(math.isfinite, ends)) and mended_m <= self.config.twin_margin_m:
+        if known and all(map(math.isfinite, ends)) and mended_m <= TWIN_MARGIN_M:
             drift = self.config.max_drift
             metres = mended_m / drift if drift > 0.0 else 0.0
             if metres < self.between(old, new):
@@ -46,21 +50,13 @@ class UnconfirmedWay:
 
 
 def _shortest(start: float, end: float, ties: list[_Tie]) -> float:
-    """Metres between two places along a way with ties between others: Dijkstra's algorithm."""
+    """Metres between two places along a way with ties between others."""
     places = sorted({start, end, *(place for tie in ties for place in tie[:2])})
-    edges = [*((a, b, b - a) for a, b in pairwise(places)), *ties]
-    near: dict[float, list[tuple[float, float]]] = {place: [] for place in places}
-    for a, b, metres in edges:
-        near[a].append((metres, b))
-        near[b].append((metres, a))
-    reached: set[float] = set()
-    waiting = [(0.0, start)]
-    while waiting:
-        metres, place = heapq.heappop(waiting)
-        if place == end:
-            return metres
-        if place not in reached:
-            reached.add(place)
-            for more, other in near[place]:
-                heapq.heappush(waiting, (metres + more, other))
-    return math.inf
+    number = {place: k for k, place in enumerate(places)}
+    metres = {(k, k + 1): b - a for k, (a, b) in enumerate(pairwise(places))}
+    for a, b, tied_m in ties:
+        i, j = sorted((number[a], number[b]))
+        metres[i, j] = min(tied_m, metres.get((i, j), math.inf))
+    ends = np.array(list(metres), dtype=np.int32).T  # csgraph wants 32 bits
+    graph = csr_array((list(metres.values()), tuple(ends)), shape=(len(places), len(places)))
+    return float(dijkstra(graph, directed=False, indices=number[start])[number[end]])

@@ -80,11 +80,6 @@ def histogram_columns(feature_set: str) -> list[int]:
     return [k for k, name in enumerate(feature_names(feature_set)) if name in wanted]
 
 
-def scan_features(scan: PlanarScan, feature_set: str) -> FloatArray:
-    """(F,) features of one scan; for several, `scans_features` is many times cheaper."""
-    return np.asarray(scans_features([scan], feature_set)[0])
-
-
 def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
     """(n, F) features of scans, in the order of `feature_names(feature_set)`; always finite.
 

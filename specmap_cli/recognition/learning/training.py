@@ -1,4 +1,4 @@
-"""Training the classifiers that localisation uses, from the keyframes and grids of a map."""
+"""Training the classifiers that localisation uses, from the keyframes of a map."""
 
 from __future__ import annotations
 
@@ -8,50 +8,17 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import Config
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.learning.beside import beside_samples
-from specmap_cli.recognition.learning.calibration import HeldOutMargins, calibrated
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
+from specmap_cli.recognition.learning.calibration import HeldOutMargins
+from specmap_cli.recognition.learning.classifiers import Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.holding_out import Pieces, Samples, held_out_margins
-from specmap_cli.recognition.learning.misfit import held_out_misfit
+from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.revisits import Revisits
-from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
 from specmap_cli.recognition.learning.sensor import Sensor
 
-
-def train_localizer(
-    store: KeyframeStore,
-    submaps: Mapping[int, Sequence[int]],
-    poses: FloatArray,
-    grids: Mapping[int, GridMap],
-    config: Config,
-    rng: np.random.Generator,
-) -> ClassifierSet:
-    """Classifiers of raw scans and, where wanted, of virtual ones.
-
-    The two are independent: each may be trained apart, with one of `rng.spawn(2)`. `submaps` lists
-    the keyframes of each submap, ascending; `poses` (n, 3) are those of all keyframes, map from
-    base; `grids` are in the frame of each submap's first keyframe.
-    """
-    raw_rng, virtual_rng = rng.spawn(2)
-    virtual, of_virtual, localization = None, None, config.localization
-    if localization.virtual:
-        along = track_samples(store, submaps, poses, localization)
-        cast = cast_samples(submaps, poses, grids, localization, virtual_rng)
-        virtual, of_virtual = train_virtual(along, cast, poses, config, virtual_rng)
-    beside = beside_samples(store, submaps, poses, config, raw_rng)
-    own = raw_samples(store, submaps, config)
-    raw, of_raw = train_raw(own, beside, poses, config, raw_rng)
-    return ClassifierSet(
-        sensor=sensor_of(store, submaps),
-        raw=raw,
-        virtual=virtual,
-        misfit=held_out_misfit(store, submaps, poses, localization),
-        calibration=calibrated(of_raw, of_virtual),
-    )
+_EXEMPLARS = 80  # scans kept of a submap, to tell unknown ones by
 
 
 def sensor_of(store: KeyframeStore, submaps: Mapping[int, Sequence[int]]) -> Sensor:
@@ -118,7 +85,7 @@ def _tested(
     rng: np.random.Generator,
 ) -> HeldOutMargins:
     """How the samples `asked` that lie in held-out pieces are told by all other samples."""
-    pieces = Pieces(poses, config.localization.held_out_reach_m)
+    pieces = Pieces(poses, HELD_OUT_REACH_M)
     rest = {i: pieces.rest(own) for i, own in samples.items()}
     tested = {i: pieces.tested(own) for i, own in asked.items()}
     return held_out_margins(rest, tested, feature_set, config.recognition, rng)
@@ -137,7 +104,7 @@ def train(
     """
     localization = config.localization
     classifiers = OneVsAll(feature_set, config.recognition).fit(samples, rng)
-    known = Familiarity(feature_set, localization.false_unknown, localization.exemplars)
+    known = Familiarity(feature_set, localization.false_unknown, _EXEMPLARS)
     shown = samples if looks is None else looks
     return Recogniser(classifiers, known.fit(shown) if known.can_fit(shown) else None)
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.recognition.features import point_pairs, profile, shape, table1
-from specmap_cli.recognition.features.sets import BUILT_IN, feature_names, scan_features
+from specmap_cli.recognition.features.sets import BUILT_IN, feature_names, scans_features
 from tests.recognition.features.one_scan import Function, batch_of, boundary_of, of_one
 
 GROUPS = [group.compute for group in BUILT_IN["full"]]
@@ -72,7 +72,7 @@ def test_every_group_ignores_where_a_narrow_laser_points(group: Function, turn: 
 def test_features_are_finite_with_hardly_a_return(returns: int, full: bool, same: bool) -> None:
     ranges = np.full(90, np.inf)
     ranges[10 : 10 + returns] = 2.0 if same else 2.0 + np.arange(returns)
-    values = scan_features(scan_of(ranges, full), "full")
+    values = scans_features([scan_of(ranges, full)], "full")[0]
     assert values.shape == (len(feature_names("full")),)
     assert np.isfinite(values).all()
 
@@ -86,7 +86,7 @@ def test_features_are_finite_with_hardly_a_return(returns: int, full: bool, same
     st.booleans(),
 )
 def test_features_are_finite_for_any_readings(ranges: list[float], full: bool) -> None:
-    assert np.isfinite(scan_features(scan_of(np.array(ranges), full), "full")).all()
+    assert np.isfinite(scans_features([scan_of(np.array(ranges), full)], "full")).all()
 
 
 def test_table_1_has_its_twelve_groups() -> None:
@@ -97,7 +97,7 @@ def test_table_1_has_its_twelve_groups() -> None:
 
 def test_readings_without_a_return_are_only_counted() -> None:
     ranges = room(5, holes=0.0)
-    kept = scan_features(scan_of(ranges), "table1")
+    kept = scans_features([scan_of(ranges)], "table1")[0]
     ranges = np.insert(ranges, 50, [np.nan] * 20)  # invalid: not even counted as no return
     counted = of_one(table1.readings_at_max_range, batch_of(scan_of(ranges)))
     assert counted == [0.0]

@@ -22,7 +22,6 @@ from specmap_cli.recognition.features.sets import (
     feature_names,
     feature_sets,
     histogram_columns,
-    scan_features,
     scans_features,
 )
 
@@ -37,13 +36,13 @@ def scan(range_m: float = 3.0, beams: int = 180) -> PlanarScan:
 def test_a_set_names_every_column_once(name: str) -> None:
     columns = feature_names(name)
     assert len(set(columns)) == len(columns)
-    assert scan_features(scan(), name).shape == (len(columns),)
+    assert scans_features([scan()], name)[0].shape == (len(columns),)
     assert scans_features([], name).shape == (0, len(columns))
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_columns_hold_what_their_group_gives(name: str) -> None:
-    values = dict(zip(feature_names(name), scan_features(scan(), name).tolist(), strict=True))
+    values = dict(zip(feature_names(name), scans_features([scan()], name)[0].tolist(), strict=True))
     for group in BUILT_IN[name]:
         given = group.values(ReturnsBatch.of([scan()]))[0].astype(np.float32).tolist()
         assert [values[column] for column in group.columns] == given
@@ -56,12 +55,12 @@ def test_a_scan_has_the_same_features_whatever_comes_with_it(name: str) -> None:
     lost = replace(half, ranges=np.full(91, np.inf))
     scans = [scan(), lost, *(scan(2.0 + 0.1 * k, 60 + k) for k in range(40)), nothing, half]
     together = scans_features(iter(scans), name)
-    assert together.tolist() == [scan_features(each, name).tolist() for each in scans]
+    assert together.tolist() == [scans_features([each], name)[0].tolist() for each in scans]
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_histograms_are_shares_that_sum_to_one(name: str) -> None:
-    features = scan_features(scan(), name)
+    features = scans_features([scan()], name)[0]
     columns = feature_names(name)
     groups = [group for group in BUILT_IN[name] if group.histogram]
     assert groups
@@ -99,7 +98,6 @@ def test_a_setting_that_names_no_set_is_told_before_the_work(section: str) -> No
     "use",
     [
         lambda name: feature_names(name),
-        lambda name: scan_features(scan(), name),
         lambda name: scans_features([scan()], name),
         lambda name: scans_features([], name),
         lambda name: histogram_columns(name),
@@ -121,7 +119,7 @@ def test_a_package_adds_a_set(install: Callable[..., None]) -> None:
         "rings_far",
     )
     assert histogram_columns("mine") == [2, 3, 4]
-    assert scan_features(scan(), "mine") == pytest.approx([3.2, 180.0, 0.0, 1.0, 0.0])
+    assert scans_features([scan()], "mine")[0] == pytest.approx([3.2, 180.0, 0.0, 1.0, 0.0])
     check_feature_sets(load_config(overrides={"recognition": {"feature_set": "mine"}}))
 
 
@@ -179,7 +177,7 @@ def test_a_function_that_breaks_its_word_is_told(
 ) -> None:
     install("mine", f"{HEAD}GROUPS = (FeatureGroup(lambda returns: {given}, ('a', 'b')),)")
     with pytest.raises(UsageError, match=why):
-        scan_features(scan(), "mine")
+        scans_features([scan()], "mine")[0]
 
 
 def test_a_package_may_compute_many_scans_at_once(install: Callable[..., None]) -> None:
@@ -254,6 +252,6 @@ def test_values_beyond_single_precision_are_cut() -> None:
     """Moments of four odd readings: no reason to end a run."""
     ranges = np.array([0.0, 3.0, 1.1920928955078146e-07, 1.0])
     scan = PlanarScan(0, np.linspace(-1.0, 1.0, 4), ranges, range_max=20.0, full_circle=False)
-    features = scan_features(scan, "full")
+    features = scans_features([scan], "full")[0]
     assert np.isfinite(features).all()
     assert (features == features.astype(np.float32)).all()

@@ -11,10 +11,13 @@ import pytest
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
+from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.pipelines.learning import Learned, known_of, learn
+from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.recognition.features.sets import (
     KeyframeFeatures,
     feature_names,
@@ -24,19 +27,14 @@ from specmap_cli.recognition.features.sets import (
 from specmap_cli.recognition.features.virtual import cast_circles
 from specmap_cli.recognition.learning import sampling
 from specmap_cli.recognition.learning.beside import beside_samples
-from specmap_cli.recognition.learning.calibration import calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.misfit import held_out_misfit
+from specmap_cli.recognition.learning.lessons import NO_LESSONS
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
-from specmap_cli.recognition.learning.training import (
-    sensor_of,
-    train_localizer,
-    train_raw,
-    train_virtual,
-)
+from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_raw
 from specmap_cli.recognition.localization.localizer import Localizer
+from tests.turning import turn
 
 SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 are in none
 
@@ -137,7 +135,7 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
         np.random.default_rng(0),
     )
     assert learned.classifiers.to_dict() == classifiers.to_dict()
-    looks = Familiarity("table1", config.localization.false_unknown, config.localization.exemplars)
+    looks = Familiarity("table1", config.localization.false_unknown, _EXEMPLARS)
     assert learned.familiarity is not None
     assert learned.familiarity.to_dict() == looks.fit(samples).to_dict()
     known = KeyframeFeatures(store, "table1")
@@ -147,34 +145,16 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
     assert again.to_dict() == learned.to_dict()
 
 
-def test_the_two_kinds_are_learned_apart_or_together_alike(
-    store: KeyframeStore, grids: dict[int, GridMap]
-) -> None:
-    config = settings()
-    both = train_localizer(store, SUBMAPS, store.poses, grids, config, np.random.default_rng(3))
-    raw_rng, virtual_rng = np.random.default_rng(3).spawn(2)
-    cast = cast_samples(SUBMAPS, store.poses, grids, config.localization, virtual_rng)
-    along = track_samples(store, SUBMAPS, store.poses, config.localization)
-    virtual, of_virtual = train_virtual(along, cast, store.poses, config, virtual_rng)
-    beside = beside_samples(store, SUBMAPS, store.poses, config, raw_rng)
-    taken = raw_samples(store, SUBMAPS, config)
-    raw, of_raw = train_raw(taken, beside, store.poses, config, raw_rng)
-    apart = ClassifierSet(
-        sensor=sensor_of(store, SUBMAPS),
-        raw=raw,
-        virtual=virtual,
-        misfit=held_out_misfit(store, SUBMAPS, store.poses, config.localization),
-        calibration=calibrated(of_raw, of_virtual),
-    )
-    assert apart.to_json() == both.to_json()
+def learned(store: KeyframeStore, config: Config) -> Learned:
+    """What a build learns of two submaps, with the keyframes that lie between in the former."""
+    labels = np.where(np.arange(len(store)) < min(SUBMAPS[2]), 0, 2)
+    known = known_of(store, NO_LESSONS, (), config)
+    return learn(store, known, labels, store.poses, config, Silent(), Stopwatch())
 
 
-def test_virtual_classifiers_are_left_out_when_not_wanted(
-    store: KeyframeStore, grids: dict[int, GridMap]
-) -> None:
-    config = settings(virtual=False)
-    arguments = (store, SUBMAPS, store.poses, grids, config)
-    assert train_localizer(*arguments, np.random.default_rng(0)).virtual is None
+def test_virtual_classifiers_are_left_out_when_not_wanted(store: KeyframeStore) -> None:
+    assert learned(store, settings()).classifiers.virtual is not None
+    assert learned(store, settings(virtual=False)).classifiers.virtual is None
 
 
 def test_the_sensor_is_that_of_the_first_keyframe_in_a_submap(store: KeyframeStore) -> None:
@@ -216,8 +196,8 @@ def test_virtual_scans_are_cast_from_free_cells_near_the_submap_s_own_track(
     store: KeyframeStore, grids: dict[int, GridMap], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cast = Cast(monkeypatch)
-    limits: dict[str, Any] = {"augmentation_clearance_m": 0.4, "augmentation_reach_m": 0.8}
-    samples_of(store, grids, augmentation=100, **limits)
+    turn("recognition", augmentation_clearance_m=0.4, augmentation_reach_m=0.8)
+    samples_of(store, grids, augmentation=100)
     assert [grid for grid, _ in cast.origins] == [grids[0], grids[2]]
     for (grid, origins), keyframes in zip(cast.origins, SUBMAPS.values(), strict=True):
         assert 0 < len(origins) <= 60
@@ -237,8 +217,8 @@ def test_cast_scans_are_dealt_out_half_alike_and_half_by_area(
     augmentation: int,
 ) -> None:
     cast = Cast(monkeypatch)
-    generous: dict[str, Any] = {"augmentation_clearance_m": 0.0, "augmentation_reach_m": 50.0}
-    found = samples_of(store, grids, augmentation=augmentation, **generous)
+    turn("recognition", augmentation_clearance_m=0.0, augmentation_reach_m=50.0)
+    found = samples_of(store, grids, augmentation=augmentation)
     areas = {i: grid.free_area_m2 for i, grid in grids.items()}
     for (_, origins), submap in zip(cast.origins, SUBMAPS, strict=True):
         share = 0.25 + 0.5 * areas[submap] / sum(areas.values())
@@ -277,10 +257,10 @@ def test_samples_are_repeatable_and_drawn_anew_for_another_seed(
 
 
 def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> None:
-    few, many = (
-        raw_of(store, settings(**chosen)).familiarity
-        for chosen in ({"exemplars": 5}, {"exemplars": 12, "false_unknown": 0.4})
-    )
+    turn("recognition", exemplars=5)
+    few = raw_of(store, settings()).familiarity
+    turn("recognition", exemplars=12)
+    many = raw_of(store, settings(false_unknown=0.4)).familiarity
     assert few is not None
     assert many is not None
     assert (len(few.exemplars_), len(many.exemplars_)) == (10, 24)
@@ -289,7 +269,6 @@ def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> 
 
 def test_a_feature_set_of_another_package_is_trained_and_used(
     store: KeyframeStore,
-    grids: dict[int, GridMap],
     install: Callable[..., None],
     building: Any,
 ) -> None:
@@ -301,13 +280,13 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
             "localization": {"augmentation": 60, "feature_set": "mine"},
         }
     )
-    rng = np.random.default_rng(0)
-    text = train_localizer(store, SUBMAPS, store.poses, grids, config, rng).to_json()
+    found = learned(store, config)
+    text = found.classifiers.to_json()
     assert '"rings_middle"' in text
     read = ClassifierSet.from_json(text)
     assert read.raw.familiarity is not None
     assert read.raw.familiarity.exemplars_.shape[1] == 3
-    guide = Localizer(read, {0: [2], 2: [0]}, grids, config.localization)
+    guide = Localizer(read, {0: [2], 2: [0]}, found.grids, config.localization)
     labels = []
     for room in (0, 2):
         for k, pose in enumerate(building.path(room, 5)):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,18 +12,22 @@ import pytest
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import InputError
-from specmap_cli.core.geometry import IDENTITY, Pose2, compose, invert
+from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.recognition.features.sets import scan_features
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.pipelines.learning import known_of, learn, submaps_of
+from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.learning.training import train_localizer
+from specmap_cli.recognition.learning.lessons import NO_LESSONS
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
 from specmap_cli.recognition.localization.localizer import Localizer
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from tests.turning import turn
 
 CONFIG = load_config(
     overrides={"recognition": {"rounds": 60}, "localization": {"augmentation": 120}}
@@ -49,24 +55,20 @@ def posed_tour(plan: GridMap, seed: int, **options: Any) -> list[PosedScan]:
 
 class Trained(NamedTuple):
     classifiers: ClassifierSet
-    grids: dict[int, GridMap]
+    grids: Mapping[int, GridMap]
     frames: dict[int, Pose2]
 
 
 def train(tour: list[PosedScan], labels: np.ndarray[Any, Any], config: Config) -> Trained:
     """Classifiers of the rooms that a tour went through."""
     with KeyframeStore() as store:
-        for scan in tour:
+        inside = labels > 0
+        for scan in compress(tour, inside):
             store.append(scan)
-        submaps = {int(i): np.flatnonzero(labels == i).tolist() for i in np.unique(labels) if i}
-        grids, frames = {}, {}
-        for i, numbers in submaps.items():
-            frames[i] = store.pose(numbers[0])
-            track = compose(invert(store.poses[numbers[0]]), store.poses[numbers])
-            grids[i] = integrate_keyframes(store, numbers, track, config.grid).snapshot()
-        rng = np.random.default_rng(0)
-        classifiers = train_localizer(store, submaps, store.poses, grids, config, rng)
-    return Trained(classifiers, grids, frames)
+        frames = {i: store.pose(own[0]) for i, own in submaps_of(labels[inside]).items()}
+        known = known_of(store, NO_LESSONS, (), config)
+        found = learn(store, known, labels[inside], store.poses, config, Silent(), Stopwatch())
+    return Trained(found.classifiers, found.grids, frames)
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +212,7 @@ def test_the_raw_label_is_that_of_the_most_votes_on_the_single_scan(
     raw = trained.classifiers.raw
     for scan in again[:20]:
         label = guide.update(scan)
-        margins = raw.margins(scan_features(scan.planar, raw.feature_set)[None])[0]
+        margins = raw.margins(scans_features([scan.planar], raw.feature_set))[0]
         ranked = sorted(zip(margins.tolist(), raw.ids, strict=True), reverse=True)
         assert (label.submap, label.runner_up) == (ranked[0][1], ranked[1][1])
         assert label.margin == pytest.approx(ranked[0][0] - ranked[1][0])
@@ -219,16 +221,15 @@ def test_the_raw_label_is_that_of_the_most_votes_on_the_single_scan(
 def test_without_virtual_scans_the_filter_hears_the_single_scans(
     trained: Trained, again: list[PosedScan]
 ) -> None:
-    every_scan = {"view_m": 0.0, "view_rad": 0.0}
-    chosen = {"unknown": False, "virtual": False} | every_scan
-    config = load_config(overrides={"localization": chosen})
+    turn("recognition", view_m=0.0, view_rad=0.0)
+    config = load_config(overrides={"localization": {"unknown": False, "virtual": False}})
     guide = localizer(trained, config)
     alone = HiddenMarkovFilter(ADJACENCY, config.localization)
     raw = trained.classifiers.raw
     here: Pose2 | None = None
     assert trained.classifiers.calibration is not None
     for scan in again[:20]:
-        margins = raw.margins(scan_features(scan.planar, raw.feature_set)[None])[0]
+        margins = raw.margins(scans_features([scan.planar], raw.feature_set))[0]
         told = trained.classifiers.calibration.alone(margins[None])[0]
         before, here = here, scan.map_from_base
         step = np.inf if before is None else _motion(before.inverse() @ here)
@@ -287,8 +288,9 @@ def test_a_lost_scan_is_labelled_but_adds_nothing_to_the_window(
 def test_when_a_single_scan_is_unknown_is_a_setting(
     trained: Trained, again: list[PosedScan], alone: float, share: float
 ) -> None:
-    config = load_config(overrides={"localization": {"strange_alone": alone, "fit_submaps": 0}})
+    config = load_config(overrides={"localization": {"fit_submaps": 0}})
     guide = localizer(trained, config)
+    turn("recognition", strange_alone=alone)
     labels = [guide.update(scan) for scan in again[:20]]
     assert np.mean([label.submap is None for label in labels]) == share
     assert all(label.runner_up is not None for label in labels)
@@ -298,8 +300,8 @@ def test_when_scans_speak_for_unknown_is_a_setting(trained: Trained, building: A
     places = building.path(2, 5)
     unknown = []
     for strange_from in (0.5, 50.0):
-        chosen = {"strange_from": strange_from, "fit_submaps": 0}
-        config = load_config(overrides={"localization": chosen})
+        turn("recognition", strange_from=strange_from)
+        config = load_config(overrides={"localization": {"fit_submaps": 0}})
         guide = localizer(trained, config)
         labels = [
             guide.update(

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics.cluster import contingency_matrix
 
+from benchmarks.scores import MapScores, map_scores
 from specmap_cli.core.errors import InputError
-from specmap_cli.evaluation.rooms import MapScores, map_scores
 from specmap_cli.simulation.room_truth import RoomTruth
 
 

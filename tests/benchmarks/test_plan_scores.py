@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import completeness_score, homogeneity_score
 
-from specmap_cli.evaluation.scores import (
+from benchmarks.scores import (
     Labels,
     homogeneity,
     overlap_table,
