@@ -32,7 +32,7 @@ MEANINGS = {
     "parts": "parts of the map that no link joins",
     "doors": "doors",
     "area_m2": "square metres of floor in the submaps, without what is free beyond their borders",
-    "wall_s": "seconds that the command took which made the map",
+    "wall_s": "seconds that the command took to make the map",
     "scans_per_s": "scans read in each of these seconds",
     "memory_mb": "most megabytes that its process held",
     "golden.aligned": "1 where the map was recognised in the other one, 0 where not",
@@ -44,8 +44,8 @@ MEANINGS = {
     "golden.closed": "ways that were open and are blocked",
     "golden.opened": "ways that were blocked and are open",
     "golden.off_m": "how far submaps lie off, root mean square, metres",
-    "golden.appeared_m2": "square metres that things cover which were not there",
-    "golden.vanished_m2": "square metres that things covered which are gone",
+    "golden.appeared_m2": "square metres covered by things that were not there",
+    "golden.vanished_m2": "square metres covered before by things that are gone",
 }
 
 
