@@ -61,7 +61,7 @@ def _spans(link: Link, start: int) -> bool:
 def _largest_agreement(links: Sequence[Link], poses: Sequence[Pose2]) -> tuple[int, Pose2]:
     """How many links agree on one motion of the newer piece in the map, and that motion.
 
-    What moves it no farther than `moved_m` is no other place. Links of one keyframe count once.
+    What moves it no farther than `MOVED_M` is no other place. Links of one keyframe count once.
     """
     best, motion = 0, IDENTITY
     for one in links:
