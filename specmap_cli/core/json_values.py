@@ -23,11 +23,11 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
+    PlainSerializer,
     TypeAdapter,
     field_validator,
 )
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, core_schema
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.text import nanoseconds, rounded, seconds
@@ -74,7 +74,7 @@ class Value:
         return dict(written)
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
         found = handler(source)
         for field in found["schema"]["fields"]:
             if field["schema"]["type"] == "default" and field["name"] not in cls.may_lack:
@@ -83,7 +83,7 @@ class Value:
 
     @classmethod
     def __get_pydantic_json_schema__(
-        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+        cls, schema: Any, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
         made = handler(schema)
         handler.resolve_ref_schema(made)["description"] = inspect.getdoc(cls)  # as of models
@@ -101,12 +101,9 @@ class Written:
     read: Callable[[Any], Any] = lambda value: value
     write: Callable[[Any], Any] = lambda value: value
 
-    def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_after_validator_function(
-            self.read,
-            handler.generate_schema(self.form),
-            serialization=core_schema.plain_serializer_function_ser_schema(self.write),
-        )
+    def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> Any:
+        way_back = PlainSerializer(self.write, return_type=Any)
+        return handler.generate_schema(Annotated[self.form, AfterValidator(self.read), way_back])
 
 
 def _inside(name: str) -> str:

@@ -62,8 +62,14 @@ class LogConfig(_Section):
 class KeyframeConfig(_Section):
     """When a scan goes on to mapping and training."""
 
-    distance_m: float = Field(0.05, gt=0, description="motion since the last keyframe that counts")
-    angle_rad: float = Field(0.0524, gt=0, description="or turn since then: 3 degrees")
+    distance_m: float = Field(
+        0.05, gt=0, description="Motion since the last keyframe that makes a scan the next one."
+    )
+    angle_rad: float = Field(
+        0.0524,
+        gt=0,
+        description="Turn since the last keyframe that makes a scan the next one: 3 degrees.",
+    )
 
 
 class RegistrationConfig(_Section):
@@ -323,64 +329,15 @@ class WaysConfig(_Section):
     """Doors between submaps, places to stand, and ways for a robot from one to another."""
 
     robot_radius_m: float = Field(
-        0.2, gt=0, le=5, description="ways keep this off walls and off what nobody saw"
+        0.2,
+        gt=0,
+        le=5,
+        description="Radius of the robot: ways keep this off walls and off what nobody saw.",
     )
-    margin_m: float = Field(0.1, ge=0, description="and a place to stand so much more")
     door_min_m: float = Field(
-        0.5, gt=0, description="narrower gaps are no doors: those of buildings are 0.6 m and more"
-    )
-
-
-class QualityConfig(_Section):
-    """The verdict on a finished map; docs/quality.md lists the findings that it rests on."""
-
-    lost_share: float = Field(
-        0.02, ge=0, le=1, description="of the scans lost, above which a map is doubtful"
-    )
-    lost_share_poor: float = Field(0.2, ge=0, le=1, description="above which it is poor")
-    loose_share_poor: float = Field(
-        0.1, ge=0, le=1, description="of the way that a guess places, above which a map is poor"
-    )
-    walls_share_poor: float = Field(
-        0.1, ge=0, le=1, description="of the passes compared that disagree, above which it is poor"
-    )
-    unmeasured_m: float = Field(
-        2.0, gt=0, description="longest way that nothing measured; a quarter of it may be wrong"
-    )
-    odometry_window_m: float = Field(
-        5.0, gt=0, description="way over which odometry is compared with the map"
-    )
-    odometry_share: float = Field(
-        0.3, gt=0, description="of the way by which they may differ in the median: wheels err less"
-    )
-    odometry_slip_share: float = Field(
-        0.5, gt=0, description="and in a single place, where wheels slip, before it is noted"
-    )
-    moved_m: float = Field(
-        1.0, gt=0, description="a piece that the layout moved farther is told of"
-    )
-    moved_votes: int = Field(3, ge=1, description="and doubtful when fewer matches say so")
-    same_place_m: float = Field(
-        5.0, gt=0, description="disagreements, and matches, this near are of one place"
-    )
-    hole_s: float = Field(
-        5.0, gt=0, description="without scans: in less nobody carries a robot to another room"
-    )
-    hole_intervals: float = Field(
-        5.0, gt=1, description="and so many usual intervals: robots that stand may record little"
-    )
-    hole_walls_m: float = Field(
-        0.15, gt=0, description="walls this near to those seen before a hole are the same"
-    )
-    hole_walls_share: float = Field(
-        0.6, ge=0, le=1, description="of the walls around a robot that stood, the rest moved or new"
-    )
-    still_m: float = Field(
-        0.15, gt=0, description="motion over a hole of a robot that stood: noise, and a first step"
-    )
-    still_rad: float = Field(0.1, gt=0, description="its turn")
-    tie_m: float = Field(
-        10.0, ge=0, description="way after a hole from which on matches confirm it: out of a room"
+        0.5,
+        gt=0,
+        description="Narrower gaps are no doors: those of buildings are 0.6 m and more.",
     )
 
 
@@ -428,7 +385,7 @@ class UpdateConfig(_Section):
     """What an update keeps of the recordings that the map was made of; docs/update.md."""
 
     keep_all: bool = Field(
-        False, description="older keyframes stay, too, where newer ones show the same"
+        False, description="Whether older keyframes stay where newer ones show the same."
     )
 
 
@@ -436,24 +393,29 @@ class LimitsConfig(_Section):
     """How large a file of a map may be: a small one may swell, a wrong one may never end."""
 
     text_max_mb: float = Field(
-        268.0, gt=0, description="JSON, CSV or features of a map: a hundred submaps take a tenth"
-    )
-    picture_max_mb: float = Field(
-        268.0, gt=0, description="picture of a map or a plan, even one without compression"
+        268.0,
+        gt=0,
+        description="Largest JSON, CSV or features file of a map: a hundred submaps take a tenth.",
     )
     picture_max_mpixel: float = Field(
-        100.0, gt=0, description="its millions of pixels: 500 m by 500 m at 0.05 m; 4 bytes each"
+        100.0,
+        gt=0,
+        description="Largest picture in millions of pixels: 500 m by 500 m at 0.05 m.",
     )
     keyframes_max_mb: float = Field(
-        2000.0, gt=0, description="scans of a map: a day's drive takes a tenth; read piece by piece"
+        2000.0,
+        gt=0,
+        description="Largest file of a map's scans: a day's drive takes a tenth.",
     )
 
 
 class Config(_Section):
     """All settings of a run."""
 
-    preset: Literal["default", "paper"] = "default"
-    seed: int = Field(0, ge=0)
+    preset: Literal["default", "paper"] = Field(
+        "default", description="The preset that the other settings were changed from."
+    )
+    seed: int = Field(0, ge=0, description="Seed of all that is drawn at random.")
     log: LogConfig = LogConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     registration: RegistrationConfig = RegistrationConfig()
@@ -462,7 +424,6 @@ class Config(_Section):
     recognition: RecognitionConfig = RecognitionConfig()
     relaxation: RelaxationConfig = RelaxationConfig()
     ways: WaysConfig = WaysConfig()
-    quality: QualityConfig = QualityConfig()
     localization: LocalizationConfig = LocalizationConfig()
     update: UpdateConfig = UpdateConfig()
     limits: LimitsConfig = LimitsConfig()

@@ -25,7 +25,7 @@ _GROWTH_CELLS = 128  # added on a side that grows: some 6 m at once, so that it 
 class OccupancyGrid:
     """Hit and miss counts on a grid that grows with what is integrated.
 
-    A cell is occupied when at least `occupied_share` of the scans that saw it ended in it, free
+    A cell is occupied when at least `_OCCUPIED_SHARE` of the scans that saw it ended in it, free
     when some beam passed through and it is not occupied, and unknown otherwise. A beam without a
     return proves nothing and carves nothing. A scan for which the grid would grow past
     `max_extent_m` or `max_area_m2` is left out and counted in `refused`.

@@ -144,7 +144,7 @@ def audit(store: KeyframeStore, poses: FloatArray, breaks: Collection[int]) -> A
 
 
 def passes_of(store: KeyframeStore, poses: FloatArray, breaks: Collection[int]) -> list[Pass]:
-    """The path cut into passes of `pass_m`, and where the tracking was lost."""
+    """The path cut into passes of `_PASS_M`, and where the tracking was lost."""
     way = np.concatenate([[0.0], np.cumsum(step_lengths(poses))])
     passes: list[Pass] = []
     first = 0
@@ -212,7 +212,7 @@ def _compare(earlier: Pass, later: Pass) -> tuple[int, FloatArray]:
 
 
 def _long(points: FloatArray) -> FloatArray:
-    """Those of the cells (N, 2) that stand in a row at least as long as `wall_m`."""
+    """Those of the cells (N, 2) that stand in a row at least as long as `_WALL_M`."""
     if not len(points):
         return points
     cells = np.floor((points - points.min(axis=0)) / _CELL_M + 0.5).astype(np.intp)

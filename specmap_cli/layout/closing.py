@@ -88,7 +88,7 @@ def _tried(
 def suspects(graph: Graph, believed: Sequence[Judged]) -> list[list[Judged]]:
     """Groups of closures that follow one another, those that mend most first.
 
-    What the layout says anyway, within `closure_slack_m`, is not suspected.
+    What the layout says anyway, within `CLOSURE_SLACK_M`, is not suspected.
     """
     groups: list[list[Judged]] = []
     for one in believed:

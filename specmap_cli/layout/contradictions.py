@@ -81,7 +81,7 @@ class Views:
 
     @classmethod
     def of(cls, store: KeyframeStore, graph: Graph) -> Views:
-        """A view every `loop_every_m` of path, fewer on a very long one."""
+        """A view every `LOOP_EVERY_M` of path, fewer on a very long one."""
         every_m = max(LOOP_EVERY_M, float(graph.path[-1]) / _MOST_VIEWS)
         rows = np.array(stops(graph.path, every_m), dtype=np.int64)
         numbers = graph.nodes[rows].tolist()

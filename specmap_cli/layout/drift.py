@@ -36,9 +36,9 @@ class Deviations:
 def deviations(graph: Graph, draft: Draft, closures: Sequence[Link]) -> Deviations:
     """How far the layout in the making is from what each closure says, and may be by drift alone.
 
-    Any of them may mend `closure_slack_m`. Along a chain that passes cut short drift is
-    `drift_share` of its length, along another one `closure_drift_share`. Over a break of which
-    nothing is known it is the guess that may be off, by three times `guess_m`: parts are moved
+    Any of them may mend `CLOSURE_SLACK_M`. Along a chain that passes cut short drift is
+    `DRIFT_SHARE` of its length, along another one `_CLOSURE_DRIFT_SHARE`. Over a break of which
+    nothing is known it is the guess that may be off, by three times `GUESS_M`: parts are moved
     farther as a whole only, when several links agree where to.
     """
     chains = chain_lengths(graph, draft.loops, closures)

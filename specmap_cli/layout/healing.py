@@ -48,7 +48,7 @@ def healed(
 ) -> Audited:
     """The layout with its audit, mended where passes disagree and it shows how far they are apart.
 
-    Tried `heal_rounds` times at the most; a trial that is no better ends it. Where the layout has
+    Tried `_HEAL_ROUNDS` times at the most; a trial that is no better ends it. Where the layout has
     no graph nothing is mended. Deterministic.
     """
     first = best = Audited(layout, audit(store, layout.poses, breaks))

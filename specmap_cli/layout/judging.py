@@ -63,7 +63,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """All closures in their order; `cut_short` counts searches that `clique_steps` ended."""
+    """All closures in their order; `cut_short` counts searches that ended early."""
 
     closures: tuple[Judged, ...]
     cut_short: int

@@ -170,9 +170,9 @@ def rejoin(
     """One more try to find the part of row `node` by the walls around that node.
 
     No pose of the part is trusted, so that the fit must be good, and the part is moved only when
-    `stray_votes` finds agree where to; it is tied then. `search` holds the earlier finds. The more
+    `_STRAY_VOTES` finds agree where to; it is tied then. `search` holds the earlier finds. The more
     tries have failed, the farther the robot must have come for the next. A part is given up after
-    `stray_tries`.
+    `STRAY_TRIES`.
     """
     part = int(graph.parts[node])
     if search is None or search.older.part != part:

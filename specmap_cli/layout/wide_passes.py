@@ -40,7 +40,7 @@ class WideClaims:
 
 
 def wide_claims(graph: Graph, draft: Draft, walls: Walls, spread: Uncertainty) -> WideClaims:
-    """What is found along the path, every `wide_every_m`, where no pass ties it well enough."""
+    """What is found along the path, every `_WIDE_EVERY_M`, where no pass ties it well enough."""
     if not LOOPS_PER_NODE:
         return WideClaims((), {})
     ties = _ties(graph, draft)

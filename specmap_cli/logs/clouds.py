@@ -36,7 +36,7 @@ _ENOUGH_POINTS = 100  # a sweep of fewer may be a sliver, whose span misleads
 class CloudPoints(NamedTuple):
     """Points (N, 3) in the lidar's frame and seconds (N,) after the stamp, or None.
 
-    `far_times` says that there were times, but farther from the stamp than the settings allow.
+    `far_times` says that there were times, but farther from the stamp than `_CLOUD_TIME_MAX_S`.
     """
 
     points: FloatArray
@@ -74,8 +74,8 @@ def cloud_points(
     """The points of a cloud, with their times where de-skewing can rely on them.
 
     Points that are not finite, at the very origin (how some drivers say "no return") or beyond
-    `cloud_range_max_m` are left out, with their times. Times are None unless they are all finite,
-    differ, and lie within `cloud_time_max_s` of the stamp. Times of another clock, far from the
+    `CLOUD_RANGE_MAX_M` are left out, with their times. Times are None unless they are all finite,
+    differ, and lie within `_CLOUD_TIME_MAX_S` of the stamp. Times of another clock, far from the
     stamp but near to each other, count from the earliest. `clock` keeps what is known of the lidar.
     """
     clock = PointClock() if clock is None else clock

@@ -20,7 +20,7 @@ MAX_POSES = 8192  # kept at once: 8 s of odometry at 1 kHz, more than any scan w
 class OdometryBuffer:
     """Odometry of the last while, interpolated at the stamps of scans.
 
-    Poses may come in any order; only MAX_POSES are kept. A pose that lies `clock_reset_s` or more
+    Poses may come in any order; only MAX_POSES are kept. A pose that lies `_CLOCK_RESET_S` or more
     back in time starts the buffer anew, as the clock was set back.
     """
 

@@ -156,7 +156,7 @@ class CloudFlattener:
     The band lies between two heights above the floor. A bearing with nothing in the band is +inf
     where the lidar has had a return at any height in this or an earlier cloud, so that it looked
     there, and NaN where it never had one, outside its field of view. The number of bearings is
-    that of the settings, halved until the lidar's resolution fills them. A floor of unknown height
+    `_CLOUD_BEAMS`, halved until the lidar's resolution fills them. A floor of unknown height
     (None) is taken to be where the lowest returns of the first cloud are. The clouds of a `planar`
     laser have one height, whichever it is, and their scans keep the times of the beams.
     """

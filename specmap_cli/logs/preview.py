@@ -190,7 +190,7 @@ def _spacing(
 
 
 def _gaps(stamps_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> tuple[Gap, ...]:
-    """The steps ahead that are longer than `gap_s`, and than some usual ones."""
+    """The steps ahead that are longer than `_GAP_S`, and than some usual ones."""
     steps = np.diff(stamps_ns) / NS_PER_S
     ahead = steps[steps > 0]
     if not len(ahead):

@@ -69,7 +69,7 @@ class FrontEnd:
     def take(self, sweep: Sweep) -> tuple[PosedScan, ...]:
         """The scans that are settled by one more sweep, in their order: mostly its own.
 
-        The first scans of a map wait until another one fits them, `lost_limit` of them at most.
+        The first scans of a map wait until another one fits them, `_LOST_LIMIT` of them at most.
         Those of a map that is given up are lost. Ask for the `rest` at the end of a log.
         """
         scan = self.register(sweep)

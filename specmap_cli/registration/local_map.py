@@ -86,7 +86,7 @@ class LocalMap:
     def field(self) -> ScoreField:
         """The score field of the walls, built when first asked for.
 
-        Walls too far from the last keyframe for a field of `field_ranges` are left out.
+        Walls too far from the last keyframe for a field of `_FIELD_RANGES` are left out.
         """
         if self._field is None:
             x, y = self._outlines[0][0].tolist()  # the last laser

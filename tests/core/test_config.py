@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -148,3 +149,24 @@ def test_later_overrides_leave_the_rest_alone() -> None:
     assert changed.grid.resolution_m == 0.1
     assert changed.segmentation == paper.segmentation
     assert changed.preset == "paper"
+
+
+def descriptions(section: type[BaseModel], before: str = "") -> Iterator[tuple[str, str]]:
+    """Every setting by its dotted key, and what is said of it."""
+    for name, field in section.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield from descriptions(kind, f"{name}.")
+        else:
+            yield before + name, field.description or ""
+
+
+def test_every_description_can_be_read_alone() -> None:
+    found = dict(descriptions(Config))
+    print("\n".join(f"{key}: {text}" for key, text in found.items()))  # for eyes: pytest -rP
+    pronouns = ("It ", "They ", "Its ", "Their ", "This ", "These ", "The same", "Of them", "Or ")
+    for key, text in found.items():
+        assert text[:1].isupper(), key
+        assert text.endswith("."), key
+        assert len(text.split()) >= 4, key
+        assert not text.startswith((*pronouns, "And ", "As ")), key

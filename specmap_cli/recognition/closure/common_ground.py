@@ -20,7 +20,7 @@ from specmap_cli.recognition.closure.prepared import PreparedGrid
 from specmap_cli.recognition.closure.verification import CONTRADICTION_WEIGHT, agreement
 
 # How far a submap may lie from where one rigid transform puts it: what a layout leaves open, as
-# `relaxation.closure_slack_m` does; and by how much it may be turned.
+# `CLOSURE_SLACK_M` of the layout does; and by how much it may be turned.
 _SLACK_M, _SLACK_RAD = 0.5, math.radians(3.0)
 _ODD = 0.5  # score of a submap of which a quarter, at the least, is not what the other map saw
 _POINTS, _STEPS = 300, 8  # of the match of a submap

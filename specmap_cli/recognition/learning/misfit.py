@@ -118,7 +118,7 @@ def _misfit(
 def pooled(held_out: HeldOutMisfit | None, config: LocalizationConfig) -> float:
     """Mean misfit of known places: that of the map's own views, drawn to what is usual anywhere.
 
-    The fewer views were held out, the nearer it is to `usual_misfit`, which is wide. The mean is
+    The fewer views were held out, the nearer it is to `_USUAL_MISFIT`, which is wide. The mean is
     that of an exponential distribution with the median found.
     """
     views, typical = (held_out.views, held_out.typical) if held_out is not None else (0, 0.0)

@@ -38,7 +38,7 @@ _FOREIGN_GAP, _OWN_GAP = 0.06, 0.15
 
 
 class Ratio:
-    """Log likelihood of unknown over known, by the misfit of a scan; never past `fit_most`.
+    """Log likelihood of unknown over known, by the misfit of a scan; never past `_FIT_MOST`.
 
     Misfits in known places are exponential, of the mean that the map's own views had; in other
     places, where they fit best, they are normal. What fits worse than those on average is no more
@@ -74,7 +74,7 @@ def _by_chance(gap: float) -> float:
 class View:
     """What is matched of a scan: `points` (N, 2) of all that was seen, `own` (N, 2) of it alone.
 
-    Both are in the base frame, as far as `fit_range_m`.
+    Both are in the base frame, as far as `FIT_RANGE_M`.
     """
 
     posed: PosedScan
