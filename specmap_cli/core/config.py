@@ -15,7 +15,7 @@ from typing import Any
 
 from specmap_cli.core.arguments import path_of
 from specmap_cli.core.errors import SETTING, UsageError
-from specmap_cli.core.retired import RetiredSetting, last_default, sentence, without_retired
+from specmap_cli.core.retired import RetiredSetting, is_fixed, sentence, without_retired
 from specmap_cli.core.settings import Config
 from specmap_cli.core.toml import TomlFormat
 
@@ -125,7 +125,7 @@ def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[st
     """
     left, retired = without_retired(settings)
     known: dict[str, Any] = {}
-    others = [key for key, value in retired.items() if value != last_default(key)]
+    others = [key for key, value in retired.items() if not is_fixed(key, value)]
     sections = Config().model_dump()
     for name, value in left.items():
         section = sections.get(name)

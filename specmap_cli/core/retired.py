@@ -43,14 +43,19 @@ def without_retired(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[s
     return left, retired
 
 
-def last_default(key: str) -> Any:
-    """The last default of a retired setting, by its dotted key."""
-    section, name = key.split(".")
-    return last_defaults()[section][name]
+def is_fixed(key: str, value: Any) -> bool:
+    """Whether a value is the one at which a retired setting is fixed."""
+    return bool((list(value) if isinstance(value, tuple) else value) == _last_default(key))
 
 
 def sentence(key: str, value: Any) -> str:
     """What to say of a retired setting that was given a value."""
-    last = last_default(key)
-    no_effect = "" if value == last else f"; {json.dumps(value, default=str)} has no effect"
-    return f"{key} was retired: its value is now fixed at {json.dumps(last)}{no_effect}"
+    no_effect = "" if is_fixed(key, value) else f"; {json.dumps(value, default=str)} has no effect"
+    return (
+        f"{key} was retired: its value is now fixed at {json.dumps(_last_default(key))}{no_effect}"
+    )
+
+
+def _last_default(key: str) -> Any:
+    section, name = key.split(".")
+    return last_defaults()[section][name]

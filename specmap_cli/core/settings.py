@@ -110,23 +110,31 @@ class RegistrationConfig(_Section):
     carried_forward_m: float = Field(
         0.5,
         ge=0,
-        description="Longest motion between scans that is carried on until walls have confirmed "
-        "longer ones.",
+        description="Longest motion between scans that is carried on until walls have confirmed a "
+        "longer one.",
     )
     carried_sideways_m: float = Field(
-        0.2, ge=0, description="Longest part of such a motion to the robot's side."
+        0.2,
+        ge=0,
+        description="Longest sideways motion between scans that is carried on until walls have "
+        "confirmed a longer one.",
     )
     carried_rad: float = Field(
-        0.8, ge=0, description="Largest turn between scans that is carried on likewise."
+        0.8,
+        ge=0,
+        description="Largest turn between scans that is carried on until walls have confirmed a "
+        "larger one.",
     )
     odometry_jump_m: float = Field(
         2.0,
         ge=0,
-        description="Step of the odometry beyond this, and beyond odometry_jump_mps, that is a "
-        "reset.",
+        description="Longest step of the odometry that is no reset; odometry_jump_mps adds to it.",
     )
     odometry_jump_mps: float = Field(
-        3.0, ge=0, description="Metres that such a step may be longer for each second between."
+        3.0,
+        ge=0,
+        description="Metres that a step of the odometry may be longer, for each second, before it "
+        "is a reset.",
     )
     max_shift_m: float = Field(
         1.5, gt=0, description="Alignments that end farther from their guess are refused."
@@ -229,25 +237,37 @@ class SegmentationConfig(_Section):
         50, ge=1, description="Keyframes between two tests that go by keyframes."
     )
     split_eigenvalue: float = Field(
-        0.6, gt=0, lt=1, description="Second eigenvalue in a test above which a submap is split."
+        0.6,
+        gt=0,
+        lt=1,
+        description="Second eigenvalue in a test for a new submap above which it is split off.",
     )
     split_share: float = Field(
         0.1, ge=0, lt=0.5, description="Least share of the way on each side of a split."
     )
     split_scale: float = Field(
-        3.0, gt=0, description="Factor on the median that is sigma of eq. 1 in a test."
+        3.0,
+        gt=0,
+        description="Sigma of eq. 1 in a test for a new submap, as a multiple of its median.",
     )
     split_obstacle_m: float = Field(
-        1.0, ge=0, description="Value that stands for obstacle_m in a test."
+        1.0,
+        ge=0,
+        description="Isolated obstacles up to this size count as free space in a test for a new "
+        "submap.",
     )
     split_clearance_m: float = Field(
-        0.3, ge=0, description="Value that stands for clearance_m in a test."
+        0.3,
+        ge=0,
+        description="Nodes and sight lines keep this far off walls in a test for a new submap.",
     )
     split_sight_m: float = Field(
-        1000.0, gt=0, description="Value that stands for sight_m in a test."
+        1000.0, gt=0, description="Longest sight line between two nodes in a test for a new submap."
     )
     path_band_m: float = Field(
-        2.0, ge=0, description="Nodes of a test lie this near to the path; 0: anywhere."
+        2.0,
+        ge=0,
+        description="Nodes of a test for a new submap lie this near to the path; 0: anywhere.",
     )
     region_min_m: float = Field(
         1.0, ge=0, description="Shortest way that is split off, or goes on as a region of its own."

@@ -8,7 +8,7 @@ import pytest
 
 from specmap_cli.core.config import known_settings, load_config, with_overrides
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.retired import RetiredSetting, last_defaults, without_retired
+from specmap_cli.core.retired import RetiredSetting, is_fixed, last_defaults, without_retired
 from specmap_cli.core.settings import Config
 
 RETIRED = {
@@ -54,6 +54,7 @@ def test_settings_that_an_older_version_wrote_down_are_read() -> None:
         old.setdefault(section, {})[name] = value
     known, others = known_settings(old)
     assert others == []
+    assert is_fixed("registration.kernel_voxels", (2.0, 1.0, 0.5, 0.25))
     assert Config.model_validate(known) == Config()
     old["relaxation"]["node_m"] = 0.5
     assert known_settings(old)[1] == ["relaxation.node_m"]
