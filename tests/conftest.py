@@ -29,6 +29,7 @@ from tests.flats import TRAINED, Explained, Mapped, mapped, record_tour
 from tests.house import result
 from tests.sharing import made_once
 from tests.strategies import FEW_CASES, MANY, MANY_CASES
+from tests.turning import turning_back
 
 __all__ = ["result"]  # a fixture for all
 
@@ -177,3 +178,9 @@ def office() -> GridMap:
 def office_rooms() -> RoomTruth:
     """The rooms of the plan of the sample logs."""
     return read_rooms(SAMPLE_LOGS / "office_rooms.png", 0.05)
+
+
+@pytest.fixture(autouse=True)
+def _constants() -> Iterator[None]:
+    with turning_back():
+        yield

@@ -97,7 +97,7 @@ def judged(explored: Explored, store: KeyframeStore, truth: FloatArray, reach: i
     overlap = _overlaps({r: track for r, track in tracks.items() if len(track)})
     merges = [c for c in explored.closures if c.merged]
     submap = submap_of_regions(explored.regions, [(c.old, c.new) for c in merges])
-    constraints = constraints_of(explored.closures, explored.regions, store, _SETTINGS)
+    constraints = constraints_of(explored.closures, explored.regions, store)
     again = [pair for pair, share in overlap.items() if share >= REVISIT]
     found = {b for a, b in again if submap[a] == submap[b]}
     return Judged(
@@ -142,13 +142,11 @@ def _repeats(
     for pair, constraint in constraints.items():
         ends = zip(pair, (constraint.source, constraint.target), strict=True)
         old, new = (
-            place_around(store, regions[region], list(regions[region]).index(k), _SETTINGS)
+            place_around(store, regions[region], list(regions[region]).index(k))
             for region, k in ends
         )
         guess = constraint.source_from_target @ _BESIDE
-        halves = [
-            sharpened(_half(old, which), _half(new, which), guess, _SETTINGS) for which in (0, 1)
-        ]
+        halves = [sharpened(_half(old, which), _half(new, which), guess) for which in (0, 1)]
         apart.append(_off(*halves))
     return np.array(apart).reshape(-1, 2)
 

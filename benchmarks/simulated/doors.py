@@ -23,6 +23,7 @@ from specmap_cli.core.settings import WaysConfig
 from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.topology.navigation import PLACE_MARGIN_M
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import Door, TopologicalMap
 
@@ -122,7 +123,7 @@ def checked(topology: TopologicalMap, grid: GridMap) -> DoorScores:
     kept = [least(room, grid, points_on(path)) >= config.robot_radius_m for path in paths]
     too_wide = sum(edge.path is None for edge in edges)
     anchors = [s.anchor for s in topology.submaps.values() if s.anchor is not None]
-    kept_m = config.robot_radius_m + config.margin_m
+    kept_m = config.robot_radius_m + PLACE_MARGIN_M
     good = sum(least(room, grid, np.array([anchor])) >= kept_m - 1e-9 for anchor in anchors)
     return DoorScores(
         edges=len(edges),

@@ -33,7 +33,7 @@ from specmap_cli.batch.places import path_at
 from specmap_cli.batch.records import Command, Job, Plan
 from specmap_cli.batch.steps import steps_of
 from specmap_cli.core.errors import SETTING, UsageError
-from specmap_cli.core.toml import TomlFormat, said, unless
+from specmap_cli.core.toml import TomlFormat, UnfitError, unless
 
 
 def jobs_of(inputs: Sequence[str], defaults: Plan | None = None) -> tuple[Job, ...]:
@@ -73,17 +73,13 @@ def _plain(place: str, plan: Plan, names: Names, seen: set[str]) -> Iterator[Job
             yield Job(names.of_log(found.name, found.log), (found.log,), steps)
 
 
-def _are_texts(value: Any) -> bool:
-    return isinstance(value, str) or _are(str, value)
-
-
 def _are(kind: type, value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(each, kind) for each in value)
 
 
 def _some(texts: tuple[str, ...]) -> tuple[str, ...]:
     if not texts:
-        raise said("empty: name one at least")
+        raise UnfitError("name one at least", "empty")
     return texts
 
 
@@ -92,7 +88,10 @@ _Texts = Annotated[
     tuple[str, ...],
     AfterValidator(_some),
     BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
-    unless(_are_texts, 'expected a list such as ["one", "two"]'),
+    unless(
+        lambda value: isinstance(value, str) or _are(str, value),
+        'expected a list such as ["one", "two"]',
+    ),
 ]
 
 
@@ -131,7 +130,8 @@ def _in_file(path: Path, defaults: Plan, names: Names) -> list[Job]:
     try:
         return _jobs(file, path, defaults, names)
     except UsageError as error:
-        raise UsageError(str(error), code=SETTING) from None
+        error.code = SETTING
+        raise
 
 
 def _jobs(file: _File, path: Path, defaults: Plan, names: Names) -> list[Job]:

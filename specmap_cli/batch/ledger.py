@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from typing import Any
 
 from specmap_cli.batch.dispatch import Finished, Happening, Quiet, Retried, Started
 from specmap_cli.batch.events import Event, EventRecord
@@ -110,18 +111,15 @@ class Ledger:
             wall_s=round(result.wall_s, 3),
         )
 
-    def _event(self, event: Event, job: str | None = None, **more: object) -> EventRecord:
-        now = datetime.now(tz=UTC).isoformat(timespec="milliseconds")
-        return EventRecord.model_validate(
-            {
-                "event": event,
-                "time_utc": now,
-                "job": job,
-                **more,
-                "jobs": len(self.jobs),
-                "done": self.done,
-                "failed": self.failed,
-            }
+    def _event(self, event: Event, job: str | None = None, **more: Any) -> EventRecord:
+        return EventRecord(
+            event=event,
+            time_utc=datetime.now(tz=UTC).isoformat(timespec="milliseconds"),
+            job=job,
+            jobs=len(self.jobs),
+            done=self.done,
+            failed=self.failed,
+            **more,
         )
 
 

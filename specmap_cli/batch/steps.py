@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -11,6 +10,7 @@ from typing import Any, NamedTuple
 
 from specmap_cli.batch.records import COMMANDS, Command, Meaning, Option, Plan, Step
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.toml import choice
 
 # What lies in the folder of a job.
 MAP, REPORT, LABELS, CONFUSION = "map", "report.html", "labels.csv", "confusion.png"
@@ -131,9 +131,8 @@ def _known(options: Mapping[str, Option], name: str, place: str) -> Option:
         return free[name]
     if name in options:
         raise UsageError(f"{place}: the batch says that itself: leave it out")
-    near = difflib.get_close_matches(name, free, 1)
-    hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(free)}"
-    raise UsageError(f"{place}: no such option: {hint}")
+    hint = choice(name, free)
+    raise UsageError(f"{place}: no such option: {hint}", hint=hint)
 
 
 def _option(name: str, option: Option, value: Any, base: Path, place: str) -> Iterator[str]:

@@ -15,7 +15,6 @@ takes a default away, and `defaults = false` all of them::
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -25,13 +24,16 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from specmap_cli.checking.figures import GOLDEN, MEANINGS, is_figure
+from specmap_cli.checking.figures import FINDINGS, GOLDEN, MEANINGS, Figures, is_figure
+from specmap_cli.checking.record import CheckRecord, OutcomeRecord, RuleName
 from specmap_cli.core.errors import SETTING, UsageError
-from specmap_cli.core.findings import VERDICTS, Verdict
-from specmap_cli.core.toml import TomlFormat, said, unless
+from specmap_cli.core.findings import VERDICTS, Verdict, at_least_as_bad
+from specmap_cli.core.toml import TomlFormat, UnfitError, choice, unless
 
 Bound = Literal["most", "least"]
 BOUNDS: tuple[Bound, ...] = ("most", "least")
+VERDICT = "verdict"
+_UNKNOWN = "not known: the map does not say"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +84,7 @@ def _is_number(value: Any) -> bool:
 def _figure(name: str) -> str:
     """Refuse what is no figure of a map."""
     if not is_figure(name):
-        near = difflib.get_close_matches(name, MEANINGS, 1)
-        hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(MEANINGS)}"
-        raise said(f"no such figure: {hint}")
+        raise UnfitError(choice(name, MEANINGS), "no such figure")
     return name
 
 
@@ -149,3 +149,53 @@ def read_rules(path: Path | None, *, against: bool) -> Rules:
 
 def _is_golden(name: str) -> bool:
     return name.startswith(GOLDEN)
+
+
+def judged(
+    map_: str,
+    against: str | None,
+    figures: Figures,
+    verdict: Verdict | None,
+    rules: Rules,
+    details: Mapping[str, str],
+) -> CheckRecord:
+    """Every rule and whether the map keeps it; `details` are words on figures that break one."""
+    outcomes = [
+        _of_verdict(verdict, rules.verdict, details),
+        *(_of_figure(name, bound, limit, figures, details) for name, bound, limit in rules.each()),
+    ]
+    return CheckRecord(
+        schema_version=1,
+        map=map_,
+        against=against,
+        passed=all(outcome.passed for outcome in outcomes),
+        rules=outcomes,
+        figures={name: figures[name] for name in sorted(figures)},
+    )
+
+
+def _of_verdict(
+    verdict: Verdict | None, worst: Verdict, details: Mapping[str, str]
+) -> OutcomeRecord:
+    """A map that nobody judged is as bad as can be."""
+    passed = worst == "poor" or (verdict is not None and not _worse(verdict, worst))
+    detail = "" if passed else details.get(VERDICT, "") if verdict is not None else _UNKNOWN
+    return OutcomeRecord(
+        rule=VERDICT, bound="most", limit=worst, value=verdict, passed=passed, detail=detail
+    )
+
+
+def _worse(verdict: Verdict, worst: Verdict) -> bool:
+    return verdict != worst and at_least_as_bad(verdict, worst)
+
+
+def _of_figure(
+    name: RuleName, bound: Bound, limit: float, figures: Figures, details: Mapping[str, str]
+) -> OutcomeRecord:
+    """A figure that is not known keeps no rule; no finding of a code is none of it."""
+    value = figures.get(name, 0 if name.startswith(FINDINGS) else None)
+    passed = value is not None and (value <= limit if bound == "most" else value >= limit)
+    detail = "" if passed else details.get(name, _UNKNOWN if value is None else "")
+    return OutcomeRecord(
+        rule=name, bound=bound, limit=limit, value=value, passed=passed, detail=detail
+    )

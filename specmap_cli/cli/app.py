@@ -27,8 +27,8 @@ from specmap_cli.cli import (
     simulate,
     update,
 )
-from specmap_cli.cli.groups import unfolded
-from specmap_cli.cli.pairs import JoinedCommand
+from specmap_cli.cli.options import telling
+from specmap_cli.cli.typer_extras import JoinedCommand, unfolded
 from specmap_cli.core.errors import UsageError
 
 EXIT_CODES = (
@@ -111,7 +111,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "schema": schema.schema,
 }
 for _name, _command in _COMMANDS.items():
-    app.command(_name, epilog=EXIT_CODES, cls=JoinedCommand)(unfolded(_command))
+    app.command(_name, epilog=EXIT_CODES, cls=JoinedCommand)(unfolded(telling(_command)))
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

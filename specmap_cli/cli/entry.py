@@ -20,8 +20,6 @@ from specmap_cli.core.errors import (
     InputError,
     SpecmapError,
     UsageError,
-    hint_of,
-    where_of,
 )
 from specmap_cli.core.shortage import is_of_the_machine, is_of_the_place, reason
 
@@ -136,12 +134,11 @@ def _print_error(error: SpecmapError, as_json: bool) -> None:
     """
     if not as_json:
         return
-    line = one_line(str(error))
     parts = {
         "code": error.code,
-        "message": line,
-        "where": where_of(line),
-        "hint": hint_of(line),
+        "message": one_line(str(error)),
+        "where": None if error.where is None else one_line(error.where),
+        "hint": None if error.hint is None else one_line(error.hint),
         "exit_code": error.exit_code,
     }
     with suppress(OSError):

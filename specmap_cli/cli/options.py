@@ -7,8 +7,10 @@ options whose value is a file to write are marked `WRITTEN`.
 
 from __future__ import annotations
 
+import functools
 import inspect
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
@@ -210,6 +212,27 @@ def _meaning(parameter: Any, hint: Any) -> Meaning:
 
 def _holds_path(hint: Any) -> bool:
     return hint is Path or any(map(_holds_path, get_args(hint)))
+
+
+def telling(command: Callable[..., None]) -> Callable[..., None]:
+    """`command` with a line on stderr, once, for each retired setting that it was given."""
+
+    @functools.wraps(command)
+    def run(*, common: Common, **values: Any) -> None:
+        from specmap_cli.core.retired import RetiredSetting
+
+        def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
+            if issubclass(category, RetiredSetting):
+                common.progress().warn(str(message))
+            else:
+                usual(message, category, *place)
+
+        with warnings.catch_warnings():
+            usual, warnings.showwarning = warnings.showwarning, tell  # type: ignore[assignment]
+            warnings.simplefilter("default", RetiredSetting)  # a sentence once
+            command(common=common, **values)
+
+    return run
 
 
 def _parse(assignment: str) -> tuple[str, Any]:

@@ -1,11 +1,13 @@
 """Which settings are in force: flags over file over preset over default.
 
 Flags go over the file (`--config specmap.toml`), the file over the preset, the preset over the
-defaults of `core/settings.py`. Unknown keys are refused. `specmap config` prints what is in force.
+defaults of `core/settings.py`. Unknown keys are refused, retired ones have no effect, which is told
+by a warning (`core/retired.py`). `specmap config` prints what is in force.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -13,6 +15,7 @@ from typing import Any
 
 from specmap_cli.core.arguments import path_of
 from specmap_cli.core.errors import SETTING, UsageError
+from specmap_cli.core.retired import RetiredSetting, last_default, sentence, without_retired
 from specmap_cli.core.settings import Config
 from specmap_cli.core.toml import TomlFormat
 
@@ -84,7 +87,8 @@ def load_config(
     """The effective configuration: `overrides` over the file over the preset over the defaults.
 
     `overrides` and the presets are nested dictionaries of the sections above. Raises UsageError
-    naming the key at fault for an unreadable file, an unknown key or a value out of range.
+    naming the key at fault for an unreadable file, an unknown key or a value out of range; warns of
+    retired keys (`RetiredSetting`), which have no effect.
     """
     path = None if path is None else path_of(path, "path")
     from_file = {} if path is None else SETTINGS.tables(path)
@@ -117,11 +121,13 @@ def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[st
     """The settings that this version has, and the dotted keys of the others.
 
     For settings that another version wrote down: it may have had more, or called them otherwise.
+    Retired ones are among the others only with a value that is not the one they are fixed at.
     """
+    left, retired = without_retired(settings)
     known: dict[str, Any] = {}
-    others: list[str] = []
+    others = [key for key, value in retired.items() if value != last_default(key)]
     sections = Config().model_dump()
-    for name, value in settings.items():
+    for name, value in left.items():
         section = sections.get(name)
         if isinstance(section, dict) and isinstance(value, Mapping):
             known[name] = {key: entry for key, entry in value.items() if key in section}
@@ -136,9 +142,15 @@ def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[st
 def _validated(
     settings: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None
 ) -> Config:
-    """The configuration; `where` is to blame for a wrong key that is not among the overrides."""
+    """The configuration; `where` is to blame for a wrong key that is not among the overrides.
+
+    Warns of retired settings.
+    """
     given = overrides or {}
-    return SETTINGS.value(settings, lambda place: "" if _holds(given, place) else where)
+    left, retired = without_retired(settings)
+    for key, value in retired.items():
+        warnings.warn(sentence(key, value), RetiredSetting, stacklevel=1)
+    return SETTINGS.value(left, lambda place: "" if _holds(given, place) else where)
 
 
 def _holds(tree: Mapping[str, Any], keys: tuple[int | str, ...]) -> bool:

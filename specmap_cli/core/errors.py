@@ -8,8 +8,9 @@
     └── NoResultError       4   the run finished and there is nothing to show for it
 
 A message says what, where (file, topic, byte or message), what was found, and what to do, in the
-form `WHERE: WHAT WAS FOUND: WHAT TO DO`, or with a semicolon before what to do. Programs get these
-parts, and a `code` that stays the same over versions: one of `CODES`.
+form `WHERE: WHAT WAS FOUND: WHAT TO DO`, or with a semicolon before what to do. Programs get the
+fields `where` and `hint` (what to do), and a `code` that stays the same over versions: one of
+`CODES`.
 Nothing in the packages prints or exits: `specmap_cli.cli` holds the one handler.
 """
 
@@ -69,16 +70,28 @@ _FILE = re.compile(r"[^\n]*(?:/[^/]*|\.[A-Za-z]\w{0,8})")
 class SpecmapError(Exception):
     """Base of every error meant for the user; `exit_code` is the process's exit status.
 
-    `code` is one of `CODES`, by default that of the class.
+    `code` is one of `CODES`, by default that of the class. `where` is the file, the option or the
+    setting at fault, `hint` what to do; where they are not given they are looked for in the
+    message, and None where it does not say.
     """
 
     exit_code = 1
     code = BUG
 
-    def __init__(self, message: str = "", *, code: str | None = None) -> None:
+    def __init__(
+        self,
+        message: str = "",
+        *,
+        code: str | None = None,
+        where: str | None = None,
+        hint: str | None = None,
+    ) -> None:
         super().__init__(message)
         if code is not None:
             self.code = code
+        line = " ".join(message.split())
+        self.where = _where_in(line) if where is None else where
+        self.hint = _hint_in(line) if hint is None else hint
 
 
 class UsageError(SpecmapError):
@@ -114,33 +127,20 @@ class NoResultError(SpecmapError):
     code = NO_RESULT
 
 
-def where_of(message: str) -> str | None:
+def _where_in(line: str) -> str | None:
     """The place that a message begins with: one word, an option, or the name of a file.
 
     Typer's own messages name an option or an argument behind their first words.
-
-    >>> where_of("grid.resolution_m: Input should be a number")
-    'grid.resolution_m'
-    >>> where_of("my log.mcap: the file is empty")
-    'my log.mcap'
-    >>> where_of("there is no submap 3: choose from 0, 1")
     """
-    of_usage = _OF_USAGE.match(message)
+    of_usage = _OF_USAGE.match(line)
     if of_usage is not None:
         return of_usage[1]
-    head, colon, _ = message.partition(": ")
+    head, colon, _ = line.partition(": ")
     named = " " not in head or head.startswith("-") or _FILE.fullmatch(head)
     return head if colon and named else None
 
 
-def hint_of(message: str) -> str | None:
-    """The advice that a message ends with, from the first colon or semicolon that leads to it.
-
-    >>> hint_of("a.png: cannot be written: No space left on device; free some space")
-    'free some space'
-    >>> hint_of("jobs.toml: job 1: name is 5: expected letters")
-    'expected letters'
-    >>> hint_of("none.mcap: no such file or directory")
-    """
-    found = _ADVICE.search(message)
-    return None if found is None else message[found.end() :]
+def _hint_in(line: str) -> str | None:
+    """The advice that a message ends with, from the first colon or semicolon that leads to it."""
+    found = _ADVICE.search(line)
+    return None if found is None else line[found.end() :]

@@ -8,6 +8,7 @@ a `Record`.
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -15,8 +16,18 @@ from pathlib import PurePosixPath
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler, TypeAdapter
-from pydantic_core import CoreSchema, core_schema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    PlainSerializer,
+    TypeAdapter,
+    field_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.text import nanoseconds, rounded, seconds
@@ -26,6 +37,15 @@ class Record(BaseModel):
     """A part of a JSON file: no key may be missing or unknown."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Measured(Record):
+    """A record of what was measured: its numbers have six decimals at the most."""
+
+    @field_validator("*")
+    @classmethod
+    def _to_six_decimals(cls, value: Any) -> Any:
+        return rounded(value) if isinstance(value, float) else value
 
 
 def titled(title: str) -> ConfigDict:
@@ -54,12 +74,20 @@ class Value:
         return dict(written)
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
         found = handler(source)
         for field in found["schema"]["fields"]:
             if field["schema"]["type"] == "default" and field["name"] not in cls.may_lack:
                 field["schema"] = field["schema"]["schema"]
         return found
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: Any, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        made = handler(schema)
+        handler.resolve_ref_schema(made)["description"] = inspect.getdoc(cls)  # as of models
+        return made
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +101,9 @@ class Written:
     read: Callable[[Any], Any] = lambda value: value
     write: Callable[[Any], Any] = lambda value: value
 
-    def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_after_validator_function(
-            self.read,
-            handler.generate_schema(self.form),
-            serialization=core_schema.plain_serializer_function_ser_schema(self.write),
-        )
+    def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> Any:
+        way_back = PlainSerializer(self.write, return_type=Any)
+        return handler.generate_schema(Annotated[self.form, AfterValidator(self.read), way_back])
 
 
 def _inside(name: str) -> str:

@@ -1,12 +1,14 @@
 """Every setting and its default, on one page, a section a stage.
 
-Each says its unit and its reason. `specmap config` prints them with the values in force; how files,
-presets and flags change them is in `core/config.py`.
+A setting is what somebody with another robot, sensor or building would turn. What is nobody's to
+turn is a constant beside its use, and what was a setting once is in `core/retired.py`.
+`specmap config` prints the settings with the values in force; how files, presets and flags change
+them is in `core/config.py`.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -16,110 +18,39 @@ class _Section(BaseModel):
 
 
 class LogConfig(_Section):
-    """Which messages are read, how long one waits for another, how a cloud becomes planar."""
+    """Which messages are read, how large they may be, which part of a cloud becomes planar."""
 
-    scan_topic: str | None = Field(None, description="topic of the scans, where several fit")
+    scan_topic: str | None = Field(None, description="Topic of the scans, where several fit.")
     scan_frame: str | None = Field(
-        None, description="frame of the scans, where several lasers share a topic"
+        None, description="Frame of the scans, where several lasers share a topic."
     )
-    odom_topic: str | None = Field(None, description="topic of the odometry, where several fit")
-    base_frame: str | None = Field(None, description="the robot's base, where it is not found")
-    use_odometry: bool = Field(True, description="false: read no odometry at all")
+    odom_topic: str | None = Field(None, description="Topic of the odometry, where several fit.")
+    base_frame: str | None = Field(
+        None, description="Frame of the robot's base, where it is not found."
+    )
+    use_odometry: bool = Field(
+        True, description="Whether odometry is read; false: scans alone place the robot."
+    )
     unpacked_max_gb: float = Field(
-        50.0, gt=0, description="temporary copy of a file that is compressed as a whole"
-    )
-    unpacked_ratio_max: float = Field(
-        500.0, ge=1, description="its swelling from 100 MB on: a log does not, a bomb does"
+        50.0, gt=0, description="Largest temporary copy of a file that is compressed as a whole."
     )
     chunk_max_mb: float = Field(
-        128.0, gt=0, description="one chunk or message; several may be in memory at once"
-    )
-    pause_intervals: float = Field(
-        5.0, gt=1, description="info --check tells of pauses of so many usual intervals: the median"
-    )
-    gap_s: float = Field(
-        1.0, gt=0, description="info tells of gaps between scans beyond this and pause_intervals"
-    )
-    sparse_step_m: float = Field(
-        0.25, gt=0, description="info calls scans this far apart sparse: views change much between"
-    )
-    tried_messages: int = Field(
-        50, ge=1, description="of a topic, in search of one that can be read; then it is refused"
-    )
-    look_scans: int = Field(
-        100, ge=3, description="first scans: which sensors share the topic, what stamps are worth"
-    )
-    sensor_share: float = Field(
-        0.1, ge=0, le=0.5, description="of them; a rarer sensor is left out without a question"
-    )
-    sensor_angle_rad: float = Field(
-        0.0873,
+        128.0,
         gt=0,
-        le=3.2,
-        description="scans of one frame that begin or end this much apart by turns: two lasers",
-    )
-    ascending_share: float = Field(
-        0.25, gt=0, le=1, description="of stamps follow the one ahead, or they are of no use"
-    )
-    order_interval_s: float = Field(
-        0.1, gt=0, description="between scans stamped by order: a usual laser's 10 Hz"
-    )
-    order_speed_mps: float = Field(
-        0.5, gt=0, description="and at least so long that a robot this fast drives the first steps"
-    )
-    clocks_apart_s: float = Field(
-        2.0,
-        gt=0,
-        description="odometry stamped this far from scans recorded beside it has another clock",
+        description="Largest chunk or message that is read; several may be in memory at once.",
     )
     transform_messages: int = Field(
-        50_000, ge=1, description="of each kind, in search of the laser's place on the base"
+        50_000,
+        ge=1,
+        description="Most messages of each kind that are searched for the laser's place on the "
+        "base.",
     )
-    tilt_max_rad: float = Field(
-        0.175, ge=0, le=1.5708, description="a laser tilted more is warned of: it is read as level"
+    band_min_m: float = Field(
+        0.15, description="Lower end of the heights above the floor that a 3D cloud is cut to."
     )
-    odometry_wait_scans: int = Field(
-        4, ge=0, description="a scan waits for later odometry until more scans than this wait"
+    band_max_m: float = Field(
+        1.5, description="Upper end of the heights above the floor that a 3D cloud is cut to."
     )
-    odometry_wait_s: float = Field(0.5, ge=0, description="nor longer than this, by log time")
-    odometry_gap_s: float = Field(
-        2.0, gt=0, description="poses farther apart are not interpolated between"
-    )
-    odometry_hold_s: float = Field(
-        0.1, ge=0, description="the first and the last pose hold so long before and after it"
-    )
-    clock_reset_s: float = Field(
-        10.0, gt=0, description="odometry stamped so far back means that the clock was set back"
-    )
-    scan_time_max_s: float = Field(
-        1.0, gt=0, description="a planar sweep that takes longer has its times in another unit"
-    )
-    cloud_time_max_s: float = Field(
-        10.0, gt=0, description="times of points farther from the stamp are of no use"
-    )
-    band_min_m: float = Field(0.15, description="height above the base's floor, lower end")
-    band_max_m: float = Field(1.5, description="upper end")
-    floor_radius_m: float = Field(
-        10.0, gt=0, description="a floor of unknown height is sought among the returns this near"
-    )
-    floor_percentile: float = Field(
-        2.0, ge=0, le=100, description="of their heights: a few stray returns lie below the floor"
-    )
-    floor_tilt_max_rad: float = Field(
-        0.785,
-        ge=0,
-        le=1.2,
-        description="a lidar without a place on a base is levelled by floors it is tilted against "
-        "up to this: 45 degrees, as carried by hand; 0: never",
-    )
-    floor_share: float = Field(
-        0.1, ge=0, le=1, description="of the returns within floor_radius_m must show a floor"
-    )
-    cloud_beams: int = Field(720, ge=16, description="bearings of the planar scan of a 3D cloud")
-    cloud_filled_share: float = Field(
-        0.9, gt=0, le=1, description="of the bearings must have returns, or they are halved"
-    )
-    cloud_range_max_m: float = Field(100.0, gt=0, description="a 3D cloud is cut here")
 
     @model_validator(mode="after")
     def _band_has_height(self) -> LogConfig:
@@ -131,534 +62,330 @@ class LogConfig(_Section):
 class KeyframeConfig(_Section):
     """When a scan goes on to mapping and training."""
 
-    distance_m: float = Field(0.05, gt=0, description="motion since the last keyframe that counts")
-    angle_rad: float = Field(0.0524, gt=0, description="or turn since then: 3 degrees")
+    distance_m: float = Field(
+        0.05, gt=0, description="Motion since the last keyframe that makes a scan the next one."
+    )
+    angle_rad: float = Field(
+        0.0524,
+        gt=0,
+        description="Turn since the last keyframe that makes a scan the next one: 3 degrees.",
+    )
 
 
 class RegistrationConfig(_Section):
     """The front end: each scan registered on a window of keyframes, checked and bounded."""
 
-    method: str = Field("kiss-icp", description="how scans are aligned; packages can add methods")
-    # points
-    min_range_m: float = Field(0.05, ge=0, description="nearer returns are the robot itself")
-    max_range_m: float = Field(20.0, gt=0, description="farther returns are left out; planar")
-    voxel_m: float = Field(0.1, ge=0.01, description="cell of the local map; kernels scale with it")
-    max_points: int = Field(600, ge=50, description="a denser planar scan is thinned to this")
-    min_points: int = Field(10, ge=3, description="a scan with fewer walls is lost")
-    cloud_range_m: float = Field(40.0, gt=0, description="as max_range_m, for 3D clouds")
-    cloud_voxel_m: float = Field(0.2, ge=0.01, description="as voxel_m, for 3D clouds")
-    max_cloud_points: int = Field(
-        2000, ge=100, description="a denser 3D cloud is thinned to this: alignments take most time"
+    method: str = Field(
+        "kiss-icp", description="How scans are aligned; installed packages can add methods."
+    )
+    min_range_m: float = Field(
+        0.05, ge=0, description="Nearer returns are the robot itself and are left out."
+    )
+    max_range_m: float = Field(
+        20.0, gt=0, description="Farther returns of planar scans are left out."
+    )
+    voxel_m: float = Field(
+        0.1,
+        ge=0.01,
+        description="Cell of the local map of planar scans; kernels and score fields scale with "
+        "it.",
+    )
+    min_points: int = Field(
+        10, ge=3, description="Scans with fewer wall points are placed by odometry, or lost."
+    )
+    cloud_range_m: float = Field(
+        40.0, gt=0, description="Farther returns of 3D clouds are left out."
+    )
+    cloud_voxel_m: float = Field(
+        0.2,
+        ge=0.01,
+        description="Cell of the local map of 3D clouds; a larger one is quicker.",
     )
     level_share: float = Field(
-        0.2, ge=0, le=1, description="of a 3D lidar's roll and pitch taken back at every scan"
-    )
-    # the local map
-    window_keyframes: int = Field(80, ge=1, description="keyframes in the local map")
-    keyframe_m: float = Field(0.3, gt=0, description="motion between keyframes of the local map")
-    keyframe_rad: float = Field(0.25, gt=0, description="turn between them")
-    points_per_voxel: int = Field(10, ge=1, description="most points kept in a voxel; planar")
-    cloud_points_per_voxel: int = Field(20, ge=1, description="as points_per_voxel, for 3D clouds")
-    rebuild_keyframes: int = Field(
-        4, ge=1, description="keyframes between rebuilds of the voxels, which forget older ones"
-    )
-    field_ranges: float = Field(
-        2.0, ge=1, le=20, description="side of the score field, in ranges; walls beyond score 0"
-    )
-    # the guess
-    guess_margin: float = Field(
-        0.05, ge=0, le=1, description="score by which steady motion must beat odometry as the guess"
+        0.2,
+        ge=0,
+        le=1,
+        description="Share of a 3D lidar's roll and pitch taken back at every scan; 0 for ramps.",
     )
     carried_forward_m: float = Field(
-        0.5, ge=0, description="longest motion carried on until walls have confirmed longer ones"
+        0.5,
+        ge=0,
+        description="Longest motion between scans that is carried on until walls have confirmed "
+        "longer ones.",
     )
-    carried_sideways_m: float = Field(0.2, ge=0, description="its longest part to the side")
-    carried_rad: float = Field(0.8, ge=0, description="its largest turn")
+    carried_sideways_m: float = Field(
+        0.2, ge=0, description="Longest part of such a motion to the robot's side."
+    )
+    carried_rad: float = Field(
+        0.8, ge=0, description="Largest turn between scans that is carried on likewise."
+    )
     odometry_jump_m: float = Field(
-        2.0, ge=0, description="an odometry increment beyond this and odometry_jump_mps is a reset"
+        2.0,
+        ge=0,
+        description="Step of the odometry beyond this, and beyond odometry_jump_mps, that is a "
+        "reset.",
     )
-    odometry_jump_mps: float = Field(3.0, ge=0, description="metres more for each second between")
-    # the alignment, and the searches when it is doubted
-    iterations: int = Field(50, ge=1, description="of the registration, per kernel")
-    kernel_voxels: tuple[Annotated[float, Field(gt=0)], ...] = Field(
-        (2.0, 1.0, 0.5, 0.25),
-        min_length=1,
-        description="widths of the robust kernel, in voxels, coarse to fine",
-    )
-    quick_kernel_voxels: tuple[Annotated[float, Field(gt=0)], ...] = Field(
-        (1.5, 0.25),
-        min_length=1,
-        description="kernels tried first, planar scans leave out those above half a voxel; "
-        "kernel_voxels follow only if their result is in doubt",
+    odometry_jump_mps: float = Field(
+        3.0, ge=0, description="Metres that such a step may be longer for each second between."
     )
     max_shift_m: float = Field(
-        1.5, gt=0, description="an alignment that ends farther from its guess is refused"
+        1.5, gt=0, description="Alignments that end farther from their guess are refused."
     )
     max_shift_rad: float = Field(
-        0.8, gt=0, description="an alignment turned further from its guess is refused"
+        0.8, gt=0, description="Alignments that are turned further from their guess are refused."
     )
     max_tilt_rad: float = Field(
-        0.3, gt=0, lt=1.5, description="one that tilts the robot more is refused: steep ramps"
+        0.3,
+        gt=0,
+        lt=1.5,
+        description="Alignments that tilt the robot more are refused; more for steep ramps.",
     )
-    good_score: float = Field(0.75, ge=0, le=1, description="up to this score a search is made")
-    doubt_m: float = Field(0.15, gt=0, description="or when the result is this far from its guess")
-    doubt_rad: float = Field(0.1, gt=0, description="or turned this far")
-    search_m: float = Field(
-        0.25, ge=0, le=20, description="half width of the search: odometry's error"
-    )
-    search_rad: float = Field(
-        0.35, ge=0, le=3.1416, description="its half angle: a clock apart, in a turn"
-    )
-    blind_search_m: float = Field(0.3, ge=0, le=20, description="as search_m, without odometry")
-    blind_search_rad: float = Field(
-        0.5, ge=0, le=3.1416, description="as search_rad, without odometry"
-    )
-    poor_score: float = Field(0.5, ge=0, le=1, description="below it the wide search is made, too")
-    wide_search_m: float = Field(1.0, ge=0, le=20, description="its half width: a hole in the log")
-    wide_search_rad: float = Field(1.6, ge=0, le=3.1416, description="its half angle")
-    slip_m: float = Field(
-        0.08, ge=0, description="a result this far behind odometry may have slipped in a corridor"
-    )
-    # the judgement; a result against the expected motion needs poor_score at the least
-    sure_score: float = Field(
-        0.7, ge=0, le=1, description="needed against odometry once a search was made, or it is lost"
-    )
-    fair_score: float = Field(0.6, ge=0, le=1, description="as sure_score, without odometry")
-    lost_limit: int = Field(5, ge=1, description="lost scans in a row that end a local map")
 
 
 class GridConfig(_Section):
     """The occupancy grid of a submap."""
 
-    resolution_m: float = Field(0.05, ge=0.005, le=1.0, description="side of a cell")
-    max_range_m: float = Field(20.0, gt=0, description="beams are cut here and prove no obstacle")
-    occupied_share: float = Field(0.25, gt=0, le=1, description="hits / (hits + misses) of a wall")
-    surface_gap_m: float = Field(0.3, gt=0, description="returns this close bound one surface")
-    footprint_m: float = Field(
-        0.2, ge=0, le=5, description="radius of the robot, free where it stood"
+    resolution_m: float = Field(0.05, ge=0.005, le=1.0, description="Side of a cell of the grids.")
+    max_range_m: float = Field(
+        20.0, gt=0, description="Beams are cut at this range and prove no obstacle there."
     )
-    max_extent_m: float = Field(1000.0, gt=0, description="a grid never grows past this side")
-    max_area_m2: float = Field(100_000.0, gt=0, description="nor past this area")
+    footprint_m: float = Field(
+        0.2, ge=0, le=5, description="Radius of the robot, which is free space where it stood."
+    )
+    max_extent_m: float = Field(1000.0, gt=0, description="Longest side that a grid may have.")
+    max_area_m2: float = Field(100_000.0, gt=0, description="Largest area that a grid may have.")
 
 
 class SegmentationConfig(_Section):
     """Section II of the paper. docs/segmentation.md says what each choice is for."""
 
     cell_m: float = Field(
-        0.05, ge=0.01, le=1.0, description="cells of the working grid; coarser ones tip borders"
+        0.05,
+        ge=0.01,
+        le=1.0,
+        description="Cells of the working grid; coarser ones tip borders.",
     )
-    obstacle_m: float = Field(1.5, ge=0, description="isolated obstacles up to this size are free")
-    furniture_m: float = Field(2.5, ge=0, description="and up to this size when solid")
-    furniture_thick_m: float = Field(0.4, gt=0, description="across: walls are thinner than tables")
+    obstacle_m: float = Field(
+        1.5, ge=0, description="Isolated obstacles up to this size count as free space."
+    )
+    furniture_m: float = Field(
+        2.5, ge=0, description="Solid isolated obstacles up to this size count as free space, too."
+    )
     wide_door_m: float = Field(
-        2.5, ge=0, description="openings in the line of a wall up to this are doors; 0: only narrow"
+        2.5,
+        ge=0,
+        description="Openings in the line of a wall up to this width are doors; 0: narrow ones "
+        "alone.",
     )
-    fill: bool = Field(True, description="cells of furniture take their room's label")
-    nodes: Literal["clearest", "centre"] = Field("clearest", description="cell taken in a block")
-    node_step_m: float = Field(0.7, gt=0, le=10, description="side of a block; one node a block")
-    clearance_m: float = Field(0.25, ge=0, description="nodes and sight lines keep this off walls")
-    sight_m: float = Field(5.0, gt=0, description="longest sight line")
-    neighbours: int = Field(0, ge=0, description="l of eq. 1; 0: all visible nodes")
-    eigenvalue_min: float = Field(0.75, gt=0, lt=1, description="k counts the eigenvalues above")
+    fill: bool = Field(
+        True, description="Whether the cells of furniture take the label of their room."
+    )
+    nodes: Literal["clearest", "centre"] = Field(
+        "clearest", description="Which cell of a block becomes its node."
+    )
+    node_step_m: float = Field(0.7, gt=0, le=10, description="Side of a block, which has one node.")
+    clearance_m: float = Field(
+        0.25, ge=0, description="Nodes and sight lines keep this far off walls."
+    )
+    sight_m: float = Field(
+        5.0, gt=0, description="Longest sight line between two nodes; longer for long corridors."
+    )
+    neighbours: int = Field(
+        0, ge=0, description="Number l of neighbours in eq. 1; 0: all visible nodes."
+    )
+    eigenvalue_min: float = Field(
+        0.75, gt=0, lt=1, description="Least eigenvalue that counts as a cluster."
+    )
     part_nodes: int = Field(
-        4000, ge=16, description="a graph with more nodes is first cut at its narrowest places"
+        4000,
+        ge=16,
+        description="Graphs with more nodes are first cut at their narrowest places.",
     )
-    halve: bool = Field(True, description="look for two clusters inside each cluster again")
-    halve_eigenvalue: float = Field(0.7, gt=0, lt=1, description="its second one that halves it")
-    labels: Literal["flood", "nearest"] = Field("flood", description="how cells get their label")
-    merge: bool = Field(True, description="join clusters whose border is as wide as they are")
-    merge_ratio: float = Field(0.78, gt=0, description="border width over room width that joins")
+    halve: bool = Field(
+        True, description="Whether each cluster is searched for two clusters again."
+    )
+    halve_eigenvalue: float = Field(
+        0.7, gt=0, lt=1, description="Second eigenvalue of a cluster above which it is halved."
+    )
+    labels: Literal["flood", "nearest"] = Field(
+        "flood", description="How free cells get the label of a node."
+    )
+    merge: bool = Field(
+        True, description="Whether clusters are joined whose border is as wide as they are."
+    )
+    merge_ratio: float = Field(
+        0.78, gt=0, description="Width of a border, as a share of the room's, that joins clusters."
+    )
     placements: int = Field(
-        5, ge=1, le=16, description="divisions with other nodes; what most of them say counts"
+        5,
+        ge=1,
+        le=16,
+        description="Number of divisions with other nodes; what most of them say counts.",
     )
-    width_percentile: float = Field(60.0, ge=0, le=100, description="of local widths: a room's")
-    test_every: Literal["metres", "keyframes"] = Field("metres", description="pace of the tests")
-    test_metres: float = Field(1.0, gt=0, description="travelled between two tests")
-    test_keyframes: int = Field(50, ge=1, description="keyframes between two tests")
-    split_eigenvalue: float = Field(0.6, gt=0, lt=1, description="a second region is entered above")
-    split_share: float = Field(0.1, ge=0, lt=0.5, description="least share of the way on each side")
-    split_scale: float = Field(3.0, gt=0, description="sigma of eq. 1 in a test, times its median")
-    split_cell_m: float = Field(
-        0.1, ge=0.01, le=1.0, description="as cell_m, in a test; finer is only slower"
+    test_every: Literal["metres", "keyframes"] = Field(
+        "metres", description="Whether tests for a new submap go by metres or by keyframes."
     )
-    split_obstacle_m: float = Field(1.0, ge=0, description="as obstacle_m, in a test")
-    split_clearance_m: float = Field(0.3, ge=0, description="as clearance_m, in a test")
-    split_sight_m: float = Field(1000.0, gt=0, description="as sight_m, in a test")
-    split_nodes: int = Field(250, ge=16, description="most nodes in a test: the blocks grow")
-    split_eigenpairs: int = Field(
-        12, ge=2, description="looked at in a test: each room seen but not entered takes one"
+    test_keyframes: int = Field(
+        50, ge=1, description="Keyframes between two tests that go by keyframes."
     )
-    split_step_m: float = Field(0.15, ge=0, description="motion between scans in a test's map")
-    split_step_rad: float = Field(0.2, ge=0, description="or turn between them")
-    path_band_m: float = Field(2.0, ge=0, description="nodes lie this near the path; 0: anywhere")
-    path_margin_m: float = Field(
-        1.0, ge=0, description="map kept round the band: obstacles at its edge are seen whole"
+    split_eigenvalue: float = Field(
+        0.6, gt=0, lt=1, description="Second eigenvalue in a test above which a submap is split."
     )
-    region_min_m: float = Field(1.0, ge=0, description="shortest way that is split off or goes on")
-    regrow: bool = Field(True, description="a region the robot comes straight back to goes on")
-    final_regions: bool = Field(True, description="submaps end where the finished map's do")
+    split_share: float = Field(
+        0.1, ge=0, lt=0.5, description="Least share of the way on each side of a split."
+    )
+    split_scale: float = Field(
+        3.0, gt=0, description="Factor on the median that is sigma of eq. 1 in a test."
+    )
+    split_obstacle_m: float = Field(
+        1.0, ge=0, description="Value that stands for obstacle_m in a test."
+    )
+    split_clearance_m: float = Field(
+        0.3, ge=0, description="Value that stands for clearance_m in a test."
+    )
+    split_sight_m: float = Field(
+        1000.0, gt=0, description="Value that stands for sight_m in a test."
+    )
+    path_band_m: float = Field(
+        2.0, ge=0, description="Nodes of a test lie this near to the path; 0: anywhere."
+    )
+    region_min_m: float = Field(
+        1.0, ge=0, description="Shortest way that is split off, or goes on as a region of its own."
+    )
+    regrow: bool = Field(
+        True, description="Whether a region that the robot comes straight back to goes on."
+    )
+    final_regions: bool = Field(
+        True, description="Whether submaps end where the regions of the finished map do."
+    )
 
 
 class RecognitionConfig(_Section):
     """Section III of the paper: features, boosting, loop closure."""
 
-    feature_set: str = Field("full", description="of raw scans; packages can add sets")
-    booster: Literal["trees", "stumps"] = Field("trees", description="stumps: the paper's own")
-    rounds: int = Field(200, ge=1, description="weak classifiers of a submap's final classifier")
-    shrinkage: float = Field(0.5, gt=0, le=1, description="trees: scale of every vote")
-    feature_share: float = Field(0.1, gt=0, le=1, description="trees: features drawn a round")
-    positives: int = Field(500, ge=10, description="scans of its own submap a classifier sees")
-    negatives: int = Field(3000, ge=10, description="scans of other submaps a classifier sees")
+    feature_set: str = Field(
+        "full", description="Set of features of raw scans; installed packages can add sets."
+    )
+    booster: Literal["trees", "stumps"] = Field(
+        "trees", description="Kind of the weak classifiers; stumps are the paper's own."
+    )
+    rounds: int = Field(
+        200, ge=1, description="Number of weak classifiers of a submap's final classifier."
+    )
+    positives: int = Field(
+        500, ge=10, description="Most scans of its own submap that a classifier learns from."
+    )
+    negatives: int = Field(
+        3000, ge=10, description="Most scans of other submaps that a classifier learns from."
+    )
     augmentation: int = Field(
-        150, ge=0, description="a submap of fewer scans gets so many: some as seen from beside"
+        150,
+        ge=0,
+        description="Submaps of fewer scans get so many, some as seen from beside the way.",
     )
-    closure_rounds: int = Field(30, ge=1, description="weak classifiers while ranking")
-    closure_shrinkage: float = Field(0.5, gt=0, le=1, description="as shrinkage, while ranking")
-    closure_negatives: int = Field(400, ge=10, description="as negatives, while ranking")
-    samples_per_submap: int = Field(60, ge=1, description="scans of a submap used for ranking")
-    groups: int = Field(3, ge=0, description="held-out groups of old submaps; 0 = one by one")
-    refresh_growth: float = Field(0.4, ge=0, description="retrain once the submaps grew by this")
-    xi_threshold: float = Field(0.175, ge=0, le=1, description="eq. 5, judge without `verify`")
-    verify: bool = Field(True, description="a closure needs a match of the two grids")
-    candidates: int = Field(3, ge=1, description="best ranked old submaps whose grids are matched")
-    leftovers: int = Field(2, ge=0, description="pairs matched a submap in search of duplicates")
-    members: int = Field(2, ge=1, description="visits of an old submap whose grids are matched")
+    closure_rounds: int = Field(
+        30, ge=1, description="Number of weak classifiers while old submaps are ranked."
+    )
+    closure_negatives: int = Field(
+        400, ge=10, description="Most scans of other submaps while old submaps are ranked."
+    )
+    groups: int = Field(
+        3, ge=0, description="Number of held-out groups of old submaps; 0: one by one."
+    )
+    refresh_growth: float = Field(
+        0.4, ge=0, description="Growth of the submaps after which classifiers learn anew."
+    )
+    xi_threshold: float = Field(
+        0.175, ge=0, le=1, description="Least xi of eq. 5 that closes a loop without `verify`."
+    )
+    verify: bool = Field(True, description="Whether a closure needs a match of the two grids.")
     stays_kept: int = Field(
-        16, ge=1, description="visits of a submap that are remembered, those that saw most"
+        16, ge=1, description="Most visits of a submap that are remembered: those that saw most."
     )
-    match_cell_m: float = Field(
-        0.3, ge=0.02, description="two grids are first matched on cells of about this side"
+    min_score: float = Field(
+        0.75,
+        le=1,
+        description="Least score of a match: inliers less twice the contradictions.",
     )
-    hopeless_score: float = Field(0.3, le=1, description="a match below this is given up")
-    sure_score: float = Field(0.8, le=1, description="a match above this needs no other rotation")
-    match_sigma_m: float = Field(0.15, gt=0, description="how near matched walls pull each other")
-    inlier_m: float = Field(0.15, gt=0, description="a wall point this near a wall agrees")
-    contradiction_m: float = Field(
-        0.3, gt=0, description="one farther than this from walls, and in free space, contradicts"
-    )
-    contradiction_depth_m: float = Field(
-        0.25, ge=0, description="free space counts this far from its edge, which noise blurs"
-    )
-    min_score: float = Field(0.75, le=1, description="inliers less twice the contradictions")
-    min_lead: float = Field(0.1, ge=0, description="over the next best match, or it is ambiguous")
-    min_wall_m: float = Field(5.0, ge=0, description="metres of wall that agree, cell by cell")
-    min_overlap: float = Field(0.4, ge=0, le=1, description="shared part of one's walls")
-    least_overlap: float = Field(0.15, ge=0, le=1, description="shared part of the other's walls")
-    merge_overlap: float = Field(0.4, ge=0, le=1, description="of both tracks, for a merge")
-    merge_reach_m: float = Field(1.0, gt=0, description="tracks this close overlap")
     max_drift: float = Field(
-        0.1, ge=0, description="metres per metre driven that a closure may mend"
-    )
-    twin_margin_m: float = Field(
-        0.5, ge=0, description="and metres besides; a match that mends more is of twin rooms"
+        0.1, ge=0, description="Metres per metre driven that a closure may mend."
     )
 
 
 class RelaxationConfig(_Section):
     """The layout of the submaps: a pose graph over the keyframes."""
 
-    enabled: bool = True
+    enabled: bool = Field(
+        True, description="Whether the layout is relaxed; false: the path stays as tracked."
+    )
     follow_walls: bool = Field(
-        True, description="the map's axes lie along the walls; else along the robot's first pose"
+        True,
+        description="Whether the map's axes lie along the walls, else along the robot's first "
+        "pose.",
     )
-    node_m: float = Field(0.3, gt=0, description="motion between nodes of the pose graph")
-    node_rad: float = Field(0.25, gt=0, description="turn between them")
-    step_share: float = Field(0.03, gt=0, description="error of a motion, metres per metre driven")
-    turn_share: float = Field(0.02, gt=0, description="error of its turn, radians per radian")
-    guess_m: float = Field(
-        0.3, gt=0, description="error of a motion without a wall in sight, or over a break"
-    )
-    guess_rad: float = Field(0.2, gt=0, description="the same of its turn")
-    range_noise_m: float = Field(
-        0.1, gt=0, description="error of a reading; more than the laser's: neighbours err alike"
-    )
-    match_range_m: float = Field(12.0, gt=0, description="farther returns are not matched")
-    match_points: int = Field(20, ge=3, description="walls with fewer points are not matched")
-    loop_every_m: float = Field(
-        1.0, gt=0, description="least path between searches for nearby passes"
-    )
-    loop_path_m: float = Field(6.0, gt=0, description="less path than this between is no pass")
-    loop_radius_m: float = Field(3.0, gt=0, description="how near a pass must be")
-    loops_per_node: int = Field(2, ge=0, description="passes tried until one fits, 0: none")
-    loop_score: float = Field(0.6, ge=0, le=1, description="a match below this is no edge")
-    loop_search_m: float = Field(0.3, gt=0, description="a pass is searched this far at the least")
-    loop_search_max_m: float = Field(2.0, gt=0, description="and this far at the most")
-    wide_every_m: float = Field(
-        10.0, gt=0, description="path between searches as far as its error reaches"
-    )
-    wide_search_max_m: float = Field(
-        15.0, gt=0, description="such a search reaches this far at the most"
-    )
-    drift_share: float = Field(
-        0.04, ge=0, description="metres per metre driven by which a layout with passes may be off"
-    )
-    part_votes: int = Field(
-        2, ge=1, description="closures that must agree on where a piece after a break lies"
-    )
-    drift_rad_per_m: float = Field(
-        0.001, ge=0, description="radians per metre by which tracking may turn on and on"
-    )
-    stray_tries: int = Field(
-        20, ge=0, description="searches to rejoin a piece of the path after tracking was lost"
-    )
-    stray_votes: int = Field(3, ge=1, description="finds that must agree on where the piece lies")
-    stray_cells: int = Field(
-        512, ge=16, description="cells a side in such a search: a larger map is searched coarser"
-    )
-    search_blocks: int = Field(
-        400_000, ge=1000, description="places followed at once in that search, at the most"
-    )
-    closure_sigma_m: float = Field(
-        0.04, gt=0, description="spread of matched grids' transforms about the truth, x and y"
-    )
-    closure_sigma_rad: float = Field(0.0087, gt=0, description="the same of their heading")
-    closure_slack_m: float = Field(0.5, ge=0, description="what any closure may mend")
-    closure_drift_share: float = Field(
-        0.15, ge=0, description="and per metre driven between its ends, where no pass cuts it short"
-    )
-    closure_votes: int = Field(
-        3, ge=2, description="independent closures that agree may mend more than drift explains"
-    )
-    closure_apart_m: float = Field(
-        5.0, ge=0, description="closures nearer than this along both passes are one evidence"
-    )
-    mend_sigmas: float = Field(
-        5.0, gt=0, description="sigmas of the path's error that closures which agree may mend"
-    )
-    agree_m: float = Field(
-        0.15, gt=0, description="error of a closure that is right, where closures are compared"
-    )
-    agree_rad: float = Field(0.03, gt=0, description="the same of its heading")
-    agree_chi2: float = Field(
-        16.3, gt=0, description="below it two closures agree: one right pair of 1,000 is above"
-    )
-    clique_steps: int = Field(
-        100_000, ge=1, description="of the search for the largest set that agrees, at the most"
-    )
-    suspects_most: int = Field(
-        6, ge=0, description="groups of closures the layout is tried without, when walls contradict"
-    )
-    judge_rounds: int = Field(
-        6, ge=1, description="closures are judged, and passes searched, this often at the most"
-    )
-    heal_rounds: int = Field(
-        3, ge=0, description="walls drawn twice are matched and solved again this often at the most"
-    )
-    kernel_sigmas: float = Field(
-        2.0, gt=0, description="closures and passes farther off than this pull less and less"
-    )
-    outlier_chi2: float = Field(
-        25.0, gt=0, description="above it, five sigmas off, they are dropped in the end"
-    )
-    solve_every: int = Field(12, ge=1, description="edges found before the layout is renewed")
-    solve_iterations: int = Field(20, ge=1, description="steps of the solver at the most")
-
-    @model_validator(mode="after")
-    def _searches_have_a_range(self) -> RelaxationConfig:
-        if self.loop_search_m > self.loop_search_max_m:
-            raise ValueError("loop_search_m must not be above loop_search_max_m")
-        return self
 
 
 class WaysConfig(_Section):
     """Doors between submaps, places to stand, and ways for a robot from one to another."""
 
     robot_radius_m: float = Field(
-        0.2, gt=0, le=5, description="ways keep this off walls and off what nobody saw"
+        0.2,
+        gt=0,
+        le=5,
+        description="Radius of the robot: ways keep this off walls and off what nobody saw.",
     )
-    margin_m: float = Field(0.1, ge=0, description="and a place to stand so much more")
     door_min_m: float = Field(
-        0.5, gt=0, description="narrower gaps are no doors: those of buildings are 0.6 m and more"
-    )
-
-
-class AuditConfig(_Section):
-    """The audit of the finished layout: passes through one place must agree on its walls."""
-
-    cell_m: float = Field(0.1, ge=0.02, le=0.5, description="cells in which passes are compared")
-    range_m: float = Field(12.0, gt=0, description="farther returns are not compared")
-    pass_m: float = Field(6.0, gt=0, description="path of one pass: its own drift is small")
-    near_m: float = Field(6.0, gt=0, description="passes this near to each other are compared")
-    apart_m: float = Field(
-        12.0, gt=0, description="when so much path lies between that they may have drifted apart"
-    )
-    passes_compared: int = Field(8, ge=1, description="of them, the nearest, for each pass")
-    depth_m: float = Field(
-        0.2, gt=0, description="a wall this deep in free space contradicts; less is noise"
-    )
-    wall_m: float = Field(1.2, gt=0, description="shorter ones may be doors, people or chairs")
-    share: float = Field(
-        0.15, gt=0, le=1, description="of the walls that both saw, when passes disagree"
-    )
-    search_m: float = Field(3.0, gt=0, description="walls drawn twice are at most so far apart")
-
-
-class QualityConfig(_Section):
-    """The verdict on a finished map; docs/quality.md lists the findings that it rests on."""
-
-    lost_share: float = Field(
-        0.02, ge=0, le=1, description="of the scans lost, above which a map is doubtful"
-    )
-    lost_share_poor: float = Field(0.2, ge=0, le=1, description="above which it is poor")
-    loose_share_poor: float = Field(
-        0.1, ge=0, le=1, description="of the way that a guess places, above which a map is poor"
-    )
-    walls_share_poor: float = Field(
-        0.1, ge=0, le=1, description="of the passes compared that disagree, above which it is poor"
-    )
-    unmeasured_m: float = Field(
-        2.0, gt=0, description="longest way that nothing measured; a quarter of it may be wrong"
-    )
-    odometry_window_m: float = Field(
-        5.0, gt=0, description="way over which odometry is compared with the map"
-    )
-    odometry_share: float = Field(
-        0.3, gt=0, description="of the way by which they may differ in the median: wheels err less"
-    )
-    odometry_slip_share: float = Field(
-        0.5, gt=0, description="and in a single place, where wheels slip, before it is noted"
-    )
-    moved_m: float = Field(
-        1.0, gt=0, description="a piece that the layout moved farther is told of"
-    )
-    moved_votes: int = Field(3, ge=1, description="and doubtful when fewer matches say so")
-    same_place_m: float = Field(
-        5.0, gt=0, description="disagreements, and matches, this near are of one place"
-    )
-    hole_s: float = Field(
-        5.0, gt=0, description="without scans: in less nobody carries a robot to another room"
-    )
-    hole_intervals: float = Field(
-        5.0, gt=1, description="and so many usual intervals: robots that stand may record little"
-    )
-    hole_walls_m: float = Field(
-        0.15, gt=0, description="walls this near to those seen before a hole are the same"
-    )
-    hole_walls_share: float = Field(
-        0.6, ge=0, le=1, description="of the walls around a robot that stood, the rest moved or new"
-    )
-    still_m: float = Field(
-        0.15, gt=0, description="motion over a hole of a robot that stood: noise, and a first step"
-    )
-    still_rad: float = Field(0.1, gt=0, description="its turn")
-    tie_m: float = Field(
-        10.0, ge=0, description="way after a hole from which on matches confirm it: out of a room"
+        0.5,
+        gt=0,
+        description="Narrower gaps are no doors: those of buildings are 0.6 m and more.",
     )
 
 
 class LocalizationConfig(_Section):
     """The hidden Markov filter over the topology, and virtual scans."""
 
-    virtual: bool = Field(True, description="virtual full-circle scans over the last metres")
-    feature_set: str = Field("places", description="of virtual scans; packages can add sets")
-    window_m: float = Field(10.0, gt=0, description="path whose scans make a virtual scan")
-    virtual_beams: int = Field(360, ge=16, description="bearings of a virtual scan")
-    virtual_range_m: float = Field(20.0, gt=0, description="farther returns are not in it")
-    virtual_spacing_m: float = Field(0.2, ge=0, description="motion between the scans in it")
-    virtual_spacing_rad: float = Field(0.3, ge=0, description="or turn between them")
-    track_samples: int = Field(800, ge=1, description="virtual scans along the track, training")
-    augmentation: int = Field(1500, ge=0, description="virtual scans from free cells, training")
-    augmentation_reach_m: float = Field(
-        1.5, gt=0, description="such cells lie this near the track: farther, much was never seen"
+    virtual: bool = Field(
+        True, description="Whether virtual full-circle scans over the last metres are labelled."
     )
-    augmentation_clearance_m: float = Field(
-        0.25, ge=0, description="and this far from walls, as a robot does"
+    feature_set: str = Field(
+        "places", description="Set of features of virtual scans; installed packages can add sets."
+    )
+    track_samples: int = Field(
+        800, ge=1, description="Virtual scans along the track that classifiers learn from."
+    )
+    augmentation: int = Field(
+        1500, ge=0, description="Virtual scans from free cells that classifiers learn from."
     )
     stay: float = Field(
-        0.95, gt=0, lt=1, description="chance to stay in a submap from view to view"
+        0.95, gt=0, lt=1, description="Chance to stay in a submap from view to view."
     )
-    leap: float = Field(
-        1e-4, gt=0, lt=0.5, description="chance to be anywhere next, by a way that was never driven"
+    unknown: bool = Field(True, description="Whether scans may get the label unknown.")
+    false_unknown: float = Field(
+        0.05, gt=0, lt=1, description="Share of the scans of known places that are given up."
     )
-    leave: float = Field(1e-4, ge=0, lt=0.5, description="chance to leave the map, or to come back")
-    trust: float = Field(
-        1.0, gt=0, description="in what scans say, 1: as sure as the map's classifiers proved to be"
-    )
-    view_m: float = Field(
-        0.05, ge=0, description="motion to a new view; scans of one view are averaged, not summed"
-    )
-    view_rad: float = Field(0.0524, ge=0, description="or turn to it: a keyframe's, 3 degrees")
-    unknown: bool = Field(True, description="allow the label unknown")
-    unknown_prior: float = Field(0.5, gt=0, lt=1, description="chance of unknown at the start")
-    independent_m: float = Field(1.0, gt=0, description="motion to a view that says something new")
-    independent_rad: float = Field(1.0, gt=0, description="or turn to it; a part of it counts so")
-    false_unknown: float = Field(0.05, gt=0, lt=1, description="share of known scans given up")
-    exemplars: int = Field(80, ge=1, description="scans kept of a submap, to tell unknown ones by")
-    strange_alone: float = Field(
-        1.0, gt=0, description="a single scan is unknown beyond this share of the limit"
-    )
-    strange_from: float = Field(
-        0.87, gt=0, description="from this share of the limit on, a scan speaks for unknown"
-    )
-    strange_gain: float = Field(
-        2.0, ge=0, description="log likelihood for unknown, per share of the limit beyond that"
-    )
-    strange_most: float = Field(
-        1.0, ge=0, description="and the most of it: views that are strange come in a row"
-    )
-    fit_range_m: float = Field(
-        8.0, gt=0, description="returns matched with walls: farther ones are seen through doors"
-    )
-    fit_submaps: int = Field(2, ge=0, description="likely submaps that are searched, 0: no walls")
-    fit_search_m: float = Field(
-        1.0, gt=0, description="path between searches while a scan fits no walls"
-    )
-    fit_step_m: float = Field(
-        0.2, ge=0, description="motion between looks at walls while a scan fits where it leads"
-    )
-    fit_step_rad: float = Field(0.2, ge=0, description="or turn between them")
-    fit_most: float = Field(4.0, ge=0, description="log likelihood that walls give at the most")
-    held_out_m: float = Field(
-        1.0, gt=0, description="path before and after a view that is held out with it, training"
-    )
-    held_out_reach_m: float = Field(
-        1.5, gt=0, description="and the rest of the map comes so near, or it is a new place"
-    )
-    usual_misfit: float = Field(
-        0.1, gt=0, le=1, description="mean share of returns off the walls, for a map that has none"
-    )
-    usual_misfit_views: int = Field(
-        5, ge=1, description="weight of that, in views that the map held out"
+    fit_submaps: int = Field(
+        2, ge=0, description="Number of likely submaps whose walls are searched; 0: no walls."
     )
     least_misfit: float = Field(
-        0.05, gt=0, le=1, description="of known places: people pass, and doors move"
-    )
-    behind_usual: float = Field(
-        0.2, ge=0, lt=1, description="share of a scan behind walls of its own place that moved"
-    )
-    unseen_weight: float = Field(
-        0.25, ge=0, le=1, description="of returns off the walls where the map saw nothing"
-    )
-    foreign_misfit: float = Field(
-        0.32, gt=0, le=1, description="of other places where they fit best, on average"
-    )
-    foreign_misfit_spread: float = Field(
-        0.13, gt=0, le=1, description="and its standard deviation, seen on plans and logs"
-    )
-    view_slack_rad: float = Field(
-        0.0873, ge=0, description="a laser is refused that sees by more than this less"
-    )
-    range_share: float = Field(
-        0.5, ge=0, le=1, description="or that sees less far than this share of the map's laser"
-    )
-    follow_m: float = Field(
-        0.4, gt=0, description="a pose in a submap is sought this near where motion says it is"
-    )
-    follow_rad: float = Field(0.2094, gt=0, description="and turned this much")
-    follow_score: float = Field(
-        0.8, ge=0, le=1, description="from it on, a pose to which the motion leads is not sought"
+        0.05,
+        gt=0,
+        le=1,
+        description="Share of returns off the walls that is usual in known places: people pass, "
+        "doors move.",
     )
     lead: float = Field(
-        0.95, gt=0.5, lt=1, description="chance of a place from which on its pose is given"
+        0.95,
+        gt=0.5,
+        lt=1,
+        description="Chance of a place from which on its pose is given.",
     )
-    lost_score: float = Field(0.55, ge=0, le=1, description="below it the whole submap is searched")
 
 
 class UpdateConfig(_Section):
     """What an update keeps of the recordings that the map was made of; docs/update.md."""
 
     keep_all: bool = Field(
-        False, description="older keyframes stay, too, where newer ones show the same"
+        False, description="Whether older keyframes stay where newer ones show the same."
     )
 
 
@@ -666,24 +393,29 @@ class LimitsConfig(_Section):
     """How large a file of a map may be: a small one may swell, a wrong one may never end."""
 
     text_max_mb: float = Field(
-        268.0, gt=0, description="JSON, CSV or features of a map: a hundred submaps take a tenth"
-    )
-    picture_max_mb: float = Field(
-        268.0, gt=0, description="picture of a map or a plan, even one without compression"
+        268.0,
+        gt=0,
+        description="Largest JSON, CSV or features file of a map: a hundred submaps take a tenth.",
     )
     picture_max_mpixel: float = Field(
-        100.0, gt=0, description="its millions of pixels: 500 m by 500 m at 0.05 m; 4 bytes each"
+        100.0,
+        gt=0,
+        description="Largest picture in millions of pixels: 500 m by 500 m at 0.05 m.",
     )
     keyframes_max_mb: float = Field(
-        2000.0, gt=0, description="scans of a map: a day's drive takes a tenth; read piece by piece"
+        2000.0,
+        gt=0,
+        description="Largest file of a map's scans: a day's drive takes a tenth.",
     )
 
 
 class Config(_Section):
     """All settings of a run."""
 
-    preset: Literal["default", "paper"] = "default"
-    seed: int = Field(0, ge=0)
+    preset: Literal["default", "paper"] = Field(
+        "default", description="The preset that the other settings were changed from."
+    )
+    seed: int = Field(0, ge=0, description="Seed of all that is drawn at random.")
     log: LogConfig = LogConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     registration: RegistrationConfig = RegistrationConfig()
@@ -692,8 +424,6 @@ class Config(_Section):
     recognition: RecognitionConfig = RecognitionConfig()
     relaxation: RelaxationConfig = RelaxationConfig()
     ways: WaysConfig = WaysConfig()
-    audit: AuditConfig = AuditConfig()
-    quality: QualityConfig = QualityConfig()
     localization: LocalizationConfig = LocalizationConfig()
     update: UpdateConfig = UpdateConfig()
     limits: LimitsConfig = LimitsConfig()

@@ -10,13 +10,12 @@ import difflib
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
-from pydantic_core import PydanticCustomError
 
 from specmap_cli.core.errors import SpecmapError
 from specmap_cli.core.shortage import reason
@@ -26,20 +25,22 @@ Keys = tuple[int | str, ...]  # the keys and numbers that lead to a value
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _MOST_LISTED = 8  # keys that are all named to somebody who wrote another one
-_SAID, _UNFIT = "said", "unfit"
 
 
-def said(told: str) -> PydanticCustomError:
-    """What a validator raises to have it told as `KEY: TOLD`."""
-    return PydanticCustomError(_SAID, "{told}", {"told": told})
+class UnfitError(ValueError):
+    """What a validator raises: `KEY: FOUND: HINT` is told, without `found` `KEY is VALUE: HINT`."""
+
+    def __init__(self, hint: str, found: str = "") -> None:
+        super().__init__(hint)
+        self.hint, self.found = hint, found
 
 
-def unless(fits: Callable[[Any], bool], told: str) -> BeforeValidator:
-    """A validator that has a value that does not fit told as `KEY is VALUE: TOLD`."""
+def unless(fits: Callable[[Any], bool], hint: str) -> BeforeValidator:
+    """A validator that refuses what does not fit: `KEY is VALUE: HINT`."""
 
     def check(value: Any) -> Any:
         if not fits(value):
-            raise PydanticCustomError(_UNFIT, "{told}", {"told": told})
+            raise UnfitError(hint)
         return value
 
     return BeforeValidator(check)
@@ -49,14 +50,14 @@ def unless(fits: Callable[[Any], bool], told: str) -> BeforeValidator:
 class TomlFormat(Generic[Model]):
     """A kind of document: the model of what it holds, and how what is wrong with one is told.
 
-    `error` makes the error of a line. A key is called `noun`, and a complaint ends with `advice`,
-    which begins with its colon or semicolon. `plainly` has our words for types of pydantic's
-    findings. `named` gives a place as a person finds it, and the keys that may stand there; without
-    it keys are dotted.
+    `error` is the class of the errors, or makes them as it does. A key is called `noun`, and a
+    complaint ends with `advice`, which begins with its colon or semicolon. `plainly` has our words
+    for types of pydantic's findings. `named` gives a place as a person finds it, and the keys that
+    may stand there; without it keys are dotted.
     """
 
     model: type[Model]
-    error: Callable[[str], SpecmapError]
+    error: Callable[..., SpecmapError]
     noun: str = "key"
     advice: str = ""
     plainly: Mapping[str, str] = field(default_factory=dict)
@@ -82,9 +83,9 @@ class TomlFormat(Generic[Model]):
         except OSError as error:
             if missing is not None and isinstance(error, FileNotFoundError):
                 return missing
-            raise self.error(f"{path}: cannot be read: {reason(error)}") from None
+            raise self.error(f"{path}: cannot be read: {reason(error)}", where=str(path)) from None
         except UnicodeDecodeError:
-            raise self.error(f"{path}: not UTF-8 text: save it as UTF-8") from None
+            raise self._error(f"{path}: ", "not UTF-8 text", ": save it as UTF-8") from None
 
     def of_text(self, text: str, where: str = "") -> Model:
         """What a text holds; `where`, a file and a colon, stands before a complaint."""
@@ -97,7 +98,8 @@ class TomlFormat(Generic[Model]):
         except ValidationError as error:
             finding = error.errors()[0]
         before = where if isinstance(where, str) else where(finding["loc"])
-        raise self.error(f"{before}{self._complaint(finding)}{self.advice}")
+        found, hint = self._complaint(finding)
+        raise self._error(before, found, f"{hint}{self.advice}")
 
     def _parsed(self, text: str, where: str) -> dict[str, Any]:
         try:
@@ -108,28 +110,33 @@ class TomlFormat(Generic[Model]):
             found = "nested too deeply"
         except ValueError:  # Python reads no integer of thousands of digits
             found = "a number of too many digits"
-        raise self.error(f"{where}{found}{self.advice}")
+        raise self._error(where, found, self.advice)
 
-    def _complaint(self, finding: Mapping[str, Any]) -> str:
-        """One finding of a validation: the key, what is wrong, what was found."""
+    def _error(self, where: str, found: str, hint: str) -> SpecmapError:
+        """The error of a line; `hint` begins with what parts it from what was found."""
+        file = where.partition(": ")[0] or None
+        return self.error(f"{where}{found}{hint}", where=file, hint=hint.lstrip(",:; ") or None)
+
+    def _complaint(self, finding: Mapping[str, Any]) -> tuple[str, str]:
+        """One finding of a validation: the key and what is wrong with it, and what to do."""
         place = tuple(part for part in finding["loc"] if part != "[key]")
         key, known = self._dotted(place) if self.named is None else self.named(place)
         kind, value, told = finding["type"], finding["input"], str(finding["msg"])
         if kind == "extra_forbidden":
-            return f"{key}: no such {self.noun}{_hint(key, known)}"
+            return f"{key}: no such {self.noun}", _hint(key, known)
         if kind == "missing":
-            return f"{key}: is missing"
-        if kind == _SAID:
-            return f"{key}: {told}"
-        if kind == _UNFIT:
-            return f"{key} is {value!r:.60}: {told}"
+            return f"{key}: is missing", ""
+        unfit = finding.get("ctx", {}).get("error")
+        if isinstance(unfit, UnfitError):
+            found = f": {unfit.found}" if unfit.found else f" is {value!r:.60}"
+            return f"{key}{found}", f": {unfit.hint}"
         if kind in self.plainly:
             told = self.plainly[kind]
         elif kind in ("dict_type", "model_type"):
-            return f"{key} is {value!r:.60}: expected a table [{key}]"
+            return f"{key} is {value!r:.60}", f": expected a table [{key}]"
         of_all = kind == "value_error" and isinstance(value, Mapping)  # of no single value in it
         found = "" if of_all else f", found {value!r:.60}"
-        return f"{key}: {told.removeprefix('Value error, ')}{found}"
+        return f"{key}: {told.removeprefix('Value error, ')}{found}", ""
 
     def _dotted(self, place: Keys) -> tuple[str, Sequence[str]]:
         return ".".join(str(part) for part in place), list(_keys(self.model))
@@ -145,11 +152,21 @@ def _keys(model: type[BaseModel]) -> Iterator[str]:
 
 def _hint(key: str, known: Sequence[str]) -> str:
     """Which key was meant, by its dotted name or its last part; which there are, if few."""
-    last = re.split(r"[.\s]", key)[-1]
-    near = difflib.get_close_matches(key, known, 1) or difflib.get_close_matches(last, known, 1)
-    if near:
-        return f", did you mean {near[0]}?"
-    return f", expected {', '.join(known)}" if len(known) <= _MOST_LISTED else ""
+    near = _nearest(key, known) or _nearest(re.split(r"[.\s]", key)[-1], known)
+    if near or len(known) > _MOST_LISTED:
+        return near and f", did you mean {near}?"
+    return f", expected {', '.join(known)}"
+
+
+def choice(name: str, known: Iterable[str]) -> str:
+    """What to do about a name that is none of those known."""
+    near = _nearest(name, known)
+    return f"did you mean {near}?" if near else f"choose from {', '.join(known)}"
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    """The name that was meant; empty where none is near."""
+    return "".join(difflib.get_close_matches(name, list(known), 1))
 
 
 def value_of(text: str) -> Any:

@@ -16,6 +16,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import GridConfig
 
+SURFACE_GAP_M = 0.3  # returns this close bound one surface
 SUBPIXEL_BITS = 4  # OpenCV draws on a lattice of 1/16 cell, finer than a laser's noise
 
 Cell = tuple[int, int]  # column and row
@@ -57,7 +58,7 @@ def fans_of(
     low, high = _boxes(x, y, first, laser)
     x -= np.repeat(low[:, 0], counts)
     y -= np.repeat(low[:, 1], counts)
-    opens = _openings(beams, x, y, first, config.surface_gap_m / config.resolution_m)
+    opens = _openings(beams, x, y, first, SURFACE_GAP_M / config.resolution_m)
     star, starts = _stars(x, y, laser - low, opens, first)
     hit = ranges <= config.max_range_m
     returns = np.concatenate([[0], np.cumsum(np.add.reduceat(hit, first, dtype=np.intp))])

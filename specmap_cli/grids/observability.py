@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, product
+from specmap_cli.grids.evidence import SURFACE_GAP_M
 
-_SURFACE_GAP_M = 0.3  # neighbouring points this close lie on one surface, as for the grids
 _DISTINCT_M = 1e-6  # between points of which the direction of a surface can be had
 # Of smoothed surfaces: pieces so long that 3 cm of noise turn their normals by less than 0.1 rad,
 # which makes a hundredth of the information; whoever stands in a room has ten times that.
@@ -28,7 +28,7 @@ def observability(points: FloatArray, range_noise_m: float) -> FloatArray:
         return np.zeros((3, 3))
     tangent = points[2:] - points[:-2]
     length = np.hypot(tangent[:, 0], tangent[:, 1])
-    good = (length > _DISTINCT_M) & (length < 2 * _SURFACE_GAP_M)
+    good = (length > _DISTINCT_M) & (length < 2 * SURFACE_GAP_M)
     tangent, p = tangent[good] / length[good, None], points[1:-1][good]
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
     rows = np.column_stack([normal, p[:, 0] * normal[:, 1] - p[:, 1] * normal[:, 0]])

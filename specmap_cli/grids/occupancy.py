@@ -16,6 +16,7 @@ from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.evidence import SUBPIXEL_BITS, Cell, Fan, fans_of, footprints_of
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, slices_near
 
+_OCCUPIED_SHARE = 0.25  # hits / (hits + misses) of a wall
 _FREE, _OCCUPIED, _UNKNOWN = (np.uint8(state) for state in (FREE, OCCUPIED, UNKNOWN))
 _ONCE = np.float32(1.0)
 _GROWTH_CELLS = 128  # added on a side that grows: some 6 m at once, so that it seldom does
@@ -24,7 +25,7 @@ _GROWTH_CELLS = 128  # added on a side that grows: some 6 m at once, so that it 
 class OccupancyGrid:
     """Hit and miss counts on a grid that grows with what is integrated.
 
-    A cell is occupied when at least `occupied_share` of the scans that saw it ended in it, free
+    A cell is occupied when at least `_OCCUPIED_SHARE` of the scans that saw it ended in it, free
     when some beam passed through and it is not occupied, and unknown otherwise. A beam without a
     return proves nothing and carves nothing. A scan for which the grid would grow past
     `max_extent_m` or `max_area_m2` is left out and counted in `refused`.
@@ -124,7 +125,7 @@ class OccupancyGrid:
         cells = np.where(misses > 0, _FREE, _UNKNOWN)
         hit = np.nonzero(hits)
         seen = hits[hit] + misses[hit].astype(np.float64)
-        occupied = hits[hit] >= self.config.occupied_share * seen
+        occupied = hits[hit] >= _OCCUPIED_SHARE * seen
         cells[hit] = np.where(occupied, _OCCUPIED, _FREE)
         x, y = self._origin
         left, low = int(columns.start), int(rows.start)

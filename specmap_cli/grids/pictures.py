@@ -20,6 +20,7 @@ from specmap_cli.core.files import read_bytes
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.shortage import reason
 
+_PICTURE_MAX_MB = 268.0  # a picture of a map or a plan, even one without compression
 _PIXELS_PER_MPIXEL = 1_000_000
 # Where width and height stand in the formats that maps come in, by the definition of each.
 _PNG = re.compile(rb"\x89PNG\r\n\x1a\n.{4}IHDR(.{8})", re.DOTALL)
@@ -35,7 +36,7 @@ def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]
     """
     limits = LimitsConfig() if limits is None else limits
     try:
-        data = read_bytes(path, limits.picture_max_mb, "limits.picture_max_mb")
+        data = read_bytes(path, _PICTURE_MAX_MB)
     except OSError as error:
         raise MapError(f"{path}: cannot read the image: {reason(error)}") from None
     width, height = _size(data)

@@ -12,7 +12,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from specmap_cli.core.json_values import Amount, Count, Number, Record, Stamp
+from specmap_cli.core.json_values import Amount, Count, Measured, Number, Stamp
 from specmap_cli.core.schemas import ModelSchema
 
 SCHEMA_VERSION = 1
@@ -27,7 +27,7 @@ def room_name(number: int) -> str:
     return f"room {number}"
 
 
-class RoomRecord(Record):
+class RoomRecord(Measured):
     """A room of a building: a submap of the map that showed it first."""
 
     number: Count = Field(description="what visits and changes call it by")
@@ -40,7 +40,7 @@ class RoomRecord(Record):
     days: Count = Field(description="on how many days it was visited")
 
 
-class MapRecord(Record):
+class MapRecord(Measured):
     """One of the maps, by time."""
 
     number: Count = Field(description="what rooms and changes call it by")
@@ -56,7 +56,7 @@ class MapRecord(Record):
     residual_m: Amount | None = Field(description="how far its submaps lie off those of that map")
 
 
-class StayRecord(Record):
+class StayRecord(Measured):
     """A room on one day."""
 
     room: Count
@@ -64,7 +64,7 @@ class StayRecord(Record):
     minutes: Amount = Field(description="between the scans of these visits")
 
 
-class DayRecord(Record):
+class DayRecord(Measured):
     """A building on one day."""
 
     day: str = Field(description="YYYY-MM-DD in the time zone of the record")
@@ -74,7 +74,7 @@ class DayRecord(Record):
     rooms: list[StayRecord] = Field(description="those that were visited, by number")
 
 
-class ChangeRecord(Record):
+class ChangeRecord(Measured):
     """Something that is otherwise in a map than in the map that it was compared with."""
 
     kind: ChangeKind
@@ -88,7 +88,7 @@ class ChangeRecord(Record):
     size: Amount | None = Field(description="width of a door, m; area of a thing or room, m2")
 
 
-class BuildingRecord(Record):
+class BuildingRecord(Measured):
     """Maps that fit to one another, directly or through others."""
 
     number: Count
@@ -99,14 +99,14 @@ class BuildingRecord(Record):
     changes: list[ChangeRecord] = Field(description="in the order of the maps that show them")
 
 
-class LeftOutRecord(Record):
+class LeftOutRecord(Measured):
     """A map that could not be read."""
 
     map: str
     reason: str
 
 
-class HistoryRecord(Record):
+class HistoryRecord(Measured):
     """The whole file."""
 
     schema_version: Literal[1] = Field(description="the version of this format")

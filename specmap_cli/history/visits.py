@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
-from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
@@ -14,6 +13,7 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.labels import runs
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.core.tracks import path_length
+from specmap_cli.history.record import DayRecord, StayRecord
 
 _NS = 1_000_000_000
 _MINUTE_S = 60.0
@@ -80,8 +80,8 @@ def day_of(stamp_ns: int, zone: tzinfo) -> str:
     return moment.astimezone(zone).date().isoformat()
 
 
-def days_of(tours: Sequence[Tour], zone: tzinfo) -> list[dict[str, Any]]:
-    """The days of a building as history.json has them. A visit counts on the day it began."""
+def days_of(tours: Sequence[Tour], zone: tzinfo) -> list[DayRecord]:
+    """The days of a building. A visit counts on the day it began."""
     by_day: dict[str, list[Tour]] = {}
     visits: dict[str, list[Visit]] = {}
     for tour in sorted(tours, key=lambda one: one.start_ns):
@@ -89,16 +89,16 @@ def days_of(tours: Sequence[Tour], zone: tzinfo) -> list[dict[str, Any]]:
         for visit in tour.visits:
             visits.setdefault(day_of(visit.start_ns, zone), []).append(visit)
     return [
-        {
-            "day": day,
-            "recordings": len(by_day.get(day, ())),
-            "driven_m": sum(tour.driven_m for tour in by_day.get(day, ())),
-            "minutes": sum(_lasted_min(tour) for tour in by_day.get(day, ())),
-            "rooms": [
-                {"room": room, "visits": count, "minutes": minutes}
+        DayRecord(
+            day=day,
+            recordings=len(by_day.get(day, ())),
+            driven_m=sum(tour.driven_m for tour in by_day.get(day, ())),
+            minutes=sum(_lasted_min(tour) for tour in by_day.get(day, ())),
+            rooms=[
+                StayRecord(room=room, visits=count, minutes=minutes)
                 for room, (count, minutes) in sorted(totals(visits.get(day, ())).items())
             ],
-        }
+        )
         for day in sorted({*by_day, *visits})
     ]
 

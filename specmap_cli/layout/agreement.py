@@ -14,11 +14,15 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.cliques import largest_clique
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.uncertainty import Uncertainty, adjoint, moved_covariance, surprise
+
+AGREE_M = 0.15  # error of a closure that is right, where closures are compared
+AGREE_RAD = 0.03  # error of the heading of a closure that is right
+_AGREE_CHI2 = 16.3  # below it two closures agree: one right pair of 1,000 is above
+_CLIQUE_STEPS = 100_000  # steps of the search for the largest set that agrees, at the most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,14 +69,12 @@ class Agreement:
     exact: bool
 
 
-def largest_agreement(pairs: Pairs, config: RelaxationConfig) -> Agreement:
+def largest_agreement(pairs: Pairs) -> Agreement:
     """The largest set of links that agree pair by pair."""
-    return Agreement(*largest_clique(pairs.agree, config.clique_steps))
+    return Agreement(*largest_clique(pairs.agree, _CLIQUE_STEPS))
 
 
-def pairs_of(
-    graph: Graph, poses: FloatArray, ends: Ends, spread: Uncertainty, config: RelaxationConfig
-) -> Pairs:
+def pairs_of(graph: Graph, poses: FloatArray, ends: Ends, spread: Uncertainty) -> Pairs:
     """Whether links agree, at poses (M, 3). Links between other parts say nothing of each other."""
     count = len(ends.i)
     a, b = np.triu_indices(count, 1)
@@ -80,9 +82,9 @@ def pairs_of(
         graph.parts[ends.j[a]] == graph.parts[ends.j[b]]
     )
     a, b = a[same], b[same]
-    error, covariance = way_home(poses, ends, a, b, spread, config)
+    error, covariance = way_home(poses, ends, a, b, spread)
     agree, sigma = np.zeros((count, count), dtype=bool), np.full((count, count), np.inf)
-    agree[a, b] = surprise(error, covariance) <= config.agree_chi2
+    agree[a, b] = surprise(error, covariance) <= _AGREE_CHI2
     sigma[a, b] = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2)
     return Pairs(agree | agree.T, np.minimum(sigma, sigma.T))
 
@@ -93,7 +95,6 @@ def way_home(
     a: IntArray,
     b: IntArray,
     spread: Uncertainty,
-    config: RelaxationConfig,
 ) -> tuple[FloatArray, FloatArray]:
     """Errors (P, 3) of the ways over links `a` (P,) and back over `b`, and covariances (P, 3, 3).
 
@@ -105,7 +106,7 @@ def way_home(
     over = compose(compose(older, ends.z[a]), later)  # ib from jb, by way of link a
     error = compose(invert(ends.z[b]), over)
     # each piece's error, moved to the frame of jb: that of a link acts in the frame of its end
-    one = np.diag([config.agree_m**2, config.agree_m**2, config.agree_rad**2])
+    one = np.diag([AGREE_M**2, AGREE_M**2, AGREE_RAD**2])
     covariance = spread.between(ends.j[a], ends.j[b]) + one
     covariance = covariance + moved_covariance(adjoint(invert(later)), one[None])
     back = invert(compose(ends.z[a], later))  # jb from ia

@@ -16,12 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.settings import AuditConfig, GridConfig
+from specmap_cli.core.settings import GridConfig
 from specmap_cli.core.tracks import moved, step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, CellArray, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.grids.matching import ScoreField, Window, refine, search
 
+_CELL_M = 0.1  # cells in which passes are compared
+_RANGE_M = 12.0  # farther returns are not compared
+_PASS_M = 6.0  # path of one pass: its own drift is small
+_NEAR_M = 6.0  # passes this near to each other are compared
+_APART_M = 12.0  # passes with so much path between them may have drifted apart
+_PASSES_COMPARED = 8  # the nearest passes that each pass is compared with
+_DEPTH_M = 0.2  # a wall this deep in free space contradicts; less is noise
+_WALL_M = 1.2  # shorter walls may be doors, people or chairs
+_DISAGREEING_SHARE = 0.15  # of the walls that both passes saw, when they disagree
+_SEARCH_M = 3.0  # walls drawn twice are at most so far apart
 _UNKNOWN, _WALL, _OPEN = range(3)  # what a pass says of a place
 _KEYFRAME_M, _KEYFRAME_RAD = 0.3, 0.25  # between the keyframes of a pass: they see nearly the same
 _STEP_M, _REFINE_STEPS = 0.2, 10  # of the search for how far two walls stand apart
@@ -116,36 +126,32 @@ class Audit:
         return len(self.disagreements) / max(1, self.compared)
 
 
-def audit(
-    store: KeyframeStore, poses: FloatArray, breaks: Collection[int], config: AuditConfig
-) -> Audit:
+def audit(store: KeyframeStore, poses: FloatArray, breaks: Collection[int]) -> Audit:
     """Compare all passes through the same places, keyframes being at poses (n, 3)."""
     if not len(poses):
         return Audit()
-    passes = passes_of(store, poses, breaks, config)
+    passes = passes_of(store, poses, breaks)
     found, compared = [], 0
-    for earlier, later in pairs_of(passes, config):
-        shared, contradicted = _compare(earlier, later, config)
+    for earlier, later in pairs_of(passes):
+        shared, contradicted = _compare(earlier, later)
         if not shared:
             continue
         compared += 1
-        length_m = len(contradicted) * config.cell_m
-        if length_m >= config.wall_m and length_m >= config.share * shared * config.cell_m:
-            found.append(_disagreement(earlier, later, shared, contradicted, config))
+        length_m = len(contradicted) * _CELL_M
+        if length_m >= _WALL_M and length_m >= _DISAGREEING_SHARE * shared * _CELL_M:
+            found.append(_disagreement(earlier, later, shared, contradicted))
     return Audit(compared=compared, disagreements=tuple(found))
 
 
-def passes_of(
-    store: KeyframeStore, poses: FloatArray, breaks: Collection[int], config: AuditConfig
-) -> list[Pass]:
-    """The path cut into passes of `pass_m`, and where the tracking was lost."""
+def passes_of(store: KeyframeStore, poses: FloatArray, breaks: Collection[int]) -> list[Pass]:
+    """The path cut into passes of `_PASS_M`, and where the tracking was lost."""
     way = np.concatenate([[0.0], np.cumsum(step_lengths(poses))])
     passes: list[Pass] = []
     first = 0
     for number in range(1, len(poses) + 1):
         ended = number == len(poses) or number in breaks
-        if ended or way[number] - way[first] >= config.pass_m:
-            passes.append(_pass(store, poses, first, number - 1, float(way[first]), config))
+        if ended or way[number] - way[first] >= _PASS_M:
+            passes.append(_pass(store, poses, first, number - 1, float(way[first])))
             first = number
     return passes
 
@@ -156,14 +162,13 @@ def _pass(
     first: int,
     last: int,
     way_m: float,
-    config: AuditConfig,
 ) -> Pass:
     chosen: list[int] = []
     for number in range(first, last + 1):
         before = Pose2(*poses[chosen[-1]].tolist()) if chosen else None
         if moved(before, Pose2(*poses[number].tolist()), _KEYFRAME_M, _KEYFRAME_RAD):
             chosen.append(number)
-    coarse = GridConfig(resolution_m=config.cell_m, max_range_m=config.range_m)
+    coarse = GridConfig(resolution_m=_CELL_M, max_range_m=_RANGE_M)
     grid = integrate_keyframes(store, chosen, poses[chosen], coarse).snapshot()
     return Pass(
         first=first,
@@ -171,7 +176,7 @@ def _pass(
         centre=poses[first : last + 1, :2].mean(axis=0),
         way_m=way_m,
         grid=_cropped(grid),
-        depth_m=config.depth_m,
+        depth_m=_DEPTH_M,
     )
 
 
@@ -185,70 +190,70 @@ def _cropped(grid: GridMap) -> GridMap:
     )
 
 
-def pairs_of(passes: Sequence[Pass], config: AuditConfig) -> Iterator[tuple[Pass, Pass]]:
+def pairs_of(passes: Sequence[Pass]) -> Iterator[tuple[Pass, Pass]]:
     """Each pass with the nearest earlier ones, from where much of the same can be seen."""
     centres = np.array([one.centre for one in passes])
     for number, later in enumerate(passes):
         away = np.hypot(*(centres[:number] - later.centre).T)
-        for k in np.argsort(away, kind="stable")[: config.passes_compared].tolist():
+        for k in np.argsort(away, kind="stable")[:_PASSES_COMPARED].tolist():
             earlier = passes[k]
-            if away[k] <= config.near_m and later.way_m - earlier.way_m >= config.apart_m:
+            if away[k] <= _NEAR_M and later.way_m - earlier.way_m >= _APART_M:
                 yield earlier, later
 
 
-def _compare(earlier: Pass, later: Pass, config: AuditConfig) -> tuple[int, FloatArray]:
+def _compare(earlier: Pass, later: Pass) -> tuple[int, FloatArray]:
     """How many wall cells of either pass the other one saw, and those it contradicts (N, 2)."""
     shared, contradicted = 0, []
     for one, other in ((earlier, later), (later, earlier)):
         said = other.of(one.walls)
         shared += int(np.count_nonzero(said != _UNKNOWN))
-        contradicted.append(_long(one.walls[said == _OPEN], config))
+        contradicted.append(_long(one.walls[said == _OPEN]))
     return shared, np.concatenate(contradicted)
 
 
-def _long(points: FloatArray, config: AuditConfig) -> FloatArray:
-    """Those of the cells (N, 2) that stand in a row at least as long as `wall_m`."""
+def _long(points: FloatArray) -> FloatArray:
+    """Those of the cells (N, 2) that stand in a row at least as long as `_WALL_M`."""
     if not len(points):
         return points
-    cells = np.floor((points - points.min(axis=0)) / config.cell_m + 0.5).astype(np.intp)
+    cells = np.floor((points - points.min(axis=0)) / _CELL_M + 0.5).astype(np.intp)
     picture = np.zeros(cells.max(axis=0) + 1, dtype=np.uint8)
     picture[cells[:, 0], cells[:, 1]] = 1
     joined = cv2.dilate(picture, np.ones((3, 3), dtype=np.uint8))  # over gaps of a cell or two
     _, pieces, stats, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
     sides = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]] - 2  # the dilation's rim
-    long = np.hypot(*sides.T) * config.cell_m >= config.wall_m
+    long = np.hypot(*sides.T) * _CELL_M >= _WALL_M
     long[0] = False  # the background
     kept: NDArray[np.bool_] = long[pieces[cells[:, 0], cells[:, 1]]]
     return points[kept]
 
 
 def _disagreement(
-    earlier: Pass, later: Pass, shared: int, contradicted: FloatArray, config: AuditConfig
+    earlier: Pass, later: Pass, shared: int, contradicted: FloatArray
 ) -> Disagreement:
     x, y = np.median(contradicted, axis=0).tolist()
     return Disagreement(
         earlier=(earlier.first + earlier.last) // 2,
         later=(later.first + later.last) // 2,
         place=(x, y),
-        walls_m=len(contradicted) * config.cell_m,
+        walls_m=len(contradicted) * _CELL_M,
         share=len(contradicted) / shared,
-        offset=_offset(earlier, later, config),
+        offset=_offset(earlier, later),
     )
 
 
-def _offset(earlier: Pass, later: Pass, config: AuditConfig) -> Pose2 | None:
+def _offset(earlier: Pass, later: Pass) -> Pose2 | None:
     """The motion of the map that brings the later pass onto the earlier one, if one does clearly.
 
     Walls beyond what the earlier pass saw say nothing, wherever they are moved.
     """
-    seen = later.walls[np.hypot(*(later.walls - earlier.centre).T) <= config.range_m]
+    seen = later.walls[np.hypot(*(later.walls - earlier.centre).T) <= _RANGE_M]
     if not len(seen):
         return None
-    field = ScoreField.from_points(earlier.walls, config.cell_m, _SIGMA_M)
+    field = ScoreField.from_points(earlier.walls, _CELL_M, _SIGMA_M)
     x, y = later.centre.tolist()
     centre = Pose2(x, y, 0.0)
     points = seen - later.centre
-    window = Window(distance_m=config.search_m, angle_rad=_TURN_RAD, step_m=_STEP_M)
+    window = Window(distance_m=_SEARCH_M, angle_rad=_TURN_RAD, step_m=_STEP_M)
     rough = search(field, points, centre, window)
     best = refine(field, points, rough.pose, _REFINE_STEPS)
     before, after = (_agreement(earlier, pose.apply(points)) for pose in (centre, best.pose))

@@ -14,10 +14,11 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.sampling import evenly
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.score_field import thinned
 from specmap_cli.layout.line_fitting import on_lines, onto_lines
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M
+from specmap_cli.layout.wall_matching import LOOP_SCORE, MATCH_POINTS
 from specmap_cli.layout.walls import CELL_M
 
 _PLACE_M = 2.5  # of path on either side of a keyframe: its walls make one place
@@ -55,20 +56,18 @@ class Place:
         return Place(scans, self.poses[few], int(np.searchsorted(few, self.own)))
 
 
-def place_around(
-    store: KeyframeStore, keyframes: Sequence[int], k: int, config: RelaxationConfig
-) -> Place:
+def place_around(store: KeyframeStore, keyframes: Sequence[int], k: int) -> Place:
     """What was seen near the k-th of some keyframes of one pass."""
     poses = store.poses_of(keyframes)
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     path = np.concatenate([[0.0], np.cumsum(steps)])
     near = np.flatnonzero(np.abs(path - path[k]) <= _PLACE_M)
-    scans = tuple(store.points(keyframes[i], config.match_range_m) for i in near.tolist())
+    scans = tuple(store.points(keyframes[i], MATCH_RANGE_M) for i in near.tolist())
     relative = compose(invert(poses[k]), poses[near])
     return Place(scans, relative, int(np.searchsorted(near, k)))
 
 
-def sharpened(old: Place, new: Place, guess: Pose2, config: RelaxationConfig) -> Pose2:
+def sharpened(old: Place, new: Place, guess: Pose2) -> Pose2:
     """The pose of the keyframe of `new` seen from that of `old`, from a guess that was verified.
 
     Along a bare corridor the guess stays, across it the walls decide. Where these do not fit, or
@@ -76,7 +75,7 @@ def sharpened(old: Place, new: Place, guess: Pose2, config: RelaxationConfig) ->
     """
     old, new = old.of_few(_SCANS), new.of_few(_SCANS)
     rough = onto_lines(new.walls, old.walls, guess, _SPREAD)
-    if rough.share < config.loop_score or rough.points < config.match_points:
+    if rough.share < LOOP_SCORE or rough.points < MATCH_POINTS:
         return guess
     fine = _together(old, new, rough.target_from_source)
     off = guess.inverse() @ fine

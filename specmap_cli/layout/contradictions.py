@@ -17,9 +17,9 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.path_graph import Graph
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M
+from specmap_cli.layout.path_graph import LOOP_EVERY_M, LOOP_PATH_M, Graph
 from specmap_cli.layout.stops import stops
 
 _BEARINGS = 180  # two degrees each: neighbours cover what headings err by
@@ -80,12 +80,12 @@ class Views:
     way: FloatArray
 
     @classmethod
-    def of(cls, store: KeyframeStore, graph: Graph, config: RelaxationConfig) -> Views:
-        """A view every `loop_every_m` of path, fewer on a very long one."""
-        every_m = max(config.loop_every_m, float(graph.path[-1]) / _MOST_VIEWS)
+    def of(cls, store: KeyframeStore, graph: Graph) -> Views:
+        """A view every `LOOP_EVERY_M` of path, fewer on a very long one."""
+        every_m = max(LOOP_EVERY_M, float(graph.path[-1]) / _MOST_VIEWS)
         rows = np.array(stops(graph.path, every_m), dtype=np.int64)
         numbers = graph.nodes[rows].tolist()
-        ranges = [_nearest(store, number, config.match_range_m) for number in numbers]
+        ranges = [_nearest(store, number, MATCH_RANGE_M) for number in numbers]
         return cls(
             rows=rows,
             ranges=np.array(ranges, dtype=np.float32).reshape(-1, _BEARINGS),
@@ -93,10 +93,10 @@ class Views:
             way=graph.path[rows],
         )
 
-    def standing(self, poses: FloatArray, config: RelaxationConfig) -> Standing:
+    def standing(self, poses: FloatArray) -> Standing:
         """How the views of all passes stand to each other at poses (M, 3) of the graph's nodes."""
         lasers = compose(poses[self.rows], self.mounts)
-        older, newer = self.partners(lasers, config)
+        older, newer = self.partners(lasers)
         agree = contradict = 0
         for a, b in ((older, newer), (newer, older)):
             for first in range(0, len(a), _TOGETHER):
@@ -105,14 +105,14 @@ class Views:
                 agree, contradict = agree + same, contradict + clear
         return Standing(agree, contradict)
 
-    def partners(self, lasers: FloatArray, config: RelaxationConfig) -> tuple[IntArray, IntArray]:
+    def partners(self, lasers: FloatArray) -> tuple[IntArray, IntArray]:
         """Views of an older pass and a newer one through the same place (P,), the nearest."""
         pairs: list[tuple[int, int]] = []
         tree = cKDTree(lasers[:, :2])
         for newer, way_m in enumerate(self.way.tolist()):
             found = tree.query_ball_point(lasers[newer, :2], _PARTNER_M, return_sorted=True)
             old = np.array(found, dtype=np.int64)
-            old = old[self.way[old] < way_m - config.loop_path_m]
+            old = old[self.way[old] < way_m - LOOP_PATH_M]
             away = np.hypot(*(lasers[old, :2] - lasers[newer, :2]).T)
             near = np.flatnonzero(away < _PARTNER_M)
             best = near[np.argsort(away[near], kind="stable")[:_PARTNERS]]

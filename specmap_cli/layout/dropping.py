@@ -16,11 +16,10 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.motion_edges import Bridge, motion_links
-from specmap_cli.layout.path_graph import chosen_nodes
+from specmap_cli.layout.path_graph import NODE_M, chosen_nodes
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.layout.uncertainty import Uncertainty, adjoint, moved_covariance
@@ -30,13 +29,13 @@ from specmap_cli.layout.uncertainty import Uncertainty, adjoint, moved_covarianc
 _LAID_OUT = Bridge(0.02, 0.005)
 
 
-def gaps_of(poses: FloatArray, thinned: IntArray, config: RelaxationConfig) -> dict[int, Bridge]:
+def gaps_of(poses: FloatArray, thinned: IntArray) -> dict[int, Bridge]:
     """The keyframes that come after gaps, and how well the motion over each gap is known.
 
     `poses` (n, 3) are those of all keyframes, `thinned` (n,) the recordings that some were taken
     from, -1 for one that is whole. A step longer than those between nodes is a gap there.
     """
-    far = step_lengths(poses) > config.node_m
+    far = step_lengths(poses) > NODE_M
     after = 1 + np.flatnonzero(far & (thinned[1:] >= 0) & (thinned[1:] == thinned[:-1]))
     return dict.fromkeys(after.tolist(), _LAID_OUT)
 
@@ -68,7 +67,6 @@ def without_keyframes(
     numbers: IntArray,
     recordings: IntArray,
     breaks: Mapping[int, Bridge | None],
-    config: RelaxationConfig,
 ) -> Layout:
     """The layout of the keyframes `numbers` (k,) alone, ascending, which get new numbers from 0 on.
 
@@ -81,12 +79,12 @@ def without_keyframes(
     kept = tuple(replace(one, source=row[one.source], target=row[one.target]) for one in carried)
     ends = {end for link in kept for end in (link.source, link.target)}
     old = {row[node] for node in layout.nodes.tolist() if node in row}
-    nodes = chosen_nodes(store.poses, {*old, *ends, *breaks}, config)
+    nodes = chosen_nodes(store.poses, {*old, *ends, *breaks})
     return replace(
         layout,
         poses=layout.poses[numbers],
         nodes=nodes,
-        odometry=_motions(store, nodes, layout.odometry, row, breaks, config),
+        odometry=_motions(store, nodes, layout.odometry, row, breaks),
         kept=kept,
         dropped=(),
         loose=tuple(row[start] for start in layout.loose),
@@ -99,7 +97,6 @@ def _motions(
     known: Sequence[Link],
     row: Mapping[int, int],
     breaks: Mapping[int, Bridge | None],
-    config: RelaxationConfig,
 ) -> tuple[Link, ...]:
     """The motions between the nodes, those that are known by their old numbers as they are."""
     same = {
@@ -111,7 +108,7 @@ def _motions(
     for source, target in zip(nodes[:-1].tolist(), nodes[1:].tolist(), strict=True):
         one = same.get((source, target))
         if one is None:
-            motions += motion_links(store, np.array([source, target]), breaks, config)
+            motions += motion_links(store, np.array([source, target]), breaks)
         else:
             motions.append(replace(one, source=source, target=target))
     return tuple(motions)

@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from specmap_cli.core.geometry import Pose2, compose, invert
-from specmap_cli.core.settings import AuditConfig, RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Audit, Disagreement, audit
 from specmap_cli.layout.carrying import carried
 from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.evidence import Healing, part_moves
 from specmap_cli.layout.judging import judge
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M
+from specmap_cli.layout.nearby_passes import LOOP_SEARCH_M
 from specmap_cli.layout.parts import loose_starts
 from specmap_cli.layout.pass_matching import match_passes
 from specmap_cli.layout.path_graph import Draft, Graph, joined
@@ -28,6 +29,8 @@ from specmap_cli.layout.relaxation import Layout
 from specmap_cli.layout.solving import settle, tighten
 from specmap_cli.layout.wall_matching import nearby_link
 from specmap_cli.layout.walls import PLACE_NODES, Walls
+
+_HEAL_ROUNDS = 3  # walls drawn twice are matched and solved again this often at the most
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,20 +45,18 @@ def healed(
     store: KeyframeStore,
     layout: Layout,
     breaks: Collection[int],
-    config: RelaxationConfig,
-    auditing: AuditConfig,
 ) -> Audited:
     """The layout with its audit, mended where passes disagree and it shows how far they are apart.
 
-    Tried `heal_rounds` times at the most; a trial that is no better ends it. Where the layout has
+    Tried `_HEAL_ROUNDS` times at the most; a trial that is no better ends it. Where the layout has
     no graph nothing is mended. Deterministic.
     """
-    first = best = Audited(layout, audit(store, layout.poses, breaks, auditing))
-    for _ in range(config.heal_rounds if len(layout.nodes) else 0):
-        trial = _mended(store, best, config)
+    first = best = Audited(layout, audit(store, layout.poses, breaks))
+    for _ in range(_HEAL_ROUNDS if len(layout.nodes) else 0):
+        trial = _mended(store, best)
         if trial is None:
             break
-        again = Audited(trial, audit(store, trial.poses, breaks, auditing))
+        again = Audited(trial, audit(store, trial.poses, breaks))
         if not _is_better(again, best):
             break
         best = again
@@ -81,7 +82,7 @@ def _is_better(trial: Audited, before: Audited) -> bool:
     return less and not now.is_worse_than(was)
 
 
-def _mended(store: KeyframeStore, found: Audited, config: RelaxationConfig) -> Layout | None:
+def _mended(store: KeyframeStore, found: Audited) -> Layout | None:
     """The layout solved with the claims of the audit that are believed, if there are any.
 
     One claim alone may mend little, as a pass found far away: others must agree with it.
@@ -89,19 +90,19 @@ def _mended(store: KeyframeStore, found: Audited, config: RelaxationConfig) -> L
     layout, disagreements = found.layout, found.audit.disagreements
     if all(one.offset is None for one in disagreements):
         return None
-    graph = joined(store.poses, layout.nodes, layout.odometry, config)
+    graph = joined(store.poses, layout.nodes, layout.odometry)
     draft = _draft_of(graph, layout)
-    claims = _claims(graph, draft, disagreements, Walls(store, graph, config.match_range_m), config)
-    believed = judge(graph, draft, claims, config).links(believed=True)
+    claims = _claims(graph, draft, disagreements, Walls(store, graph, MATCH_RANGE_M))
+    believed = judge(graph, draft, claims).links(believed=True)
     if not believed:
         return None
-    trial = tighten(graph, replace(draft, loops=(*draft.loops, *believed)), config)
-    trial, dropped = settle(graph, trial, config)
+    trial = tighten(graph, replace(draft, loops=(*draft.loops, *believed)))
+    trial, dropped = settle(graph, trial)
     evidence = replace(
         layout.evidence,
         choice="passes" if layout.evidence.choice == "tracked" else layout.evidence.choice,
         parts=part_moves(graph, trial),
-        standing=Views.of(store, graph, config).standing(trial.poses, config),
+        standing=Views.of(store, graph).standing(trial.poses),
         limits=trial.limits,
     )
     return replace(
@@ -130,7 +131,6 @@ def _claims(
     draft: Draft,
     disagreements: Sequence[Disagreement],
     walls: Walls,
-    config: RelaxationConfig,
 ) -> list[Link]:
     """Links between passes that disagree, where their walls fit when moved by the offset."""
     claims = []
@@ -141,8 +141,8 @@ def _claims(
         moved = compose(np.array(one.offset), draft.poses[new])
         guess = Pose2(*compose(invert(draft.poses[old]), moved).tolist())
         newer, older = ((row, PLACE_NODES) for row in (new, old))
-        drift_m = config.loop_search_m
-        fit = match_passes(walls, draft.poses, newer, older, guess, drift_m, config)
+        drift_m = LOOP_SEARCH_M
+        fit = match_passes(walls, draft.poses, newer, older, guess, drift_m)
         if fit is not None:
             claims.append(nearby_link(graph, old, new, fit))
     return claims

@@ -13,11 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from specmap_cli.core.geometry import Pose2, compose
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.closing import Closed
 from specmap_cli.layout.contradictions import Views
-from specmap_cli.layout.motion_edges import Bridge
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M, Bridge
 from specmap_cli.layout.nearby_passes import find_passes
 from specmap_cli.layout.path_graph import Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
@@ -54,7 +53,6 @@ def join_layouts(
     new: Layout,
     ties: Sequence[Constraint],
     breaks: Mapping[int, Bridge | None],
-    config: RelaxationConfig,
 ) -> Layout:
     """The layout of a store that holds the keyframes of `old`, then those of `new`.
 
@@ -63,19 +61,19 @@ def join_layouts(
     ties the two in the end that keyframe is among `loose` of the result. Deterministic.
     """
     ends = {end for tie in ties for end in (tie.source, tie.target)}
-    graph = graph_of(store, {*old.nodes.tolist(), *new.nodes.tolist(), *ends}, breaks, config)
+    graph = graph_of(store, {*old.nodes.tolist(), *new.nodes.tolist(), *ends}, breaks)
     begun = Draft(
         poses=np.concatenate([old.poses, new.poses])[graph.nodes],
         loops=(*old.kept, *new.kept, *(tie.link for tie in ties)),
         tied=_tied(graph, (*old.loose, *new.loose)),
     )
-    walls, views = Walls(store, graph, config.match_range_m), Views.of(store, graph, config)
+    walls, views = Walls(store, graph, MATCH_RANGE_M), Views.of(store, graph)
     first = graph.row[len(old.poses)]
-    passes = find_passes(graph, begun, walls, config, first)
-    draft, dropped = settle(graph, tighten(graph, passes, config), config)
+    passes = find_passes(graph, begun, walls, first)
+    draft, dropped = settle(graph, tighten(graph, passes))
     dropped = (*old.dropped, *new.dropped, *dropped)
-    finished = Finished.of("relaxed", draft, dropped, views, config)
-    return layout_of(graph, finished, Closed(draft, ()), config)
+    finished = Finished.of("relaxed", draft, dropped, views)
+    return layout_of(graph, finished, Closed(draft, ()))
 
 
 def _renumbered(links: Sequence[Link], first: int) -> tuple[Link, ...]:

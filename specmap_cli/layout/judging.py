@@ -17,19 +17,23 @@ from scipy.sparse.csgraph import connected_components
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.agreement import (
+    AGREE_M,
+    AGREE_RAD,
     Ends,
     Pairs,
     independent,
     largest_agreement,
     pairs_of,
 )
-from specmap_cli.layout.drift import Deviations, deviations
+from specmap_cli.layout.drift import CLOSURE_SLACK_M, Deviations, deviations
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.uncertainty import Uncertainty, misfit, path_error, surprise
 
+_CLOSURE_VOTES = 3  # independent closures that agree may mend more than drift explains
+_CLOSURE_APART_M = 5.0  # closures nearer than this along both passes are one evidence
+_MEND_SIGMAS = 5.0  # sigmas of the path's error that closures which agree may mend
 _SURE = 3.0  # a closure that agrees with another one knows its place better than the path, by this
 
 # near: the layout says the same; drift: drift explains the rest; agreement: others say the same;
@@ -59,7 +63,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """All closures in their order; `cut_short` counts searches that `clique_steps` ended."""
+    """All closures in their order; `cut_short` counts searches that ended early."""
 
     closures: tuple[Judged, ...]
     cut_short: int
@@ -69,21 +73,19 @@ class Judgement:
         return tuple(one.link for one in self.closures if one.believed is believed)
 
 
-def judge(
-    graph: Graph, draft: Draft, closures: Sequence[Link], config: RelaxationConfig
-) -> Judgement:
+def judge(graph: Graph, draft: Draft, closures: Sequence[Link]) -> Judgement:
     """Each closure against the layout in the making and against all others."""
     if not closures:
         return Judgement((), 0)
-    found, sigmas = deviations(graph, draft, closures, config), _sigmas(graph, closures, config)
-    ends, spread = Ends.of(graph, closures), spread_of(graph, draft, config)
-    pairs = pairs_of(graph, draft.poses, ends, spread, config)
+    found, sigmas = deviations(graph, draft, closures), _sigmas(graph, closures)
+    ends, spread = Ends.of(graph, closures), spread_of(graph, draft)
+    pairs = pairs_of(graph, draft.poses, ends, spread)
     path = spread.between(ends.i, ends.j)
     sure_m = np.sqrt((path[:, 0, 0] + path[:, 1, 1]) / 2) / _SURE
-    votes, cut_short = _votes(graph, ends, pairs, sigmas, sure_m, config)
-    outvoted = _outvoted(graph, ends, pairs, votes >= config.closure_votes)
+    votes, cut_short = _votes(graph, ends, pairs, sigmas, sure_m)
+    outvoted = _outvoted(graph, ends, pairs, votes >= _CLOSURE_VOTES)
     reasons = [
-        _reason(away, allowed, count, out, config)
+        _reason(away, allowed, count, out)
         for away, allowed, count, out in zip(
             found.away_m.tolist(), _alone(closures, found), votes.tolist(), outvoted, strict=True
         )
@@ -104,14 +106,12 @@ def judge(
     return Judgement(judged, cut_short)
 
 
-def _reason(
-    away_m: float, allowed_m: float, votes: int, outvoted: bool, config: RelaxationConfig
-) -> Reason:
+def _reason(away_m: float, allowed_m: float, votes: int, outvoted: bool) -> Reason:
     if outvoted:
         return "outvoted"
-    if away_m <= config.closure_slack_m:
+    if away_m <= CLOSURE_SLACK_M:
         return "near"
-    if votes >= config.closure_votes:
+    if votes >= _CLOSURE_VOTES:
         return "agreement"
     return "drift" if away_m <= allowed_m else "impossible"
 
@@ -124,16 +124,16 @@ def _alone(closures: Sequence[Link], found: Deviations) -> list[float]:
     ]
 
 
-def spread_of(graph: Graph, draft: Draft, config: RelaxationConfig) -> Uncertainty:
+def spread_of(graph: Graph, draft: Draft) -> Uncertainty:
     """The error of the path at the poses of a draft."""
-    return path_error(graph, draft.poses, config)
+    return path_error(graph, draft.poses)
 
 
-def _sigmas(graph: Graph, closures: Sequence[Link], config: RelaxationConfig) -> FloatArray:
+def _sigmas(graph: Graph, closures: Sequence[Link]) -> FloatArray:
     """(c,) how far each closure is from the path as tracked, in sigmas of its error."""
     ends = Ends.of(graph, closures)
-    spread = path_error(graph, graph.poses, config)
-    own = np.diag([config.agree_m**2, config.agree_m**2, config.agree_rad**2])
+    spread = path_error(graph, graph.poses)
+    own = np.diag([AGREE_M**2, AGREE_M**2, AGREE_RAD**2])
     error = misfit(graph.poses, ends.i, ends.j, ends.z)
     sigmas = np.sqrt(surprise(error, spread.between(ends.i, ends.j) + own))
     over_break = graph.parts[ends.i] != graph.parts[ends.j]
@@ -146,7 +146,6 @@ def _votes(
     pairs: Pairs,
     sigmas: FloatArray,
     sure_m: FloatArray,
-    config: RelaxationConfig,
 ) -> tuple[IntArray, int]:
     """(c,) with how many independent closures each agrees, itself included, and cuts.
 
@@ -155,17 +154,17 @@ def _votes(
     to `sure_m` (c,): far along the path anything agrees.
     """
     votes, cut_short = np.ones(len(sigmas), dtype=np.int64), 0
-    left = np.flatnonzero(sigmas <= config.mend_sigmas)
+    left = np.flatnonzero(sigmas <= _MEND_SIGMAS)
     while len(left):
         within = np.ix_(left, left)
-        found = largest_agreement(Pairs(pairs.agree[within], pairs.sigma_m[within]), config)
+        found = largest_agreement(Pairs(pairs.agree[within], pairs.sigma_m[within]))
         cut_short += not found.exact
         members = left[list(found.members)]
         sure = pairs.sigma_m[np.ix_(members, members)] <= sure_m[members]
         _, chain = connected_components(csr_array(sure), directed=False)
         for number in range(int(chain.max()) + 1):
             linked = members[chain == number]
-            votes[linked] = independent(ends, linked.tolist(), graph.path, config.closure_apart_m)
+            votes[linked] = independent(ends, linked.tolist(), graph.path, _CLOSURE_APART_M)
         left = left[~_same_parts(graph, ends, members[:1])[left, 0]]
     return votes, cut_short
 

@@ -16,6 +16,7 @@ from specmap_cli.core.geometry import FloatArray, compose
 from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.relaxation import Layout
 
 _QUARTER = math.pi / 2.0  # walls meet at right angles: a direction counts but for quarter turns
@@ -40,7 +41,7 @@ def along_walls(layout: Layout, store: KeyframeStore, config: RelaxationConfig) 
     """
     if not config.follow_walls:
         return layout
-    turn = -wall_direction(*_pieces(store, layout.poses, config.match_range_m))
+    turn = -wall_direction(*_pieces(store, layout.poses, MATCH_RANGE_M))
     if turn == 0.0:
         return layout
     return replace(layout, poses=compose(np.array([0.0, 0.0, turn]), layout.poses))

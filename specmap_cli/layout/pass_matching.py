@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.settings import RelaxationConfig
-from specmap_cli.layout.wall_matching import WallFit, match_walls
+from specmap_cli.layout.wall_matching import LOOP_SCORE, WallFit, match_walls
 from specmap_cli.layout.wall_sides import from_behind
 from specmap_cli.layout.walls import Walls
 
@@ -19,7 +18,6 @@ def match_passes(
     older: Stretch,
     guess: Pose2,
     drift_m: float,
-    config: RelaxationConfig,
 ) -> WallFit | None:
     """The pose of the newer row in the frame of the older one, if the walls around them fit.
 
@@ -27,7 +25,7 @@ def match_passes(
     older pass saw from its other side only does not fit, however near it lies.
     """
     source, target = (walls.around(*rows, poses) for rows in (newer, older))
-    fit = match_walls(source, target, guess, drift_m, config)
+    fit = match_walls(source, target, guess, drift_m)
     if fit is None:
         return None
     sides, others = (walls.sides_around(*rows, poses) for rows in (newer, older))
@@ -35,6 +33,5 @@ def match_passes(
     share = float(behind.mean())
     if share < _FEW:
         return fit
-    asked = config.loop_score / max(1.0 - share, config.loop_score)
-    stricter = config.model_copy(update={"loop_score": asked})
-    return match_walls(source[~behind], target, guess, drift_m, stricter)
+    asked = LOOP_SCORE / max(1.0 - share, LOOP_SCORE)
+    return match_walls(source[~behind], target, guess, drift_m, asked)

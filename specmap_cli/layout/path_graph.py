@@ -10,11 +10,15 @@ from scipy.sparse import csr_array
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.core.tracks import moved, step_lengths
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.motion_edges import Bridge, motion_links
 from specmap_cli.layout.pose_graph import Link
+
+NODE_M = 0.3  # motion between nodes of the pose graph
+_NODE_RAD = 0.25  # turn between nodes of the pose graph
+LOOP_EVERY_M = 1.0  # least path between searches for nearby passes
+LOOP_PATH_M = 6.0  # less path than this between is no pass
 
 Pair = tuple[int, int]
 # Keyframes at which tracking started afresh, and what is known of the motion over each break.
@@ -81,19 +85,15 @@ class Draft:
         return replace(self, limits={**self.limits, limit: self.limits.get(limit, 0) + count})
 
 
-def graph_of(
-    store: KeyframeStore, ends: Collection[int], breaks: Breaks, config: RelaxationConfig
-) -> Graph:
+def graph_of(store: KeyframeStore, ends: Collection[int], breaks: Breaks) -> Graph:
     """The graph of a store's keyframes, with nodes at the `ends` of constraints and at `breaks`."""
     known = breaks if isinstance(breaks, Mapping) else dict.fromkeys(breaks)
     fresh = {number: bridge for number, bridge in known.items() if number != 0}
-    nodes = chosen_nodes(store.poses, {*ends, *fresh}, config)
-    return joined(store.poses, nodes, motion_links(store, nodes, fresh, config), config)
+    nodes = chosen_nodes(store.poses, {*ends, *fresh})
+    return joined(store.poses, nodes, motion_links(store, nodes, fresh))
 
 
-def joined(
-    tracked: FloatArray, nodes: IntArray, odometry: tuple[Link, ...], config: RelaxationConfig
-) -> Graph:
+def joined(tracked: FloatArray, nodes: IntArray, odometry: tuple[Link, ...]) -> Graph:
     """The graph of the keyframes `nodes` (M,), of all at poses `tracked` (n, 3), and its motions.
 
     `odometry` are the M - 1 links from each node to the next.
@@ -106,19 +106,19 @@ def joined(
         row={number: row for row, number in enumerate(nodes.tolist())},
         tracked=tracked,
         parts=np.cumsum(loose).astype(np.int64),
-        path=np.cumsum(np.where(after, 2 * config.loop_path_m, steps)),
+        path=np.cumsum(np.where(after, 2 * LOOP_PATH_M, steps)),
         odometry=odometry,
     )
 
 
-def chosen_nodes(poses: FloatArray, always: Collection[int], config: RelaxationConfig) -> IntArray:
+def chosen_nodes(poses: FloatArray, always: Collection[int]) -> IntArray:
     """Keyframe numbers for the graph: the first, the last, one a step of the path, `always`."""
     chosen: list[int] = []
     last: Pose2 | None = None
     for number, row in enumerate(poses.tolist()):
         pose = Pose2(*row)
         due = number in always or number == len(poses) - 1
-        if due or moved(last, pose, config.node_m, config.node_rad):
+        if due or moved(last, pose, NODE_M, _NODE_RAD):
             chosen.append(number)
             last = pose
     return np.array(chosen, dtype=np.int64)

@@ -20,7 +20,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.carrying import bridged, carried, keyframe_rows
 from specmap_cli.layout.closing import Closed, closed
 from specmap_cli.layout.contradictions import Standing, Views
-from specmap_cli.layout.drift import deviations
+from specmap_cli.layout.drift import CLOSURE_SLACK_M, deviations
 from specmap_cli.layout.evidence import (
     Choice,
     Healing,
@@ -28,12 +28,16 @@ from specmap_cli.layout.evidence import (
     part_moves,
     settled_verdicts,
 )
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.nearby_passes import find_passes
 from specmap_cli.layout.parts import loose_starts, place_parts
 from specmap_cli.layout.path_graph import Breaks, Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.solving import settle, solved
+from specmap_cli.layout.strays import STRAY_TRIES
 from specmap_cli.layout.walls import Walls
+
+_PART_VOTES = 2  # closures that must agree on where a piece after a break lies
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,19 +110,19 @@ def relax(
         return Layout(poses=store.poses)
     closures = [constraint.link for constraint in constraints]
     ends = {end for closure in closures for end in (closure.source, closure.target)}
-    graph = graph_of(store, ends, breaks, config)
-    walls, views = Walls(store, graph, config.match_range_m), Views.of(store, graph, config)
-    placed = place_parts(graph, closures, config.part_votes)
-    passes = find_passes(graph, replace(placed, hints=tuple(closures)), walls, config)
-    passes = solved(graph, passes, config)
-    found = closed(graph, passes, closures, walls, views, config)
-    draft, dropped = settle(graph, found.draft, config)
+    graph = graph_of(store, ends, breaks)
+    walls, views = Walls(store, graph, MATCH_RANGE_M), Views.of(store, graph)
+    placed = place_parts(graph, closures, _PART_VOTES)
+    passes = find_passes(graph, replace(placed, hints=tuple(closures)), walls)
+    passes = solved(graph, passes)
+    found = closed(graph, passes, closures, walls, views)
+    draft, dropped = settle(graph, found.draft)
     judged = settled_verdicts(found.judged, dropped)
     refuted = tuple(one.link for one in found.judged if not one.believed)
-    tracked = views.standing(graph.poses, config)
-    finished = Finished.of("relaxed", draft, (*refuted, *dropped), views, config)
-    finished = chosen(graph, passes, finished, tracked, views, config)
-    return layout_of(graph, finished, replace(found, judged=judged), config)
+    tracked = views.standing(graph.poses)
+    finished = Finished.of("relaxed", draft, (*refuted, *dropped), views)
+    finished = chosen(graph, passes, finished, tracked, views)
+    return layout_of(graph, finished, replace(found, judged=judged))
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +144,9 @@ class Finished:
         draft: Draft,
         dropped: tuple[Link, ...],
         views: Views,
-        config: RelaxationConfig,
     ) -> Finished:
         """The draft, weighed by what was seen along it."""
-        return cls(choice, draft, dropped, views.standing(draft.poses, config))
+        return cls(choice, draft, dropped, views.standing(draft.poses))
 
 
 def chosen(
@@ -152,7 +155,6 @@ def chosen(
     finished: Finished,
     tracked: Standing,
     views: Views,
-    config: RelaxationConfig,
 ) -> Finished:
     """The finished layout, or one nearer to what was tracked that fewer walls contradict.
 
@@ -162,11 +164,11 @@ def chosen(
     links = (*finished.draft.loops, *finished.dropped)
     closures = tuple(link for link in links if link.kind == "closure")
     if closures:
-        is_near = deviations(graph, passes, closures, config).away_m <= config.closure_slack_m
+        is_near = deviations(graph, passes, closures).away_m <= CLOSURE_SLACK_M
         near = tuple(compress(closures, is_near))
-        alone, outliers = settle(graph, replace(passes, loops=(*passes.loops, *near)), config)
+        alone, outliers = settle(graph, replace(passes, loops=(*passes.loops, *near)))
         dropped = (*compress(closures, ~is_near), *outliers)
-        trial = Finished.of("passes", alone, dropped, views, config)
+        trial = Finished.of("passes", alone, dropped, views)
         if finished.standing.is_worse_than(trial.standing):
             finished = trial
     if finished.standing.is_worse_than(tracked):
@@ -187,7 +189,6 @@ def layout_of(
     graph: Graph,
     finished: Finished,
     found: Closed,
-    config: RelaxationConfig,
 ) -> Layout:
     """The layout of all keyframes from the settled draft of the nodes.
 
@@ -195,7 +196,7 @@ def layout_of(
     """
     draft, dropped = finished.draft, finished.dropped
     loose = loose_starts(graph, draft.loops)
-    spent = [part for part, tries in draft.tries.items() if tries >= config.stray_tries]
+    spent = [part for part, tries in draft.tries.items() if tries >= STRAY_TRIES]
     given_up = sum(part not in draft.tied for part in spent)
     evidence = LayoutEvidence(
         choice=finished.choice,

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.condensing import Condensed
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import (
@@ -20,6 +19,9 @@ from specmap_cli.layout.pose_graph import (
     squared,
 )
 
+_KERNEL_SIGMAS = 2.0  # closures and passes farther off than this pull less and less
+_OUTLIER_CHI2 = 25.0  # closures and passes above it, five sigmas off, are dropped in the end
+_SOLVE_ITERATIONS = 20  # steps of the solver at the most
 _HASTY = 5  # steps at a width that the next one replaces
 _ROUGHLY = 1e-3  # share of the cost below which a step moves nodes by a millimetre or two
 _EXACT = 1e-8  # metres and radians: what rounding makes of a motion that fits
@@ -27,42 +29,40 @@ _DECIMALS = 9  # of poses solved: a nanometre; libraries differ from the fourtee
 _NARROWER = 3.0  # from one width of the kernel to the next: outvoted closures let go one by one
 
 
-def solved(graph: Graph, draft: Draft, config: RelaxationConfig) -> Draft:
+def solved(graph: Graph, draft: Draft) -> Draft:
     """The draft with the poses that fit its links best."""
-    return _with(draft, _solution(graph, draft, config.kernel_sigmas, config))
+    return _with(draft, _solution(graph, draft, _KERNEL_SIGMAS))
 
 
-def renewed(graph: Graph, draft: Draft, config: RelaxationConfig) -> Draft:
+def renewed(graph: Graph, draft: Draft) -> Draft:
     """The draft solved roughly, good enough to look for more from there."""
-    return _with(draft, _solution(graph, draft, config.kernel_sigmas, config, _ROUGHLY))
+    return _with(draft, _solution(graph, draft, _KERNEL_SIGMAS, _ROUGHLY))
 
 
-def tighten(graph: Graph, draft: Draft, config: RelaxationConfig) -> Draft:
+def tighten(graph: Graph, draft: Draft) -> Draft:
     """Loops pull over any drift at first; those outvoted are let go step by step.
 
     Graduated non-convexity (Yang et al., RA-L 2020): Cauchy's kernel starts wider than the largest
     error and narrows to its usual width. Solved roughly: others follow, `settle` the last of them.
     """
-    hasty = config.model_copy(update={"solve_iterations": min(_HASTY, config.solve_iterations)})
-    solution = _solution(graph, draft, np.inf, config, _ROUGHLY)
+    solution = _solution(graph, draft, np.inf, _ROUGHLY)
     width = float(np.sqrt(solution.chi2[len(graph.odometry) :].max(initial=0.0)))
-    while width > config.kernel_sigmas:
-        solution = _solution(
-            graph, replace(draft, poses=np.round(solution.poses, _DECIMALS)), width, hasty, _ROUGHLY
-        )
+    while width > _KERNEL_SIGMAS:
+        rounded = replace(draft, poses=np.round(solution.poses, _DECIMALS))
+        solution = _solution(graph, rounded, width, _ROUGHLY, hasty=True)
         width /= _NARROWER
-    return renewed(graph, replace(draft, poses=solution.poses), config)
+    return renewed(graph, replace(draft, poses=solution.poses))
 
 
-def settle(graph: Graph, draft: Draft, config: RelaxationConfig) -> tuple[Draft, tuple[Link, ...]]:
+def settle(graph: Graph, draft: Draft) -> tuple[Draft, tuple[Link, ...]]:
     """The draft solved without the loops that do not fit, and these loops.
 
     What does not fit is dropped and the rest solved anew until all that is left fits.
     """
     dropped: list[Link] = []
     while True:
-        solution = _solution(graph, draft, config.kernel_sigmas, config)
-        fits = solution.chi2[len(graph.odometry) :] <= config.outlier_chi2
+        solution = _solution(graph, draft, _KERNEL_SIGMAS)
+        fits = solution.chi2[len(graph.odometry) :] <= _OUTLIER_CHI2
         dropped += [link for link, fit in zip(draft.loops, fits, strict=True) if not fit]
         loops = tuple(link for link, fit in zip(draft.loops, fits, strict=True) if fit)
         draft = replace(_with(draft, solution), loops=loops)
@@ -74,16 +74,17 @@ def _solution(
     graph: Graph,
     draft: Draft,
     width: float,
-    config: RelaxationConfig,
     settled: float = SETTLED,
+    *,
+    hasty: bool = False,
 ) -> Solution:
     """The solution with Cauchy's kernel of `width` sigmas on the loops."""
-    usual = config.kernel_sigmas
-    widths = {"closure": width, "nearby": width, "loose": usual, "bridge": usual}
+    widths = {"closure": width, "nearby": width, "loose": _KERNEL_SIGMAS, "bridge": _KERNEL_SIGMAS}
     links = LinkArrays.of((*_motions(graph, draft), *draft.loops), graph.row, widths)
+    steps = _HASTY if hasty else _SOLVE_ITERATIONS
     count = _first_rows(draft.poses, links, len(graph.odometry))
     among = (links.i < count) & (links.j < count)
-    found = _solved(draft.poses[:count], links.some(among), config.solve_iterations, settled)
+    found = _solved(draft.poses[:count], links.some(among), steps, settled)
     tail = compose(invert(draft.poses[count - 1]), draft.poses[count:])
     poses = np.concatenate([found.poses, compose(found.poses[-1], tail)])
     return replace(found, poses=poses, chi2=squared(poses, links))

@@ -11,16 +11,18 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert
 from specmap_cli.core.records import BoolArray
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.matching import Match, ScoreField, Window, search, thinned
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.parts import place_part
-from specmap_cli.layout.path_graph import Draft, Graph
+from specmap_cli.layout.path_graph import LOOP_EVERY_M, Draft, Graph
 from specmap_cli.layout.place_search import Pyramid, Wanted, best_places
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.standable import seen_free
 from specmap_cli.layout.uncertainty import within_ellipse
 from specmap_cli.layout.wall_matching import (
     FINE_POINTS_M,
+    LOOP_SCORE,
+    MATCH_POINTS,
     WallFit,
     confirmed,
     field_of,
@@ -29,6 +31,10 @@ from specmap_cli.layout.wall_matching import (
 )
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 
+STRAY_TRIES = 20  # searches to rejoin a piece of the path after tracking was lost
+_STRAY_VOTES = 3  # finds that must agree on where the piece lies
+_STRAY_CELLS = 512  # cells a side in such a search: a larger map is searched coarser
+_SEARCH_BLOCKS = 400_000  # places followed at once in that search, at the most
 _CELL_M, _BLUR_M = 0.1, 0.1  # of the field of the whole map
 _SIDE = 40.0  # of that field, in ranges of the laser
 _STEP_M, _TURN_RAD, _MOST_TURN_RAD = 0.3, 0.04, 0.08  # of the search in a map that is not too large
@@ -85,16 +91,15 @@ class OlderWalls:
         cls,
         part: int,
         points: FloatArray,
-        config: RelaxationConfig,
         seen: Callable[[ScoreField], BoolArray] | None = None,
     ) -> OlderWalls:
         """The walls with their field; `seen` says in which of its cells a robot may stand."""
-        field = ScoreField.from_points(points, _CELL_M, _BLUR_M, _SIDE * config.match_range_m)
+        field = ScoreField.from_points(points, _CELL_M, _BLUR_M, _SIDE * MATCH_RANGE_M)
         side_m = float(np.sqrt(field.values.size * field.resolution**2))
-        needed_m = side_m / config.stray_cells
+        needed_m = side_m / _STRAY_CELLS
         step_m = max(_STEP_M, needed_m)
         coarse = field.coarser(max(1, round(step_m / field.resolution)))
-        reach_m = _REACH_RANGES * config.match_range_m
+        reach_m = _REACH_RANGES * MATCH_RANGE_M
         return cls(
             part=part,
             points=points,
@@ -104,31 +109,27 @@ class OlderWalls:
             coarsened=needed_m > _STEP_M,
         )
 
-    def place_of(
-        self, source: FloatArray, config: RelaxationConfig, guess: Guess | None = None
-    ) -> WallFit | None:
+    def place_of(self, source: FloatArray, guess: Guess | None = None) -> WallFit | None:
         """The pose of points (N, 2) in the map: anywhere, or as far as a guess may be off.
 
         They must fit well, nowhere else nearly as well, and leave no direction open: in a bare
         corridor nothing is found.
         """
-        best = self._best(source, config, guess)
+        best = self._best(source, guess)
         if best is None:
             return None
         away = self.points - (best.pose.x, best.pose.y)
-        near = np.hypot(away[:, 0], away[:, 1]) < _NEAR_RANGES * config.match_range_m
-        field = field_of(self.points[near], config)
-        found = confirmed(field, source, best.pose, sure_score(config), config)
+        near = np.hypot(away[:, 0], away[:, 1]) < _NEAR_RANGES * MATCH_RANGE_M
+        field = field_of(self.points[near])
+        found = confirmed(field, source, best.pose, sure_score())
         if found is None or _variance(found.information) > 2 * _PINNED_M**2:
             return None
         return found
 
-    def _best(
-        self, source: FloatArray, config: RelaxationConfig, guess: Guess | None
-    ) -> Match | None:
+    def _best(self, source: FloatArray, guess: Guess | None) -> Match | None:
         """The place that fits best, if it leads clearly."""
         few = thinned(source, FINE_POINTS_M)
-        if len(few) < config.match_points:
+        if len(few) < MATCH_POINTS:
             return None
         turn = min(_TURN_RAD * self.step_m / _STEP_M, _MOST_TURN_RAD)
         sparse = thinned(source, _SPARSE_M)
@@ -136,7 +137,7 @@ class OlderWalls:
         if guess is not None and len(sparse):
             angles = guess.angles(turn)
             blocks = blocks[guess.reaches(self.pyramid.centres_of(blocks), sparse.mean(axis=0))]
-        rough, _ = best_places(self.pyramid, sparse, blocks, angles, _wanted(config), _RIVALS)
+        rough, _ = best_places(self.pyramid, sparse, blocks, angles, _wanted(), _RIVALS)
         width = _NEAR_STEPS * self.step_m
         window = Window(distance_m=width, angle_rad=_NEAR_RAD, step_m=_NEAR_M)
         fine = [search(self.field, few, match.pose, window) for match in rough]
@@ -146,9 +147,9 @@ class OlderWalls:
         return fine[0]
 
 
-def _wanted(config: RelaxationConfig) -> Wanted:
+def _wanted() -> Wanted:
     """Places whose pooled score, an upper bound, may still become that of a match."""
-    return Wanted(least=config.loop_score, lead=2 * _LEAD, most=config.search_blocks)
+    return Wanted(least=LOOP_SCORE, lead=2 * _LEAD, most=_SEARCH_BLOCKS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,39 +166,36 @@ def rejoin(
     draft: Draft,
     walls: Walls,
     search: Search | None,
-    config: RelaxationConfig,
 ) -> tuple[Draft, Search | None]:
     """One more try to find the part of row `node` by the walls around that node.
 
     No pose of the part is trusted, so that the fit must be good, and the part is moved only when
-    `stray_votes` finds agree where to; it is tied then. `search` holds the earlier finds. The more
+    `_STRAY_VOTES` finds agree where to; it is tied then. `search` holds the earlier finds. The more
     tries have failed, the farther the robot must have come for the next. A part is given up after
-    `stray_tries`.
+    `STRAY_TRIES`.
     """
     part = int(graph.parts[node])
     if search is None or search.older.part != part:
         search = None
     tries = draft.tries.get(part, 0)
     way_m = float(graph.path[node] - graph.path[np.argmax(graph.parts == part)])
-    due_m = config.loop_every_m * tries * (1.0 + tries / _SPREAD_TRIES)
-    if tries < config.stray_tries and way_m >= due_m:
+    due_m = LOOP_EVERY_M * tries * (1.0 + tries / _SPREAD_TRIES)
+    if tries < STRAY_TRIES and way_m >= due_m:
         draft = replace(draft, tries={**draft.tries, part: tries + 1})
         if search is None:
-            search = Search(older=_older_walls(part, graph, draft.poses, walls, config))
+            search = Search(older=_older_walls(part, graph, draft.poses, walls))
             draft = draft.counting("stray_cells", search.older.coarsened)
-        find = _find(node, graph, draft.poses, walls, search.older, config)
+        find = _find(node, graph, draft.poses, walls, search.older)
         search = replace(search, finds=(*search.finds, *find))
         known = (*draft.hints, *search.finds)
-        draft = place_part(graph, draft, part, known, votes=config.stray_votes)
+        draft = place_part(graph, draft, part, known, votes=_STRAY_VOTES)
     return draft, search
 
 
-def _older_walls(
-    part: int, graph: Graph, poses: FloatArray, walls: Walls, config: RelaxationConfig
-) -> OlderWalls:
+def _older_walls(part: int, graph: Graph, poses: FloatArray, walls: Walls) -> OlderWalls:
     rows = np.flatnonzero(graph.parts < part)[::_EVERY].tolist()
     seen = partial(seen_free, walls, rows, poses)
-    return OlderWalls.of(part, walls.of_all(rows, poses), config, seen)
+    return OlderWalls.of(part, walls.of_all(rows, poses), seen)
 
 
 def _find(
@@ -206,10 +204,9 @@ def _find(
     poses: FloatArray,
     walls: Walls,
     older: OlderWalls,
-    config: RelaxationConfig,
 ) -> tuple[Link, ...]:
     """The link from the nearest older node to `node`, where its walls were found; or none."""
-    fit = older.place_of(walls.around(node, PLACE_NODES, poses), config)
+    fit = older.place_of(walls.around(node, PLACE_NODES, poses))
     if fit is None:
         return ()
     pose, rows = fit.target_from_source, np.flatnonzero(graph.parts < older.part)

@@ -15,9 +15,11 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, compose, inverse3, invert
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.pose_graph import Link
+
+DRIFT_SHARE = 0.04  # metres per metre driven by which a layout with passes may be off
+_DRIFT_RAD_PER_M = 0.001  # radians per metre by which tracking may turn on and on
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +64,9 @@ class Uncertainty:
         return spread
 
 
-def path_error(graph: Graph, poses: FloatArray, config: RelaxationConfig) -> Uncertainty:
+def path_error(graph: Graph, poses: FloatArray) -> Uncertainty:
     """The error of a path at poses (M, 3): of errors that go on, the settings are two sigmas."""
-    return Uncertainty.along(
-        poses, graph.odometry, 0.5 * config.drift_share, 0.5 * config.drift_rad_per_m
-    )
+    return Uncertainty.along(poses, graph.odometry, 0.5 * DRIFT_SHARE, 0.5 * _DRIFT_RAD_PER_M)
 
 
 def adjoint(poses: FloatArray) -> FloatArray:

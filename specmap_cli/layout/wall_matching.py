@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.matching import (
     SPREAD_M,
     ScoreField,
@@ -17,9 +16,13 @@ from specmap_cli.grids.matching import (
     search,
     thinned,
 )
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.walls import CELL_M
+
+MATCH_POINTS = 20  # walls with fewer points are not matched
+LOOP_SCORE = 0.6  # a match below this is no edge
 
 # Searches go from coarse to fine, their points thinned to about the step: four cells first, over
 # all that the path may have drifted, then two cells, then none.
@@ -51,18 +54,22 @@ class WallFit:
 
 
 def match_walls(
-    source: FloatArray, target: FloatArray, guess: Pose2, drift_m: float, config: RelaxationConfig
+    source: FloatArray,
+    target: FloatArray,
+    guess: Pose2,
+    drift_m: float,
+    least_score: float = LOOP_SCORE,
 ) -> WallFit | None:
-    """The pose of points `source` (N, 2) among `target` (M, 2), if they fit there.
+    """The pose of points `source` (N, 2) among `target` (M, 2), if they reach `least_score` there.
 
     `guess` is `target_from_source`; `drift_m` bounds how wrong it may be.
     """
-    field = field_of(target, config)
+    field = field_of(target)
     few = thinned(source, FINE_POINTS_M)
-    if len(few) < config.match_points:
+    if len(few) < MATCH_POINTS:
         return None
     if drift_m <= _APART_M:
-        near = _settled(field, source, few, guess, config)
+        near = _settled(field, source, few, guess, least_score)
         if near is not None:
             return _fit(field, source, few, near)
     window = Window(
@@ -74,47 +81,43 @@ def match_walls(
     )
     coarse = thinned(source, COARSE_POINTS_M)
     rough = search(field.coarser(_COARSE_CELLS), coarse, guess, window)
-    if rough.score < _HOPELESS * config.loop_score:
+    if rough.score < _HOPELESS * least_score:
         return None
-    return confirmed(field, source, rough.pose, config.loop_score, config)
+    return confirmed(field, source, rough.pose, least_score)
 
 
 def _settled(
-    field: ScoreField, source: FloatArray, few: FloatArray, guess: Pose2, config: RelaxationConfig
+    field: ScoreField, source: FloatArray, few: FloatArray, guess: Pose2, least_score: float
 ) -> Pose2 | None:
     """The best pose right by the guess, if points (N, 2) fit so well there that no search is due.
 
     `few` are some of the points.
     """
-    if field.score(few, guess) < config.loop_score:
+    if field.score(few, guess) < least_score:
         return None
     near = refine(field, thinned(source, _REFINED_POINTS_M), guess, _REFINED_STEPS, _BLUR_M)
-    return near.pose if near.score >= sure_score(config) else None
+    return near.pose if near.score >= sure_score(least_score) else None
 
 
-def sure_score(config: RelaxationConfig) -> float:
+def sure_score(least_score: float = LOOP_SCORE) -> float:
     """Score of points of which nothing more is asked: halfway from what is asked to a perfect fit.
 
-    `loop_score` is what is asked.
+    `least_score` is what is asked.
     """
-    return 0.5 + 0.5 * config.loop_score
+    return 0.5 + 0.5 * least_score
 
 
-def field_of(target: FloatArray, config: RelaxationConfig) -> ScoreField:
+def field_of(target: FloatArray) -> ScoreField:
     """The score field of the walls (M, 2) around one place."""
-    return ScoreField.from_points(target, CELL_M, _BLUR_M, _SIDE * config.match_range_m)
+    return ScoreField.from_points(target, CELL_M, _BLUR_M, _SIDE * MATCH_RANGE_M)
 
 
 def confirmed(
-    field: ScoreField,
-    source: FloatArray,
-    rough: Pose2,
-    least_score: float,
-    config: RelaxationConfig,
+    field: ScoreField, source: FloatArray, rough: Pose2, least_score: float
 ) -> WallFit | None:
     """A rough pose of points (N, 2) brought to the optimum, if `least_score` is reached there."""
     few = thinned(source, FINE_POINTS_M)
-    if len(few) < config.match_points:
+    if len(few) < MATCH_POINTS:
         return None
     fine = search(field, few, rough, _FINE)
     if fine.score < _HOPELESS * least_score:

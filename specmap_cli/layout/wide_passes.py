@@ -14,8 +14,8 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.settings import RelaxationConfig
-from specmap_cli.layout.path_graph import Draft, Graph, Pair
+from specmap_cli.layout.nearby_passes import LOOP_RADIUS_M, LOOP_SEARCH_MAX_M, LOOPS_PER_NODE
+from specmap_cli.layout.path_graph import LOOP_PATH_M, Draft, Graph, Pair
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.stops import stops
 from specmap_cli.layout.strays import Guess, OlderWalls
@@ -23,6 +23,8 @@ from specmap_cli.layout.uncertainty import Uncertainty, within_ellipse
 from specmap_cli.layout.wall_matching import WallFit, nearby_link
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 
+_WIDE_EVERY_M = 10.0  # path between searches as far as its error reaches
+_WIDE_SEARCH_MAX_M = 15.0  # such a search reaches this far at the most
 _REACH_SIGMAS = 3.0  # of the path's error that are searched
 _MOST_ROWS = 80  # whose walls make one search: some 25 m of path, or every other of more
 _NEW_QUESTION_M = 1.0  # a guess that moved this far is worth another search
@@ -37,26 +39,24 @@ class WideClaims:
     guesses: Mapping[Pair, Pose2]
 
 
-def wide_claims(
-    graph: Graph, draft: Draft, walls: Walls, spread: Uncertainty, config: RelaxationConfig
-) -> WideClaims:
-    """What is found along the path, every `wide_every_m`, where no pass ties it well enough."""
-    if not config.loops_per_node:
+def wide_claims(graph: Graph, draft: Draft, walls: Walls, spread: Uncertainty) -> WideClaims:
+    """What is found along the path, every `_WIDE_EVERY_M`, where no pass ties it well enough."""
+    if not LOOPS_PER_NODE:
         return WideClaims((), {})
     ties = _ties(graph, draft)
     links: list[Link] = []
     guesses: dict[Pair, Pose2] = {}
-    for row in stops(graph.path, config.wide_every_m):
+    for row in stops(graph.path, _WIDE_EVERY_M):
         pose, part = Pose2(*draft.poses[row].tolist()), int(graph.parts[row])
         before = draft.tried.get((row, row))
         if part not in draft.tied or not _is_new(pose, before):
             continue
-        error = _error(row, ties, graph, spread, config)
-        old = _within(row, error, graph, draft.poses, config)
+        error = _error(row, ties, graph, spread)
+        old = _within(row, error, graph, draft.poses)
         if error is None or not len(old):
             continue
         guesses[row, row] = pose
-        fit = _found(row, old, Guess(pose, error), draft.poses, walls, config)
+        fit = _found(row, old, Guess(pose, error), draft.poses, walls)
         if fit is not None:
             links.append(_claim(graph, draft.poses, row, old, fit))
     return WideClaims(tuple(links), guesses)
@@ -68,9 +68,7 @@ def _ties(graph: Graph, draft: Draft) -> IntArray:
     return np.unique(np.array([0, *newer], dtype=np.int64))
 
 
-def _error(
-    row: int, ties: IntArray, graph: Graph, spread: Uncertainty, config: RelaxationConfig
-) -> FloatArray | None:
+def _error(row: int, ties: IntArray, graph: Graph, spread: Uncertainty) -> FloatArray | None:
     """Covariance (3, 3) of a row seen from the last tie before it, in the map; None if small."""
     last = int(ties[np.searchsorted(ties, row, side="right") - 1])
     if graph.parts[last] != graph.parts[row]:
@@ -81,9 +79,9 @@ def _error(
     half = 0.5 * (place[0, 0] - place[1, 1])
     larger = 0.5 * (place[0, 0] + place[1, 1]) + np.sqrt(half**2 + place[0, 1] ** 2)
     longest = float(np.sqrt(larger))  # the axis of the ellipse
-    if _REACH_SIGMAS * longest <= config.loop_search_max_m:
+    if _REACH_SIGMAS * longest <= LOOP_SEARCH_MAX_M:
         return None
-    scale = min(1.0, config.wide_search_max_m / (_REACH_SIGMAS * longest))
+    scale = min(1.0, _WIDE_SEARCH_MAX_M / (_REACH_SIGMAS * longest))
     error[:2, :2] = place * scale**2
     return np.asarray(error, dtype=np.float64)
 
@@ -93,13 +91,12 @@ def _within(
     error: FloatArray | None,
     graph: Graph,
     poses: FloatArray,
-    config: RelaxationConfig,
 ) -> IntArray:
     """Older rows that the path's error lets be near a row, thinned."""
     if error is None:
         return np.zeros(0, dtype=np.int64)
-    old = np.flatnonzero(graph.path < graph.path[row] - config.loop_path_m)
-    reach = _REACH_SIGMAS**2 * error[:2, :2] + config.loop_radius_m**2 * np.eye(2)
+    old = np.flatnonzero(graph.path < graph.path[row] - LOOP_PATH_M)
+    reach = _REACH_SIGMAS**2 * error[:2, :2] + LOOP_RADIUS_M**2 * np.eye(2)
     away = poses[old, :2] - poses[row, :2]
     old = old[within_ellipse(away, reach)]
     return np.asarray(old[:: max(1, -(-len(old) // _MOST_ROWS))], dtype=np.int64)
@@ -111,11 +108,10 @@ def _found(
     guess: Guess,
     poses: FloatArray,
     walls: Walls,
-    config: RelaxationConfig,
 ) -> WallFit | None:
     """The pose in the map of the walls around a row, among those of older rows."""
-    older = OlderWalls.of(_WHOLE_MAP, walls.of_all(old.tolist(), poses), config)
-    return older.place_of(walls.around(row, PLACE_NODES, poses), config, guess)
+    older = OlderWalls.of(_WHOLE_MAP, walls.of_all(old.tolist(), poses))
+    return older.place_of(walls.around(row, PLACE_NODES, poses), guess)
 
 
 def _claim(graph: Graph, poses: FloatArray, row: int, old: IntArray, fit: WallFit) -> Link:

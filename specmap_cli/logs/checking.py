@@ -10,7 +10,6 @@ import numpy as np
 
 from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import (
@@ -21,6 +20,8 @@ from specmap_cli.logs.messages import (
 )
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.readers.typestore import NS_PER_S, ODOMETRY, SCAN_TYPES, TF_MESSAGE
+
+PAUSE_INTERVALS = 5.0  # a pause is told that is so many usual intervals, medians, long
 
 _Key = tuple[str, str]  # topic and type
 _STAMP_LIMIT_NS = (1 << 62) - 1  # differences of such stamps fit into 64 bits; they end in 2116
@@ -78,16 +79,13 @@ class _Heard:
     unusable: int = 0
 
 
-def check(
-    log: Log, config: LogConfig | None = None, progress: Progress | None = None
-) -> tuple[TopicCheck, ...]:
+def check(log: Log, progress: Progress | None = None) -> tuple[TopicCheck, ...]:
     """Read every message of a log, one in memory at a time; the topics in the order of `contents`.
 
     Losses that are met are in `log.damage` afterwards. Stamps are those of the headers of scans and
-    odometry, otherwise the recorder's times. Raises TypeError for what is no `Log` or `LogConfig`.
+    odometry, otherwise the recorder's times. Raises TypeError for what is no `Log`.
     """
     instance_of(log, Log, "log")
-    settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
     told = Silent() if progress is None else progress
     expected = {(topic.name, topic.type): topic.count for topic in log.contents.topics}
     heard: dict[_Key, _Heard] = {key: _Heard() for key in expected}
@@ -95,7 +93,7 @@ def check(
     for message in log.messages():
         _hear(heard.setdefault((message.topic, message.type), _Heard()), message)
         told.advance()
-    return tuple(_topic(key, heard[key], expected, settings) for key in sorted(heard))
+    return tuple(_topic(key, heard[key], expected) for key in sorted(heard))
 
 
 def _hear(topic: _Heard, message: Message) -> None:
@@ -119,7 +117,7 @@ def _stamp(message: Message) -> int:
     return 0
 
 
-def _topic(key: _Key, heard: _Heard, expected: Mapping[_Key, int], config: LogConfig) -> TopicCheck:
+def _topic(key: _Key, heard: _Heard, expected: Mapping[_Key, int]) -> TopicCheck:
     stamps = np.array(heard.stamps_ns, dtype=np.int64)
     steps = np.diff(stamps)
     return TopicCheck(
@@ -128,7 +126,7 @@ def _topic(key: _Key, heard: _Heard, expected: Mapping[_Key, int], config: LogCo
         read=len(stamps),
         expected=expected.get(key, 0),
         unusable=heard.unusable,
-        pauses=_pauses(stamps, config.pause_intervals),
+        pauses=_pauses(stamps, PAUSE_INTERVALS),
         steps_back=int((steps < 0).sum()),
         repeats=int((steps == 0).sum()),
     )

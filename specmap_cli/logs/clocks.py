@@ -14,8 +14,8 @@ from statistics import median_low
 from typing import Literal
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import nanoseconds
+from specmap_cli.logs.first_scans import LOOK_SCANS
 from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import (
     BadMessageError,
@@ -27,6 +27,11 @@ from specmap_cli.logs.readers.recording import Message, time_text
 from specmap_cli.logs.readers.typestore import NS_PER_S, TF_MESSAGE
 from specmap_cli.logs.sensors import Glimpse, ScanSensor
 
+_ASCENDING_SHARE = 0.25  # share of stamps that must follow the one ahead, or they are of no use
+_ORDER_INTERVAL_S = 0.1  # between scans stamped by order: a usual laser's 10 Hz
+# Scans stamped by order are so far apart that a robot this fast drives the first steps.
+_ORDER_SPEED_MPS = 0.5
+_CLOCKS_APART_S = 2.0  # odometry stamped this far from scans recorded beside it has another clock
 _FEWEST = 3  # stamps: two that are equal may be a scan that was sent twice
 _PAIRS = 20  # of scans and odometry: their median does not heed some late messages
 _LONGEST_S = 60.0  # between scans stamped by order: a longer step is no driving
@@ -100,15 +105,13 @@ class Beside:
         return stamps - (self.scan[1] - self.odometry[1])
 
 
-def choose_clock(
-    glimpses: Sequence[Glimpse], besides: Sequence[Beside], config: LogConfig
-) -> Clock:
+def choose_clock(glimpses: Sequence[Glimpse], besides: Sequence[Beside]) -> Clock:
     """The clock of a log from the first scans of its sensor, and the odometry beside them."""
     stamps = [glimpse.stamp_ns for glimpse in glimpses]
     times = [glimpse.time_ns for glimpse in glimpses]
-    if not _ascends(stamps, config):
-        return _without_stamps(stamps, times, besides, config)
-    apart = nanoseconds(config.clocks_apart_s)
+    if not _ascends(stamps):
+        return _without_stamps(stamps, times, besides)
+    apart = nanoseconds(_CLOCKS_APART_S)
     near = [abs(stamp - time) <= apart for stamp, time in zip(stamps, times, strict=True) if stamp]
     header = Clock(zero_is_unset=2 * sum(near) > len(near))
     told = [beside for beside in besides if beside.odometry[0] != 0]
@@ -116,21 +119,21 @@ def choose_clock(
         return header
     if len(told) >= _FEWEST and len({beside.odometry[0] for beside in told}) == 1:
         same = "header stamps of the odometry are all the same"
-        return Clock(source="recorder", why=same) if _ascends(times, config) else header
+        return Clock(source="recorder", why=same) if _ascends(times) else header
     ahead = median_low(beside.apart_ns for beside in told)
     return replace(header, odometry_shift_ns=ahead) if abs(ahead) > apart else header
 
 
-def _ascends(stamps: Sequence[int], config: LogConfig) -> bool:
+def _ascends(stamps: Sequence[int]) -> bool:
     """Whether stamps tell time: not all are zero, and enough are later than the one before."""
     if not any(stamps):
         return False
     ahead = sum(b > a for a, b in pairwise(stamps))
-    return len(stamps) < _FEWEST or ahead >= config.ascending_share * (len(stamps) - 1)
+    return len(stamps) < _FEWEST or ahead >= _ASCENDING_SHARE * (len(stamps) - 1)
 
 
 def _without_stamps(
-    stamps: Sequence[int], times: Sequence[int], besides: Sequence[Beside], config: LogConfig
+    stamps: Sequence[int], times: Sequence[int], besides: Sequence[Beside]
 ) -> Clock:
     """The recorder's times, or the order where they say nothing more than the stamps.
 
@@ -138,14 +141,14 @@ def _without_stamps(
     Otherwise scans are so far apart in time that the robot can have driven from one to the next.
     """
     why = "header stamps do not ascend" if any(stamps) else "header stamps are zero"
-    if _ascends(times, config) or len(times) < _FEWEST:
+    if _ascends(times) or len(times) < _FEWEST:
         return Clock(source="recorder", why=why)
     known = stamps if any(stamps) else times
     mean = (known[-1] - known[0]) // (len(known) - 1)
     steady = mean > 0 and all(b >= a for a, b in pairwise(known))
     step = max((math.dist(a.place, b.place) for a, b in pairwise(besides)), default=0.0)
-    driving_s = min(step / config.order_speed_mps, _LONGEST_S)
-    interval = mean if steady else nanoseconds(max(config.order_interval_s, driving_s))
+    driving_s = min(step / _ORDER_SPEED_MPS, _LONGEST_S)
+    interval = mean if steady else nanoseconds(max(_ORDER_INTERVAL_S, driving_s))
     return Clock(source="order", why=why, first_ns=max(known[0], 0), interval_ns=interval)
 
 
@@ -167,13 +170,13 @@ def clock_warnings(clock: Clock, topic: str) -> Iterator[str]:
 
 
 def odometry_beside(
-    log: Log, scan_topic: str, sensor: ScanSensor, odometry: OdometrySource, config: LogConfig
+    log: Log, scan_topic: str, sensor: ScanSensor, odometry: OdometrySource
 ) -> list[Beside]:
     """The odometry ahead of each of the first scans of a sensor, in the order of the log."""
     found: list[Beside] = []
     last: tuple[int, int] | None = None
     place = (0.0, 0.0)
-    topics, most = odometry.topics, min(_PAIRS, config.look_scans)
+    topics, most = odometry.topics, min(_PAIRS, LOOK_SCANS)
     for message in islice(log.messages([scan_topic, *topics]), _MOST_MESSAGES):
         try:
             if message.topic != scan_topic:

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.messages import CloudRecord
 from specmap_cli.logs.readers.typestore import NS_PER_S
+
+_CLOUD_TIME_MAX_S = 10.0  # times of points farther from the stamp are of no use
+CLOUD_RANGE_MAX_M = 100.0  # a 3D cloud is cut here
 
 # Velodyne, LSLidar: time; Ouster: t; Hesai, RoboSense, Livox: timestamp; Livox: offset_time;
 # Autoware: time_stamp; Aeva: time_offset_ns; Blickfeld: point_time_offset; Cepton: the last one.
@@ -34,7 +36,7 @@ _ENOUGH_POINTS = 100  # a sweep of fewer may be a sliver, whose span misleads
 class CloudPoints(NamedTuple):
     """Points (N, 3) in the lidar's frame and seconds (N,) after the stamp, or None.
 
-    `far_times` says that there were times, but farther from the stamp than the settings allow.
+    `far_times` says that there were times, but farther from the stamp than `_CLOUD_TIME_MAX_S`.
     """
 
     points: FloatArray
@@ -67,13 +69,13 @@ class PointClock:
 
 @np.errstate(all="ignore")  # damaged messages hold any bits
 def cloud_points(
-    record: CloudRecord, stamp_ns: int, config: LogConfig, clock: PointClock | None = None
+    record: CloudRecord, stamp_ns: int, clock: PointClock | None = None
 ) -> CloudPoints:
     """The points of a cloud, with their times where de-skewing can rely on them.
 
     Points that are not finite, at the very origin (how some drivers say "no return") or beyond
-    `cloud_range_max_m` are left out, with their times. Times are None unless they are all finite,
-    differ, and lie within `cloud_time_max_s` of the stamp. Times of another clock, far from the
+    `CLOUD_RANGE_MAX_M` are left out, with their times. Times are None unless they are all finite,
+    differ, and lie within `_CLOUD_TIME_MAX_S` of the stamp. Times of another clock, far from the
     stamp but near to each other, count from the earliest. `clock` keeps what is known of the lidar.
     """
     clock = PointClock() if clock is None else clock
@@ -82,14 +84,14 @@ def cloud_points(
     for column, axis in enumerate("xyz"):
         points[:, column] = table[axis]
     squared = np.einsum("ij,ij->i", points, points)
-    usable = (squared > 0.0) & (squared <= config.cloud_range_max_m**2)  # false for NaN as well
+    usable = (squared > 0.0) & (squared <= CLOUD_RANGE_MAX_M**2)  # false for NaN as well
     kept = slice(None) if usable.all() else np.flatnonzero(usable)
     recorded = _times(record.points.dtype, table, stamp_ns, clock)
     times = recorded[kept] if recorded is not None else np.zeros(0)
     span = float(np.ptp(times)) if len(times) and np.isfinite(times).all() else 0.0
     told = span > 0.0
-    far = told and float(np.abs(times).max()) > config.cloud_time_max_s
-    if far and span <= min(config.cloud_time_max_s, _LONGEST_NS / NS_PER_S):
+    far = told and float(np.abs(times).max()) > _CLOUD_TIME_MAX_S
+    if far and span <= min(_CLOUD_TIME_MAX_S, _LONGEST_NS / NS_PER_S):
         clock.foreign += 1
         times, far = times - times.min(), False
     return CloudPoints(

@@ -16,6 +16,7 @@ from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.topics import dynamic_topics, static_topics
 from specmap_cli.logs.transforms import TransformTree, tilt_of
 
+_TILT_MAX_RAD = 0.175  # a laser tilted more is warned of: it is read as level
 USUAL_BASES = ("base_link", "base_footprint", "base")  # by REP 105 and by custom
 _FLOOR_FRAME = "base_footprint"  # by REP 120 the base's projection on the floor
 _ENOUGH_MESSAGES = 2_000  # some seconds of transforms, in which every frame is heard of
@@ -104,7 +105,7 @@ def place_laser(
     candidates = [frame for frame in (odometry_child, *USUAL_BASES) if frame]
     for base in candidates:
         if _any_joined(tree, [base], laser_frame):
-            return _placement(tree, base, laser_frame, config)
+            return _placement(tree, base, laser_frame)
     base = odometry_child or next((b for b in USUAL_BASES if b in tree.frames), laser_frame)
     if base == laser_frame:
         return Placement(base_frame=base, base_from_laser=np.eye(4), floor_m=None)
@@ -118,7 +119,7 @@ def place_laser(
 def _asked_base(tree: TransformTree, laser_frame: str, config: LogConfig) -> Placement:
     base = (config.base_frame or "").lstrip("/")
     if _any_joined(tree, [base], laser_frame):
-        return _placement(tree, base, laser_frame, config)
+        return _placement(tree, base, laser_frame)
     above = sorted({laser_frame, *tree.ancestors(laser_frame)})
     raise UsageError(
         f"--base-frame {base}: no transform joins it to the laser's frame {laser_frame!r}; "
@@ -126,7 +127,7 @@ def _asked_base(tree: TransformTree, laser_frame: str, config: LogConfig) -> Pla
     )
 
 
-def _placement(tree: TransformTree, base: str, laser_frame: str, config: LogConfig) -> Placement:
+def _placement(tree: TransformTree, base: str, laser_frame: str) -> Placement:
     base_from_laser = tree.lookup(base, laser_frame)
     assert base_from_laser is not None  # the caller has asked
     base_from_floor = tree.lookup(base, _FLOOR_FRAME)
@@ -135,7 +136,7 @@ def _placement(tree: TransformTree, base: str, laser_frame: str, config: LogConf
         floor = float(base_from_floor[2, 3])
     tilt = tilt_of(base_from_laser)
     warnings: tuple[str, ...] = ()
-    if config.tilt_max_rad < tilt < np.pi - config.tilt_max_rad:
+    if _TILT_MAX_RAD < tilt < np.pi - _TILT_MAX_RAD:
         warnings = (
             f"the laser's frame {laser_frame!r} is tilted by {np.degrees(tilt):.0f} degrees "
             f"against {base!r}: a planar scan is read as if it were level",

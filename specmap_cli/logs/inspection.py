@@ -51,7 +51,7 @@ def summarize(
     instance_of(log, Log, "log")
     settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
     scan, tree, outlook, met = _look(log, settings, complete=complete)
-    checked = check(log, settings, progress) if complete else None
+    checked = check(log, progress) if complete else None
     extent = _extent(log)
     return LogSummary(
         extent=extent,

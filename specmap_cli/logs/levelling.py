@@ -14,9 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, inverse3, product
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.thinning import first_in_cells
 
+FLOOR_RADIUS_M = 10.0  # a floor of unknown height is sought among the returns this near
+# Floors are sought up to this tilt of the lidar: 45 degrees, as carried by hand.
+_FLOOR_TILT_MAX_RAD = 0.785
+_FLOOR_SHARE = 0.1  # share of the returns within FLOOR_RADIUS_M that must show a floor
 _CELL_M = 0.4  # returns are thinned to it: floors near the lidar have thousands
 _STEP_RAD = math.radians(5.0)  # between the tilts tried: 0.2 m off at 5 m
 _LAYER_M = 0.2  # in which returns at one tilt are counted: what such a step displaces
@@ -39,25 +42,23 @@ class Level(NamedTuple):
 class CloudLeveller:
     """Finds the level of each cloud; one that shows no floor gets that of the cloud before it."""
 
-    def __init__(self, config: LogConfig) -> None:
-        self._config = config
+    def __init__(self) -> None:
         self._last = Level(np.eye(3), None)
 
     def level(self, cloud: FloatArray) -> Level:
         """The level of a cloud (N, 3)."""
-        if self._config.floor_tilt_max_rad > 0.0:
-            self._last = floor_of(cloud, self._config) or self._last
+        self._last = floor_of(cloud) or self._last
         return self._last
 
 
-def floor_of(cloud: FloatArray, config: LogConfig) -> Level | None:
+def floor_of(cloud: FloatArray) -> Level | None:
     """The floor in a cloud (N, 3), None when it shows none."""
     squares = np.einsum("ij,ij->i", cloud, cloud)
-    near = cloud[np.flatnonzero(squares <= config.floor_radius_m**2)]
+    near = cloud[np.flatnonzero(squares <= FLOOR_RADIUS_M**2)]
     near = near[first_in_cells(near, _CELL_M)]
     if len(near) < _FEWEST:
         return None
-    tilts = _tilts(config.floor_tilt_max_rad)
+    tilts = _tilts(_FLOOR_TILT_MAX_RAD)
     number, height = _best_layer(near, tilts)
     rotation = tilts[number]
     for width_m in _WIDTHS_M:
@@ -67,8 +68,8 @@ def floor_of(cloud: FloatArray, config: LogConfig) -> Level | None:
             return None
         normal, height = _plane(floor)
         rotation = _upright(product(normal[None], rotation)[0])
-    enough = len(floor) >= config.floor_share * len(near)
-    upright = float(rotation[2, 2]) >= math.cos(config.floor_tilt_max_rad)
+    enough = len(floor) >= _FLOOR_SHARE * len(near)
+    upright = float(rotation[2, 2]) >= math.cos(_FLOOR_TILT_MAX_RAD)
     return Level(rotation, height) if enough and upright and height < 0.0 else None
 
 

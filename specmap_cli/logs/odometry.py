@@ -6,27 +6,28 @@ from bisect import bisect_left
 from typing import NamedTuple
 
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import nanoseconds
 from specmap_cli.logs.messages import BadMessageError, decode_odometry, decode_transforms
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.selection import Selection
 
+_ODOMETRY_GAP_S = 2.0  # poses farther apart are not interpolated between
+_ODOMETRY_HOLD_S = 0.1  # the first and the last pose hold so long before and after it
+_CLOCK_RESET_S = 10.0  # odometry stamped so far back means that the clock was set back
 MAX_POSES = 8192  # kept at once: 8 s of odometry at 1 kHz, more than any scan waits for
 
 
 class OdometryBuffer:
     """Odometry of the last while, interpolated at the stamps of scans.
 
-    Poses may come in any order; only MAX_POSES are kept. A pose that lies `clock_reset_s` or more
+    Poses may come in any order; only MAX_POSES are kept. A pose that lies `_CLOCK_RESET_S` or more
     back in time starts the buffer anew, as the clock was set back.
     """
 
-    def __init__(self, config: LogConfig | None = None) -> None:
-        settings = config or LogConfig()
-        self._gap_ns = nanoseconds(settings.odometry_gap_s)
-        self._hold_ns = nanoseconds(settings.odometry_hold_s)
-        self._reset_ns = nanoseconds(settings.clock_reset_s)
+    def __init__(self) -> None:
+        self._gap_ns = nanoseconds(_ODOMETRY_GAP_S)
+        self._hold_ns = nanoseconds(_ODOMETRY_HOLD_S)
+        self._reset_ns = nanoseconds(_CLOCK_RESET_S)
         self._stamps: list[int] = []
         self._poses: list[Pose2] = []
 
@@ -89,9 +90,9 @@ class OdometryListener:
     `poses` is what was heard so far, `heard` how many poses that were, `last` the last of them.
     """
 
-    def __init__(self, selection: Selection, config: LogConfig) -> None:
+    def __init__(self, selection: Selection) -> None:
         self.selection = selection
-        self.poses = OdometryBuffer(config)
+        self.poses = OdometryBuffer()
         self.heard = 0
         self.last: Heard | None = None
         self._tree = selection.tree.copy()

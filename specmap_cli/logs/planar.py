@@ -18,9 +18,15 @@ from specmap_cli.core.geometry import FloatArray, Pose2, yaw_of
 from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.ceiling import Ceiling
+from specmap_cli.logs.clouds import CLOUD_RANGE_MAX_M
+from specmap_cli.logs.levelling import FLOOR_RADIUS_M
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 from specmap_cli.logs.own_body import OwnBody
 
+SCAN_TIME_MAX_S = 1.0  # a planar sweep that takes longer has its times in another unit
+_FLOOR_PERCENTILE = 2.0  # of the heights of returns is the floor: a few stray ones lie below it
+_CLOUD_BEAMS = 720  # bearings of the planar scan of a 3D cloud
+_CLOUD_FILLED_SHARE = 0.9  # share of the bearings that must have returns, or they are halved
 _FULL_CIRCLE = 2.0 * math.pi
 _MISSING_BEAMS = 1.5  # of a full circle: its last beam stops one short of the first, and rounding
 _MAX_HALVINGS = 2  # a planar scan has no fewer bearings than a quarter of those asked for
@@ -61,14 +67,13 @@ class ScanLeveller:
     def __init__(
         self,
         mount: Mount,
-        config: LogConfig,
         ceiling: Ceiling | None = None,
         own_body: OwnBody | None = None,
     ) -> None:
         self.mount = mount
         self.ceiling = Ceiling() if ceiling is None else ceiling
         self.own_body = OwnBody() if own_body is None else own_body
-        self.longest_s = config.scan_time_max_s
+        self.longest_s = SCAN_TIME_MAX_S
         self._layout: ScanLayout | None = None
         self._beams: _Beams | None = None
 
@@ -151,7 +156,7 @@ class CloudFlattener:
     The band lies between two heights above the floor. A bearing with nothing in the band is +inf
     where the lidar has had a return at any height in this or an earlier cloud, so that it looked
     there, and NaN where it never had one, outside its field of view. The number of bearings is
-    that of the settings, halved until the lidar's resolution fills them. A floor of unknown height
+    `_CLOUD_BEAMS`, halved until the lidar's resolution fills them. A floor of unknown height
     (None) is taken to be where the lowest returns of the first cloud are. The clouds of a `planar`
     laser have one height, whichever it is, and their scans keep the times of the beams.
     """
@@ -192,7 +197,7 @@ class CloudFlattener:
         bins = _bins(turn, beams, self._shift)
         self._seen[bins[distance > 0.0]] = True
         inside = self._in_band(cloud, distance, floor_m)
-        inside &= (distance > 0.0) & (distance <= self.config.cloud_range_max_m)
+        inside &= (distance > 0.0) & (distance <= CLOUD_RANGE_MAX_M)
         ranges = np.where(self._seen, np.inf, np.nan)
         nearest = np.full(beams, np.inf)
         np.minimum.at(nearest, bins[inside], distance[inside])
@@ -201,8 +206,8 @@ class CloudFlattener:
             stamp_ns=stamp_ns,
             bearings=self._bearings,
             ranges=ranges,
-            range_max=self.config.cloud_range_max_m,
-            full_circle=bool(self._seen.mean() >= self.config.cloud_filled_share),
+            range_max=CLOUD_RANGE_MAX_M,
+            full_circle=bool(self._seen.mean() >= _CLOUD_FILLED_SHARE),
             beam_times_s=_beam_times(bins, times_s, beams) if self._planar else None,
         )
 
@@ -216,17 +221,17 @@ class CloudFlattener:
     def _first_floor(self, cloud: FloatArray, distance: FloatArray) -> float:
         """The floor's height where it is known once for all, or taken from the first cloud."""
         if self._floor is None:
-            near = cloud[distance <= self.config.floor_radius_m]
-            self._floor = lowest_returns(near, self.config.floor_percentile)
+            near = cloud[distance <= FLOOR_RADIUS_M]
+            self._floor = lowest_returns(near, _FLOOR_PERCENTILE)
         return self._floor
 
     def _choose_bearings(self, turn: FloatArray) -> None:
         """Settle on the bearings from the first cloud's returns at any height."""
         for halvings in range(_MAX_HALVINGS + 1):
-            beams = self.config.cloud_beams >> halvings
+            beams = _CLOUD_BEAMS >> halvings
             self._shift = _phase(turn * beams) if self._planar else 0.0
             filled = np.unique(_bins(turn, beams, self._shift))
-            share = self.config.cloud_filled_share
+            share = _CLOUD_FILLED_SHARE
             if len(filled) and len(filled) >= share * (filled[-1] - filled[0] + 1):
                 break
         bearings: FloatArray = (np.arange(beams, dtype=np.float64) + 0.5 + self._shift) * (

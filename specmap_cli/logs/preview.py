@@ -11,16 +11,19 @@ from itertools import islice
 import numpy as np
 
 from specmap_cli.core.records import Sweep
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, decimal
 from specmap_cli.core.tracks import step_lengths
+from specmap_cli.logs.checking import PAUSE_INTERVALS
 from specmap_cli.logs.clocks import odometry_of
+from specmap_cli.logs.first_scans import LOOK_SCANS
 from specmap_cli.logs.messages import BadMessageError, decode_scan
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.readers.typestore import NS_PER_S
 from specmap_cli.logs.repeats import Repeats
 from specmap_cli.logs.stream import SweepStream
 
+_GAP_S = 1.0  # a gap between scans is told that is longer than this and a pause
+_SPARSE_STEP_M = 0.25  # scans this far apart are called sparse: views change much between
 _CLOUDS = 20  # read at the most, where not the whole log is: each takes as long as many scans
 _MOST_MESSAGES = 5_000  # read for their stamps: odometry at 1 kHz for 5 s
 _STANDING_M = 0.01  # a shorter step is noise, or a robot that stands
@@ -142,7 +145,7 @@ def preview(stream: SweepStream, *, complete: bool = False) -> tuple[Preview | N
     None twice when there is no usable scan among them.
     """
     is_cloud = stream.selection.scan.sensor.is_cloud
-    most = min(stream.config.look_scans, _CLOUDS) if is_cloud else stream.config.look_scans
+    most = min(LOOK_SCANS, _CLOUDS) if is_cloud else LOOK_SCANS
     first: Sweep | None = None
     stamps, places = array("q"), array("d")
     readings = invalid = stale = 0
@@ -163,8 +166,8 @@ def preview(stream: SweepStream, *, complete: bool = False) -> tuple[Preview | N
         blank_scans=stream.counts["blank_scans"],
         stale_scans=stale,
         invalid_share=None if is_cloud else invalid / max(readings, 1),
-        spacing=_spacing(times, np.array(places).reshape(-1, 2), stream.config),
-        gaps=_gaps(times, stream.config),
+        spacing=_spacing(times, np.array(places).reshape(-1, 2)),
+        gaps=_gaps(times),
         sensors=tuple((sensor.name, sensor.count) for sensor in stream.selection.scan.sensors),
         stamps=tuple(_faults(stream, None if complete else most)),
     )
@@ -174,7 +177,6 @@ def preview(stream: SweepStream, *, complete: bool = False) -> tuple[Preview | N
 def _spacing(
     stamps_ns: np.ndarray[tuple[int], np.dtype[np.int64]],
     places: np.ndarray[tuple[int, int], np.dtype[np.float64]],
-    config: LogConfig,
 ) -> Spacing:
     """The rate by the median interval, 0 without any, and the median step that is motion."""
     ahead = np.diff(stamps_ns)[np.diff(stamps_ns) > 0]
@@ -184,18 +186,16 @@ def _spacing(
     if not len(moving):
         return Spacing(rate)
     step = round(float(np.median(moving)), 6)
-    return Spacing(rate, step, step >= config.sparse_step_m)
+    return Spacing(rate, step, step >= _SPARSE_STEP_M)
 
 
-def _gaps(
-    stamps_ns: np.ndarray[tuple[int], np.dtype[np.int64]], config: LogConfig
-) -> tuple[Gap, ...]:
-    """The steps ahead that are longer than `gap_s`, and than some usual ones."""
+def _gaps(stamps_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> tuple[Gap, ...]:
+    """The steps ahead that are longer than `_GAP_S`, and than some usual ones."""
     steps = np.diff(stamps_ns) / NS_PER_S
     ahead = steps[steps > 0]
     if not len(ahead):
         return ()
-    limit = max(config.gap_s, config.pause_intervals * float(np.median(ahead)))
+    limit = max(_GAP_S, PAUSE_INTERVALS * float(np.median(ahead)))
     return tuple(
         Gap(round(float(steps[n]), 6), round(float(stamps_ns[n]) / NS_PER_S, 6))
         for n in np.flatnonzero(steps > limit)

@@ -17,7 +17,7 @@ from specmap_cli.logs.clocks import (
     clock_warnings,
     odometry_beside,
 )
-from specmap_cli.logs.first_scans import ceilings_m, first_scans, is_flat
+from specmap_cli.logs.first_scans import TRIED_MESSAGES, ceilings_m, first_scans, is_flat
 from specmap_cli.logs.frames import (
     USUAL_BASES,
     Frames,
@@ -132,14 +132,14 @@ def select(log: Log, config: LogConfig) -> Selection:
     """
     scan, glimpses = _scan_source(log, choose_scan_topic(log, config.scan_topic), config)
     topic = choose_odometry_topic(log, config.odom_topic) if config.use_odometry else None
-    child = _odometry_child(log, topic, config)
+    child = _odometry_child(log, topic)
     usual = [frame for frame in (child, *USUAL_BASES) if frame]
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
     frames = read_frames(log, scan.sensor.frame, bases, config)
     placement = place_laser(frames.tree, scan.sensor.frame, child, config)
     odometry = _odometry_source(log, topic, frames.tree, placement, config)
-    clock = _clock(log, scan, odometry, glimpses, config)
-    scan = replace(scan, clock=clock, ceilings_m=ceilings_m(log, scan.topic, scan.sensor, config))
+    clock = _clock(log, scan, odometry, glimpses)
+    scan = replace(scan, clock=clock, ceilings_m=ceilings_m(log, scan.topic, scan.sensor))
     return Selection(
         scan=scan,
         placement=placement,
@@ -199,8 +199,8 @@ def _assumptions(
 
 def _scan_source(log: Log, topic: TopicInfo, config: LogConfig) -> tuple[ScanSource, list[Glimpse]]:
     """The sensor to read, and its first scans."""
-    glimpses = first_scans(log, topic, config)
-    sensors = tuple(sensors_of(glimpses, config))
+    glimpses = first_scans(log, topic)
+    sensors = tuple(sensors_of(glimpses))
     sensor = choose_sensor(f"{log.name}: {topic.name}", sensors, config)
     source = ScanSource(
         topic=topic,
@@ -215,7 +215,7 @@ def _band_m(
     log: Log, topic: TopicInfo, sensor: ScanSensor, config: LogConfig
 ) -> tuple[float, float] | None:
     """The heights of a 3D cloud that count as walls; None for all that planar lasers give."""
-    if not sensor.is_cloud or is_flat(log, topic, sensor, config):
+    if not sensor.is_cloud or is_flat(log, topic, sensor):
         return None
     return config.band_min_m, config.band_max_m
 
@@ -225,18 +225,17 @@ def _clock(
     scan: ScanSource,
     odometry: OdometrySource,
     glimpses: Sequence[Glimpse],
-    config: LogConfig,
 ) -> Clock:
     """What stamps the scans, by the first of them and the odometry beside these."""
-    besides = odometry_beside(log, scan.topic.name, scan.sensor, odometry, config)
-    return choose_clock(glimpses, besides, config)
+    besides = odometry_beside(log, scan.topic.name, scan.sensor, odometry)
+    return choose_clock(glimpses, besides)
 
 
-def _odometry_child(log: Log, topic: TopicInfo | None, config: LogConfig) -> str | None:
+def _odometry_child(log: Log, topic: TopicInfo | None) -> str | None:
     """The frame that moves in an Odometry topic."""
     if topic is None:
         return None
-    for message in _first_messages(log, topic, config):
+    for message in _first_messages(log, topic):
         try:
             return decode_odometry(message).child or None
         except BadMessageError:
@@ -244,8 +243,8 @@ def _odometry_child(log: Log, topic: TopicInfo | None, config: LogConfig) -> str
     return None
 
 
-def _first_messages(log: Log, topic: TopicInfo, config: LogConfig) -> Iterator[Message]:
-    return islice(log.messages([topic.name]), config.tried_messages)
+def _first_messages(log: Log, topic: TopicInfo) -> Iterator[Message]:
+    return islice(log.messages([topic.name]), TRIED_MESSAGES)
 
 
 def _odometry_source(

@@ -21,6 +21,9 @@ from specmap_cli.core.text import legible
 from specmap_cli.logs.messages import BadMessageError, CloudRecord, ScanLayout, ScanRecord
 from specmap_cli.logs.planar import covers_circle, increment
 
+_SENSOR_SHARE = 0.1  # share of the first scans; a rarer sensor is left out without a question
+# Scans of one frame that begin or end this much apart by turns: two lasers.
+_SENSOR_ANGLE_RAD = 0.0873
 _BY_TURNS = 3  # scans of each kind at least: fewer may be damaged ones
 
 
@@ -96,14 +99,14 @@ def view_of(layout: ScanLayout) -> View | None:
     return View(min(layout.angle_min, last), max(layout.angle_min, last))
 
 
-def sensors_of(glimpses: Sequence[Glimpse], config: LogConfig) -> list[ScanSensor]:
+def sensors_of(glimpses: Sequence[Glimpse]) -> list[ScanSensor]:
     """The sensors among the scans that were looked at, in the order in which they appear."""
     groups: dict[tuple[str, bool], list[Glimpse]] = {}
     for glimpse in glimpses:
         groups.setdefault((glimpse.frame, glimpse.layout is None), []).append(glimpse)
     found = []
     for (frame, is_cloud), group in groups.items():
-        kinds = [] if is_cloud else _kinds(group, config)
+        kinds = [] if is_cloud else _kinds(group)
         if len(kinds) < 2:
             alone = ScanSensor(name=frame, frame=frame, count=len(group), is_cloud=is_cloud)
             found.append(alone)
@@ -116,15 +119,15 @@ def sensors_of(glimpses: Sequence[Glimpse], config: LogConfig) -> list[ScanSenso
                     count=count,
                     is_cloud=False,
                     view=view,
-                    angle=config.sensor_angle_rad,
+                    angle=_SENSOR_ANGLE_RAD,
                 )
             )
     return found
 
 
-def _kinds(group: Sequence[Glimpse], config: LogConfig) -> list[tuple[View, int]]:
+def _kinds(group: Sequence[Glimpse]) -> list[tuple[View, int]]:
     """The fields of view that take turns in one frame, and how often each is met."""
-    angle = config.sensor_angle_rad
+    angle = _SENSOR_ANGLE_RAD
     views: list[View] = []
     turns: list[int] = []  # the number of the view of each scan
     for glimpse in group:
@@ -137,7 +140,7 @@ def _kinds(group: Sequence[Glimpse], config: LogConfig) -> list[tuple[View, int]
             views.append(view)
         turns.append(number)
     counts = [turns.count(number) for number in range(len(views))]
-    least = max(_BY_TURNS, config.sensor_share * len(group))
+    least = max(_BY_TURNS, _SENSOR_SHARE * len(group))
     often = [n for n, count in enumerate(counts) if count >= least]
     kept = [n for n in often if _rival(n, often, views, turns, angle)]
     return [(views[n], counts[n]) for n in kept]
@@ -171,7 +174,7 @@ def choose_sensor(where: str, sensors: Sequence[ScanSensor], config: LogConfig) 
         known = ", ".join(_told(sensor, total) for sensor in sensors)
         nothing = f"{where}: --scan-frame {asked}: no scans of such a sensor; there are {known}"
         raise UsageError(legible(nothing))
-    often = [s for s in sensors if s.count >= config.sensor_share * total]
+    often = [s for s in sensors if s.count >= _SENSOR_SHARE * total]
     candidates = often or list(sensors)
     if len(candidates) == 1:
         return candidates[0]

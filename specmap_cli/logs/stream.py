@@ -24,17 +24,19 @@ from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import BadMessageError, CloudRecord, ScanRecord, decode_scan
 from specmap_cli.logs.odometry import OdometryBuffer, OdometryListener
 from specmap_cli.logs.own_body import OwnBody
-from specmap_cli.logs.planar import CloudFlattener, Mount, ScanLeveller, duration_s
+from specmap_cli.logs.planar import SCAN_TIME_MAX_S, CloudFlattener, Mount, ScanLeveller, duration_s
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.selection import Selection, select
+
+_ODOMETRY_WAIT_SCANS = 4  # a scan waits for later odometry until more scans than this wait
+_ODOMETRY_WAIT_S = 0.5  # a scan waits for later odometry no longer than this, by log time
 
 # What is counted beside the sweeps and the odometry, and what to say when it occurs.
 _SAID = {
     "unusable_scans": "scans that could not be read and were left out",
     "other_sensor": "scans of another sensor on the topic that were left out",
     "blank_scans": "scans without any return",
-    "far_times": "scans whose point times reach beyond log.scan_time_max_s or "
-    "log.cloud_time_max_s and were not used",
+    "far_times": "scans whose point times reach farther than a sweep lasts and were not used",
     "foreign_times": "scans whose point times have another clock than their stamps and were "
     "counted from the earliest point",
     "without_odometry": "scans without odometry near their stamp",
@@ -87,7 +89,7 @@ class SweepStream:
     def __iter__(self) -> Iterator[Sweep]:
         """The sweeps in the order of the log."""
         self.counts = _no_counts()
-        odometry = OdometryListener(self.selection, self.config)
+        odometry = OdometryListener(self.selection)
         self.ceiling, self.own_body = Ceiling(self.selection.scan.ceilings_m), OwnBody()
         leveller = self._leveller()
         sweeps = _SweepMaker(self.selection, self.config, self.counts, leveller)
@@ -104,7 +106,7 @@ class SweepStream:
 
     def _leveller(self) -> ScanLeveller:
         mount = Mount.from_matrix(self.selection.base_from_laser)
-        return ScanLeveller(mount, self.config, self.ceiling, self.own_body)
+        return ScanLeveller(mount, self.ceiling, self.own_body)
 
     def _hear(self, odometry: OdometryListener, message: Message) -> None:
         try:
@@ -115,13 +117,13 @@ class SweepStream:
 
     def _ready(self, waiting: deque[_Waiting], odometry: OdometryBuffer, now_ns: int) -> bool:
         """Whether the first waiting scan has its odometry, or has waited long enough."""
-        if self.selection.odometry is None or len(waiting) > self.config.odometry_wait_scans:
+        if self.selection.odometry is None or len(waiting) > _ODOMETRY_WAIT_SCANS:
             return True
         first, latest = waiting[0], odometry.latest_ns
         if first.own is not None:
             return True
         heard = latest is not None and latest >= first.stamp_ns
-        return heard or now_ns - first.time_ns > nanoseconds(self.config.odometry_wait_s)
+        return heard or now_ns - first.time_ns > nanoseconds(_ODOMETRY_WAIT_S)
 
 
 class _Waiting(NamedTuple):
@@ -156,7 +158,7 @@ class _SweepMaker:
             selection.base_from_laser, floor, config, planar=selection.band_m is None
         )
         unknown = floor is None and selection.band_m is not None
-        self.cloud_leveller = CloudLeveller(config) if unknown else None
+        self.cloud_leveller = CloudLeveller() if unknown else None
         self.points_clock = PointClock()
         self._last_stamp: int | None = None
         self._number = 0  # of the sensor's scans so far
@@ -195,7 +197,7 @@ class _SweepMaker:
 
     def _from_scan(self, record: ScanRecord, stamp_ns: int) -> Sweep:
         planar = self.leveller.level(record, stamp_ns)
-        self.counts["far_times"] += duration_s(record) > self.config.scan_time_max_s
+        self.counts["far_times"] += duration_s(record) > SCAN_TIME_MAX_S
         return Sweep(
             index=self.counts["scans"],
             stamp_ns=stamp_ns,
@@ -204,7 +206,7 @@ class _SweepMaker:
         )
 
     def _from_cloud(self, record: CloudRecord, stamp_ns: int) -> Sweep:
-        points, times_s, far_times = cloud_points(record, stamp_ns, self.config, self.points_clock)
+        points, times_s, far_times = cloud_points(record, stamp_ns, self.points_clock)
         if not len(points):
             raise BadMessageError("a cloud without points")
         self.counts["far_times"] += far_times

@@ -12,15 +12,16 @@ from typing import Literal
 
 from pydantic import Field
 
-from specmap_cli.core.json_values import Amount, Count, Number, Point, Record, Transform
+from specmap_cli.core.json_values import Amount, Count, Measured, Number, Point, Transform
 from specmap_cli.core.schemas import ModelSchema
+from specmap_cli.topology.identity import Same
 
 SCHEMA_VERSION = 1
 
 Pair = tuple[Count, Count]
 
 
-class MapFigures(Record):
+class MapFigures(Measured):
     """One of the two maps: what it is made of, and how large it is."""
 
     map: str = Field(description="as it was named on the command line")
@@ -34,7 +35,7 @@ class MapFigures(Record):
     verdict: str | None = Field(description="what the map thinks of itself")
 
 
-class AlignmentRecord(Record):
+class AlignmentRecord(Measured):
     """Where the new map lies in the old one, and what that stands on.
 
     `submaps` of either map found it by themselves. They did so in `votes` pairs: a submap may match
@@ -51,29 +52,21 @@ class AlignmentRecord(Record):
     rival: float
 
 
-class SameRecord(Record):
-    """A submap of either map that are one, and intersection over union of what both maps saw."""
-
-    old: Count
-    new: Count
-    iou: float
-
-
-class SplitRecord(Record):
+class SplitRecord(Measured):
     """An old submap that is several new ones."""
 
     old: Count
     new: list[Count]
 
 
-class MergeRecord(Record):
+class MergeRecord(Measured):
     """Several old submaps that are one new one."""
 
     old: list[Count]
     new: Count
 
 
-class SubmapsRecord(Record):
+class SubmapsRecord(Measured):
     """What became of the submaps.
 
     `new`: space that the old map did not see; `unseen`: submaps that the new map did not see;
@@ -81,7 +74,7 @@ class SubmapsRecord(Record):
     `redrawn_new`: what is left, whose borders are drawn elsewhere.
     """
 
-    same: list[SameRecord]
+    same: tuple[Same, ...]
     split: list[SplitRecord]
     merged: list[MergeRecord]
     new: list[Count]
@@ -91,7 +84,7 @@ class SubmapsRecord(Record):
     redrawn_new: list[Count]
 
 
-class DoorRecord(Record):
+class DoorRecord(Measured):
     """A way between two submaps of the map in which it is open."""
 
     between: Pair
@@ -100,7 +93,7 @@ class DoorRecord(Record):
     width_m: Amount
 
 
-class DoorsRecord(Record):
+class DoorsRecord(Measured):
     """Ways that were open and are blocked (`closed`), and the other way round (`opened`).
 
     A closed way is between submaps of the old map, an opened one between submaps of the new map.
@@ -110,7 +103,7 @@ class DoorsRecord(Record):
     opened: list[DoorRecord]
 
 
-class ThingRecord(Record):
+class ThingRecord(Measured):
     """Something that stands in one map where the other saw free space, in the smallest box.
 
     The submaps are those that it stands in by the old map and by the new one.
@@ -126,14 +119,14 @@ class ThingRecord(Record):
     new_submap: Count | None
 
 
-class ThingsRecord(Record):
+class ThingsRecord(Measured):
     """Walls and furniture that appeared, and that vanished."""
 
     appeared: list[ThingRecord]
     vanished: list[ThingRecord]
 
 
-class ComparisonRecord(Record):
+class ComparisonRecord(Measured):
     """The whole file; `identical`: the maps hold the same submaps and the same grid."""
 
     schema_version: Literal[1]

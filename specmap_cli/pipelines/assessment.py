@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.progress import Progress
-from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.carrying import keyframe_rows
 from specmap_cli.pipelines.exploration import Explored
@@ -20,13 +19,12 @@ def assess(
     laid: LaidOut,
     beyond: int,
     warnings: tuple[str, ...],
-    config: Config,
 ) -> Quality:
     """What is thought of a map.
 
     `beyond` keyframes did not fit into the grid; `warnings` are those of reading and registration.
     """
-    return judged(evidence_of(store, explored, laid, beyond, warnings, config), config.quality)
+    return judged(evidence_of(store, explored, laid, beyond, warnings))
 
 
 def evidence_of(
@@ -35,7 +33,6 @@ def evidence_of(
     laid: LaidOut,
     beyond: int,
     warnings: tuple[str, ...],
-    config: Config,
 ) -> Evidence:
     """What the verdict on a map of one recording rests on; the arguments are those of `assess`."""
     rows = keyframe_rows(explored.trajectory, store)
@@ -48,7 +45,7 @@ def evidence_of(
         audit=laid.audited.audit,
         beyond=beyond,
         warnings=warnings,
-        holes=holes_of(store, rows, laid.trajectory, layout, breaks, config.quality),
+        holes=holes_of(store, rows, laid.trajectory, layout, breaks),
     )
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from specmap_cli.checking.figures import FINDINGS, figures_against, figures_of
-from specmap_cli.checking.outcome import VERDICT, judged
 from specmap_cli.checking.record import CheckRecord
 from specmap_cli.checking.reports import lines_of
-from specmap_cli.checking.rules import Rules, read_rules
+from specmap_cli.checking.rules import VERDICT, Rules, judged, read_rules
 from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.findings import Finding, Severity

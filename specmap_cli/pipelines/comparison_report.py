@@ -3,55 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
-from specmap_cli.core.text import counted, plain, rounded
-from specmap_cli.maps.comparison import SCHEMA_VERSION, ComparisonRecord, DoorRecord, ThingRecord
+from specmap_cli.core.json_values import point, transform
+from specmap_cli.core.text import counted, encodable
+from specmap_cli.maps.comparison import (
+    SCHEMA_VERSION,
+    AlignmentRecord,
+    ComparisonRecord,
+    DoorRecord,
+    DoorsRecord,
+    MapFigures,
+    MergeRecord,
+    SplitRecord,
+    SubmapsRecord,
+    ThingRecord,
+    ThingsRecord,
+)
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.topology.blocked import Crossing
 from specmap_cli.topology.differences import Differences, PlacedThing
+from specmap_cli.topology.identity import Identity
 from specmap_cli.topology.topological_map import default_name, driven_m, starts_of
-
-
-def figures_of(stored: StoredMap) -> dict[str, Any]:
-    """A map's figures as compare.json has them."""
-    labels, quality = stored.labels, stored.record.graph.quality
-    starts = starts_of(stored.logs)
-    return {
-        "map": str(stored.path),
-        "names": {node.id: node.name for node in stored.record.nodes},
-        "submaps": len(stored.record.nodes),
-        "edges": len(stored.record.edges),
-        "keyframes": len(labels.stamps_ns),
-        "path_m": driven_m(stored.logs, labels),
-        "duration_s": labels.duration_s(starts),
-        "area_m2": stored.map_grid.free_area_m2,
-        "verdict": None if quality is None else quality.verdict,
-    }
 
 
 def record_of(
     maps: tuple[StoredMap, StoredMap], alignment: Alignment, found: Differences, identical: bool
 ) -> ComparisonRecord:
-    """The contents of compare.json for an old and a new map."""
-    document = {
-        "schema_version": SCHEMA_VERSION,
-        "old": figures_of(maps[0]),
-        "new": figures_of(maps[1]),
-        "identical": identical,
-        "alignment": _alignment(alignment),
-        "submaps": _submaps(found),
-        "doors": {
-            "closed": [_door(way) for way in found.closed],
-            "opened": [_door(way) for way in found.opened],
-        },
-        "things": {
-            "appeared": [_thing(one) for one in found.appeared],
-            "vanished": [_thing(one) for one in found.vanished],
-        },
-    }
-    return ComparisonRecord.model_validate(plain(document))
+    """The contents of compare.json for an old and a new map, which were aligned."""
+    old, new = map(_figures, maps)
+    return ComparisonRecord(
+        schema_version=SCHEMA_VERSION,
+        old=old,
+        new=new,
+        identical=identical,
+        alignment=_alignment(alignment),
+        submaps=_submaps(found.identity),
+        doors=DoorsRecord(
+            closed=[_door(way) for way in found.closed], opened=[_door(way) for way in found.opened]
+        ),
+        things=ThingsRecord(
+            appeared=[_thing(one) for one in found.appeared],
+            vanished=[_thing(one) for one in found.vanished],
+        ),
+    )
+
+
+def _figures(stored: StoredMap) -> MapFigures:
+    labels, quality = stored.labels, stored.record.graph.quality
+    return MapFigures(
+        map=encodable(str(stored.path)),
+        names={node.id: node.name for node in stored.record.nodes},
+        submaps=len(stored.record.nodes),
+        edges=len(stored.record.edges),
+        keyframes=len(labels.stamps_ns),
+        path_m=driven_m(stored.logs, labels),
+        duration_s=labels.duration_s(starts_of(stored.logs)),
+        area_m2=stored.map_grid.free_area_m2,
+        verdict=None if quality is None else quality.verdict,
+    )
 
 
 def lines_of(record: ComparisonRecord) -> list[str]:
@@ -81,51 +91,51 @@ def _changes(record: ComparisonRecord) -> bool:
     )
 
 
-def _alignment(alignment: Alignment) -> dict[str, Any]:
+def _alignment(alignment: Alignment) -> AlignmentRecord:
     ground = alignment.ground
-    return {
-        "old_from_new": alignment.old_from_new,
-        "votes": alignment.votes,
-        "submaps": alignment.party,
-        "area_m2": alignment.area_m2,
-        "walls_m": 0.0 if ground is None else ground.confirmed_m,
-        "residual_m": 0.0 if ground is None else ground.residual_m,
-        "rival": rounded(alignment.rival),
-    }
+    assert alignment.old_from_new is not None
+    return AlignmentRecord(
+        old_from_new=transform(alignment.old_from_new),
+        votes=alignment.votes,
+        submaps=alignment.party,
+        area_m2=alignment.area_m2,
+        walls_m=0.0 if ground is None else ground.confirmed_m,
+        residual_m=0.0 if ground is None else ground.residual_m,
+        rival=alignment.rival,
+    )
 
 
-def _submaps(found: Differences) -> dict[str, Any]:
-    identity = found.identity
-    return {
-        "same": [{"old": one.old, "new": one.new, "iou": one.iou} for one in identity.same],
-        "split": [{"old": old, "new": list(new)} for old, new in identity.splits.items()],
-        "merged": [{"old": list(old), "new": new} for new, old in identity.merges.items()],
-        "new": identity.added,
-        "unseen": identity.unseen,
-        "gone": identity.gone,
-        "redrawn_old": identity.redrawn[0],
-        "redrawn_new": identity.redrawn[1],
-    }
+def _submaps(identity: Identity) -> SubmapsRecord:
+    return SubmapsRecord(
+        same=identity.same,
+        split=[SplitRecord(old=old, new=list(new)) for old, new in identity.splits.items()],
+        merged=[MergeRecord(old=list(old), new=new) for new, old in identity.merges.items()],
+        new=list(identity.added),
+        unseen=list(identity.unseen),
+        gone=list(identity.gone),
+        redrawn_old=list(identity.redrawn[0]),
+        redrawn_new=list(identity.redrawn[1]),
+    )
 
 
-def _door(way: Crossing) -> dict[str, Any]:
+def _door(way: Crossing) -> DoorRecord:
     x, y = way.place.tolist()
-    return {"between": way.between, "x": x, "y": y, "width_m": way.width_m}
+    return DoorRecord(between=way.between, x=x, y=y, width_m=way.width_m)
 
 
-def _thing(one: PlacedThing) -> dict[str, Any]:
+def _thing(one: PlacedThing) -> ThingRecord:
     thing = one.thing
     x, y = thing.centre.tolist()
-    return {
-        "x": x,
-        "y": y,
-        "length_m": thing.length_m,
-        "width_m": thing.width_m,
-        "area_m2": thing.area_m2,
-        "corners": thing.corners,
-        "old_submap": one.old_submap,
-        "new_submap": one.new_submap,
-    }
+    return ThingRecord(
+        x=x,
+        y=y,
+        length_m=thing.length_m,
+        width_m=thing.width_m,
+        area_m2=thing.area_m2,
+        corners=[point(corner) for corner in thing.corners],
+        old_submap=one.old_submap,
+        new_submap=one.new_submap,
+    )
 
 
 def _of_submaps(record: ComparisonRecord) -> list[str]:

@@ -19,6 +19,7 @@ from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.recognition.closure.claims import SAMPLES_PER_SUBMAP
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
 from specmap_cli.recognition.closure.stay import Stay
 from specmap_cli.recognition.features.sets import KeyframeFeatures
@@ -179,7 +180,7 @@ class SubmapRecogniser:
         track = in_own_frame(self.store, region)
         with self.clock.stage("grids"):
             grid = integrate_keyframes(self.store, region, track, self.config.grid)
-        seen = evenly(keyframes, self.config.recognition.samples_per_submap)
+        seen = evenly(keyframes, SAMPLES_PER_SUBMAP)
         return Stay(
             number=number,
             features=self.features.of(seen.tolist()),

@@ -35,7 +35,7 @@ def finish(
     with clock.stage("segmentation"):
         submaps = divide(whole, layout, explored.regions, closures, config)
     with clock.stage("audit"):
-        quality = assess(store, explored, laid, beyond, tracking.warnings, config)
+        quality = assess(store, explored, laid, beyond, tracking.warnings)
     known = Known(explored.features)
     learned = learn(store, known, submaps, layout.poses, config, progress, clock)
     stamps = np.array(store.stamps_ns, dtype=np.int64)

@@ -12,20 +12,27 @@ from specmap_cli.core.arguments import path_of
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.text import plain, to_json
+from specmap_cli.core.text import encodable, to_json
 from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.history.page import render_history
-from specmap_cli.history.record import SCHEMA_VERSION, HistoryRecord
+from specmap_cli.history.record import (
+    SCHEMA_VERSION,
+    BuildingRecord,
+    ChangeRecord,
+    HistoryRecord,
+    LeftOutRecord,
+    MapRecord,
+)
 from specmap_cli.history.tables import TABLES, lines_of
-from specmap_cli.history.visits import zone_of
+from specmap_cli.history.visits import days_of, zone_of
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.building_series import BuildingSeries
 from specmap_cli.pipelines.history_record import (
-    building_entry,
-    change_entries,
-    map_entry,
+    changes_of,
+    map_record,
+    room_records,
     span_ns,
 )
 
@@ -59,8 +66,19 @@ class _Building:
 
     series: BuildingSeries
     path: Path
-    maps: list[dict[str, Any]] = field(default_factory=list)
-    changes: list[dict[str, Any]] = field(default_factory=list)
+    maps: list[MapRecord]
+    changes: list[ChangeRecord] = field(default_factory=list)
+
+    def record(self, number: int, zone: tzinfo) -> BuildingRecord:
+        """The building as history.json has it."""
+        return BuildingRecord(
+            number=number,
+            name=encodable(_called(self.path)),
+            rooms=room_records(self.series, zone),
+            maps=self.maps,
+            days=days_of(self.series.tours, zone),
+            changes=self.changes,
+        )
 
 
 @one_blas_thread()
@@ -79,22 +97,18 @@ def history_of(
     zone = zone_of(timezone)
     readable, left_out = _dated(_found(maps), limits, progress)
     if not readable:
-        raise MapError(left_out[0]["reason"])
+        raise MapError(left_out[0].reason)
     buildings: list[_Building] = []
     progress.start("comparing maps", len(readable))
     for number, path in enumerate(readable):
         _enter(buildings, number, read_map(path, limits), zone)
         progress.advance()
-    document = {
-        "schema_version": SCHEMA_VERSION,
-        "timezone": timezone,
-        "buildings": [
-            building_entry(k, one.series, _called(one.path), (one.maps, one.changes), zone)
-            for k, one in enumerate(buildings)
-        ],
-        "left_out": left_out,
-    }
-    record = HistoryRecord.model_validate(plain(document))
+    record = HistoryRecord(
+        schema_version=SCHEMA_VERSION,
+        timezone=timezone,
+        buildings=[one.record(number, zone) for number, one in enumerate(buildings)],
+        left_out=left_out,
+    )
     return HistoryReport(record, tuple(one.path for one in buildings))
 
 
@@ -139,7 +153,7 @@ def _is_hidden(path: Path) -> bool:
 
 def _dated(
     paths: Iterator[Path], limits: LimitsConfig | None, progress: Progress
-) -> tuple[list[Path], list[dict[str, str]]]:
+) -> tuple[list[Path], list[LeftOutRecord]]:
     """The maps that can be read by the time of their last scan, and the others with the reason."""
     dated: list[tuple[int, str, Path]] = []
     left_out = []
@@ -150,7 +164,8 @@ def _dated(
             dated.append((_readable_until(stored), str(path), path))
         except MapError as error:
             progress.warn(f"left out: {error}")
-            left_out.append({"map": str(path), "reason": str(error)})
+            told = encodable(str(path)), encodable(str(error))
+            left_out.append(LeftOutRecord(map=told[0], reason=told[1]))
     return [path for _, _, path in sorted(dated)], left_out
 
 
@@ -168,11 +183,11 @@ def _enter(buildings: list[_Building], number: int, stored: StoredMap, zone: tzi
     for building in sorted(buildings, key=lambda one: -one.series.last.placed.number):
         step = building.series.add(number, stored)
         if step is not None:
-            building.maps.append(map_entry(step.after.placed, step))
-            building.changes.extend(change_entries(step, zone))
+            building.maps.append(map_record(step.after.placed, step))
+            building.changes.extend(changes_of(step, zone))
             return
     series = BuildingSeries(number, stored)
-    buildings.append(_Building(series, stored.path, [map_entry(series.last.placed, None)]))
+    buildings.append(_Building(series, stored.path, [map_record(series.last.placed, None)]))
 
 
 def _called(path: Path) -> str:

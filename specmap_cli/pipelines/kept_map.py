@@ -151,7 +151,7 @@ def seen_of_log(
         poses=laid.layout.poses,
         submaps=submaps,
     )
-    evidence = evidence_of(store, explored, laid, beyond, warnings, config)
+    evidence = evidence_of(store, explored, laid, beyond, warnings)
     kept = KeptMap(
         layout=laid.layout,
         labels=labels,
@@ -160,7 +160,7 @@ def seen_of_log(
         closures=laid.closures,
         breaks=explored.breaks,
         logs=(recording(name, laid.trajectory, len(submaps)),),
-        findings=tuple(of_recording(evidence, config.quality)),
+        findings=tuple(of_recording(evidence)),
         next_id=1 + int(submaps.max()),
     )
     keyframes = submaps_of(submaps)

@@ -36,11 +36,11 @@ def lay_out(
     """Relax what was tracked by the closures, turn it along the walls, heal, refute the rest."""
     progress.start("layout", None)
     with clock.stage("layout"):
-        constraints = constraints_of(explored.closures, explored.regions, store, config.relaxation)
+        constraints = constraints_of(explored.closures, explored.regions, store)
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
         layout = along_walls(layout, store, config.relaxation)
     with clock.stage("audit"):
-        audited = healed(store, layout, explored.breaks, config.relaxation, config.audit)
+        audited = healed(store, layout, explored.breaks)
         trajectory = corrected(explored.trajectory, store, audited.layout)
     closures = refute(explored.closures, constraints, audited.layout)
     return LaidOut(audited, trajectory, closures)

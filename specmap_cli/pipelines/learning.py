@@ -13,7 +13,7 @@ from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.labels import order_of_appearance
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import Closure, IntArray, Labels
-from specmap_cli.core.settings import Config, LocalizationConfig
+from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.motion_edges import Bridge
@@ -27,7 +27,7 @@ from specmap_cli.recognition.learning.calibration import Calibration, HeldOutMar
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.holding_out import Samples
 from specmap_cli.recognition.learning.lessons import NO_LESSONS, Lessons
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
+from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M, HeldOutMisfit, held_out_misfit
 from specmap_cli.recognition.learning.revisits import Revisits
 from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
 from specmap_cli.recognition.learning.training import sensor_of, train_raw, train_virtual
@@ -141,13 +141,11 @@ class Known:
     starts: tuple[int, ...] = ()
     before: ClassifierSet | None = None
 
-    def revisits(
-        self, labels: IntArray, poses: FloatArray, config: LocalizationConfig
-    ) -> Revisits | None:
+    def revisits(self, labels: IntArray, poses: FloatArray) -> Revisits | None:
         """How the classifiers before the last recording tell its scans, where there are any."""
         if self.before is None:
             return None
-        return Revisits(self.before, self.starts[-1], poses, labels, config.held_out_reach_m)
+        return Revisits(self.before, self.starts[-1], poses, labels, HELD_OUT_REACH_M)
 
 
 def known_of(
@@ -172,7 +170,7 @@ def learn(
 
     What needs no grids is done beside the drawing of these, and beside what needs them.
     """
-    submaps, revisits = submaps_of(labels), known.revisits(labels, poses, config.localization)
+    submaps, revisits = submaps_of(labels), known.revisits(labels, poses)
     raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
     with ahead(
         lambda: _without_grids(store, known, submaps, poses, config, raw_rng, revisits)
@@ -255,7 +253,7 @@ def _without_grids(
     samples = raw_samples(store, submaps, config, known.features, known.starts)
     beside = beside_samples(store, submaps, poses, config, rng, known.lessons.beside)
     raw, held_out = train_raw(samples, beside, poses, config, rng, revisits)
-    misfit = held_out_misfit(store, submaps, poses, config.localization)
+    misfit = held_out_misfit(store, submaps, poses)
     return _Taught(raw, _single(samples), _single(beside), held_out, misfit)
 
 

@@ -62,12 +62,12 @@ def join(
     stays = {**old.stays, **later.stays}
     found = tuple(replace(closure, new=closure.new + stay) for closure in found)
     breaks = {**old.breaks, first: None, **later.breaks}
-    constraints = constraints_of(found, stays, store, config.relaxation)
+    constraints = constraints_of(found, stays, store)
     ties = tuple(constraints.values())
-    cuts = {**_gaps(store, old, later, config), **breaks}
-    layout = join_layouts(store, old.layout, later.layout, ties, cuts, config.relaxation)
+    cuts = {**_gaps(store, old, later), **breaks}
+    layout = join_layouts(store, old.layout, later.layout, ties, cuts)
     layout = _in_frame_of(old.layout, layout)
-    audited = healed(store, layout, cuts, config.relaxation, config.audit)
+    audited = healed(store, layout, cuts)
     layout = without_guesses(audited.layout, (*old.starts, first, *later.starts))
     plain = without_borders(new)
     submaps = inherit(old, regions, plain, layout.poses, old_from_new, config)
@@ -98,12 +98,12 @@ def _in_frame_of(old: Layout, joint: Layout) -> Layout:
     return placed(joint, nearest_motion(joint.poses[:count, :2], old.poses[:, :2]))
 
 
-def _gaps(store: KeyframeStore, old: KeptMap, later: KeptMap, config: Config) -> dict[int, Bridge]:
+def _gaps(store: KeyframeStore, old: KeptMap, later: KeptMap) -> dict[int, Bridge]:
     """Where keyframes of either were let go."""
     logs = (*old.logs, *later.logs)
     number = np.arange(len(store))
     recordings = np.searchsorted(np.array(starts_of(logs)), number, side="right")
-    return gaps_of(store.poses, thinned_of(logs, recordings), config.relaxation)
+    return gaps_of(store.poses, thinned_of(logs, recordings))
 
 
 def beside(old: GridMap, new: GridMap) -> Pose2:

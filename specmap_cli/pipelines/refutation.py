@@ -9,12 +9,14 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.core.records import Closure, IntArray
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.closure_matching import place_around, sharpened
 from specmap_cli.layout.nearby_passes import METRES_A_RADIAN
 from specmap_cli.layout.relaxation import Constraint, Layout
 from specmap_cli.pipelines.exploration import Regions, in_own_frame
+
+_CLOSURE_SIGMA_M = 0.04  # spread of matched grids' transforms about the truth, x and y
+_CLOSURE_SIGMA_RAD = 0.0087  # spread of their heading
 
 Pair = tuple[int, int]
 
@@ -22,14 +24,14 @@ REFUTED = "contradicts the layout"
 
 
 def constraints_of(
-    closures: Sequence[Closure], regions: Regions, store: KeyframeStore, config: RelaxationConfig
+    closures: Sequence[Closure], regions: Regions, store: KeyframeStore
 ) -> dict[Pair, Constraint]:
     """For each pair of merged regions, (old, new): where a keyframe lies, seen from another.
 
     Grids that match while the robot's tracks do not overlap are no evidence for the layout: that is
     what look-alike rooms do, too.
     """
-    sigma = np.array([config.closure_sigma_m, config.closure_sigma_m, config.closure_sigma_rad])
+    sigma = np.array([_CLOSURE_SIGMA_M, _CLOSURE_SIGMA_M, _CLOSURE_SIGMA_RAD])
     information = np.diag(1.0 / sigma**2)
     return {
         (closure.old, closure.new): _constraint(
@@ -38,7 +40,6 @@ def constraints_of(
             closure.old_from_new,
             store,
             information,
-            config,
         )
         for closure in closures
         if closure.merged and closure.old_from_new is not None
@@ -67,7 +68,6 @@ def _constraint(
     old_from_new: Pose2,
     store: KeyframeStore,
     information: FloatArray,
-    config: RelaxationConfig,
 ) -> Constraint:
     """The keyframes of two regions that saw most alike, tied by the walls around them.
 
@@ -77,11 +77,11 @@ def _constraint(
     new_track = compose(np.array(old_from_new), in_own_frame(store, new))
     i, j = nearest_pair(old_track, new_track)
     guess = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
-    places = place_around(store, old, i, config), place_around(store, new, j, config)
+    places = place_around(store, old, i), place_around(store, new, j)
     return Constraint(
         source=old[i],
         target=new[j],
-        source_from_target=sharpened(*places, guess, config),
+        source_from_target=sharpened(*places, guess),
         information=information,
     )
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from specmap_cli.core.findings import Quality
 from specmap_cli.core.progress import Progress
-from specmap_cli.core.settings import Config, QualityConfig
+from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.edits_text import written
@@ -41,13 +41,13 @@ def remade(
     `counts` are of the messages and scans that were read for it, `known` is what
     is known by now.
     """
-    judge = judge_of(joined, config.quality)
+    judge = judge_of(joined)
     finished = divided_anew(store, joined.kept, judge, config, progress, clock, counts, known)
     tell_unapplied(finished.unapplied, progress)
     return finished
 
 
-def judge_of(joined: Joined, config: QualityConfig) -> Judge:
+def judge_of(joined: Joined) -> Judge:
     """What judges two maps that were joined."""
     kept = joined.kept
 
@@ -61,7 +61,7 @@ def judge_of(joined: Joined, config: QualityConfig) -> Judge:
             beyond=beyond,
             warnings=(),
         )
-        return quality_of([*kept.findings, *of_layout(evidence, config)])
+        return quality_of([*kept.findings, *of_layout(evidence)])
 
     return judge
 

@@ -44,7 +44,7 @@ def lessons_of_stored(stored: StoredMap, config: Config) -> Lessons:
     other grids are left out. Raises MapError for a damaged file.
     """
     arrays = stored.features
-    if arrays is None or _version(stored) != __version__:
+    if arrays is None or _version(stored) != __version__ or stored.foreign_settings:
         return NO_LESSONS
     before = stored.config
     same = before.recognition.feature_set == config.recognition.feature_set

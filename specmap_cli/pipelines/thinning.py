@@ -67,7 +67,7 @@ def thinned(store: KeyframeStore, joint: KeptMap, old: Seen, new: Seen, config: 
     gone[stay] = False
     if not gone.any():
         return Thinned(joint, everything, count, 0, len(stay))
-    fewer, dropped = _without(store, joint, of, gone, config), int(gone.sum())
+    fewer, dropped = _without(store, joint, of, gone), int(gone.sum())
     return Thinned(fewer, np.flatnonzero(~gone), count - dropped, dropped, len(stay))
 
 
@@ -117,9 +117,7 @@ def _unseen(old: Seen, new: Seen, poses: FloatArray) -> BoolArray:
     return unseen
 
 
-def _without(
-    store: KeyframeStore, kept: KeptMap, of: IntArray, gone: BoolArray, config: Config
-) -> KeptMap:
+def _without(store: KeyframeStore, kept: KeptMap, of: IntArray, gone: BoolArray) -> KeptMap:
     """The map without some keyframes, and the store, too."""
     numbers = np.flatnonzero(~gone)
     row = {number: k for k, number in enumerate(numbers.tolist())}
@@ -127,11 +125,9 @@ def _without(
     labels, placed = kept.labels, kept.layout.poses
     ways = ways_m(kept.trajectory, labels.stamps_ns, kept.scan_starts)
     logs = tuple(_renumbered(*each, row) for each in zip(kept.logs, ways, strict=True))
-    gaps = gaps_of(placed[numbers], thinned_of(logs, of[numbers]), config.relaxation)
+    gaps = gaps_of(placed[numbers], thinned_of(logs, of[numbers]))
     store.keep(numbers, tracked_over_gaps(store.poses, placed, numbers, gaps))
-    layout = without_keyframes(
-        store, kept.layout, numbers, of, {**gaps, **breaks}, config.relaxation
-    )
+    layout = without_keyframes(store, kept.layout, numbers, of, {**gaps, **breaks})
     return replace(
         kept,
         layout=layout,

@@ -146,7 +146,7 @@ def _updated(
     counts = added(stored.counts, surveyed.tracking.counts)
     features = surveyed.features.among(store, fewer.old)
     known = _known(stored, old, kept, fewer, features, lessons, config)
-    judge = judge_of(joined, config.quality)
+    judge = judge_of(joined)
     finished = divided_anew(
         store, kept, judge, config, progress, clock, counts, known, (whole, beyond)
     )

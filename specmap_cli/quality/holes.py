@@ -19,12 +19,20 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.findings import Finding, Where
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import IntArray, Trajectory
-from specmap_cli.core.settings import QualityConfig
 from specmap_cli.core.tracks import moved, step_lengths, travelled
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.quality.evidence import Evidence, Hole, HoleKind, place_at
+from specmap_cli.quality.measured import ODOMETRY_SHARE, ODOMETRY_SLIP_SHARE, ODOMETRY_WINDOW_M
+from specmap_cli.quality.placed import MOVED_VOTES, SAME_PLACE_M
 
+_HOLE_S = 5.0  # a hole without scans: in less nobody carries a robot to another room
+_HOLE_INTERVALS = 5.0  # a hole has so many usual intervals: robots that stand may record little
+_HOLE_WALLS_M = 0.15  # walls this near to those seen before a hole are the same
+_HOLE_WALLS_SHARE = 0.6  # share of the walls around a robot that stood; the rest moved or is new
+_STILL_M = 0.15  # motion over a hole of a robot that stood: noise, and a first step
+STILL_RAD = 0.1  # turn over a hole of a robot that stood
+_TIE_M = 10.0  # way after a hole from which on matches confirm it: out of a room
 HOLE = "hole-in-log"
 _USUAL_PERCENTILE = 95.0  # of the intervals of a log: a few scans are late in most
 _JUMP = 0.5  # share of a drive in one step that makes it a jump
@@ -49,7 +57,6 @@ def holes_of(
     trajectory: Trajectory,
     layout: Layout,
     breaks: Collection[int],
-    config: QualityConfig,
 ) -> tuple[Hole, ...]:
     """The holes of a log, in their order, and what is known of the motion over each.
 
@@ -58,19 +65,19 @@ def holes_of(
     holes, too: it may have been carried with its laser on.
     """
     found: list[Hole] = []
-    for before, after, kind in sorted(_spans(trajectory, rows, breaks, config)):
+    for before, after, kind in sorted(_spans(trajectory, rows, breaks)):
         keyframe = int(np.searchsorted(rows, after))
         if 0 < keyframe < len(rows):  # else the map has nothing on one of the two sides
-            alike = _alike(store, layout.poses, keyframe, config.hole_walls_m)
+            alike = _alike(store, layout.poses, keyframe, _HOLE_WALLS_M)
             found.append(_hole(trajectory, before, after, kind, keyframe, alike))
     return tuple(found)
 
 
 def _spans(
-    trajectory: Trajectory, rows: IntArray, breaks: Collection[int], config: QualityConfig
+    trajectory: Trajectory, rows: IntArray, breaks: Collection[int]
 ) -> Iterator[tuple[int, int, HoleKind]]:
     """The rows between which holes lie, and what kind of hole each is."""
-    missing = _missing(trajectory.stamps_ns, config)
+    missing = _missing(trajectory.stamps_ns)
     yield from ((before, before + 1, "missing") for before in missing.tolist())
     told = set(np.searchsorted(rows, missing + 1).tolist())
     for keyframe in sorted(set(breaks) - told):
@@ -78,14 +85,14 @@ def _spans(
             after = int(rows[keyframe])
             before = _registered(trajectory, after - 1, -1)
             measured = _measured(trajectory, before, after)
-            if measured is not None and _is_still(measured, config):
+            if measured is not None and _is_still(measured):
                 yield before, after, "lost"
-    for start, end in _rests(trajectory, config):
+    for start, end in _rests(trajectory):
         if not ((start <= missing) & (missing < end)).any():
             yield start, end, "rest"
 
 
-def _rests(trajectory: Trajectory, config: QualityConfig) -> Iterator[tuple[int, int]]:
+def _rests(trajectory: Trajectory) -> Iterator[tuple[int, int]]:
     """Rows between which the map has the robot at rest though odometry drives on.
 
     That is what a laser that hangs looks like.
@@ -93,9 +100,9 @@ def _rests(trajectory: Trajectory, config: QualityConfig) -> Iterator[tuple[int,
     if trajectory.odometry is None:
         return
     places, start = [Pose2(*pose) for pose in trajectory.poses.tolist()], 0
-    way_m = config.odometry_slip_share * config.odometry_window_m  # less may be wheels that slip
+    way_m = ODOMETRY_SLIP_SHARE * ODOMETRY_WINDOW_M  # less may be wheels that slip
     for row in range(1, len(places)):
-        if moved(places[start], places[row], config.still_m, config.still_rad):
+        if moved(places[start], places[row], _STILL_M, STILL_RAD):
             if _drives_on(trajectory, start, row - 1, way_m):
                 yield start, row
             start = row
@@ -110,13 +117,13 @@ def _drives_on(trajectory: Trajectory, first: int, last: int, way_m: float) -> b
     return bool(np.nanmax(steps) < _JUMP * driven.distance)
 
 
-def _missing(stamps_ns: IntArray, config: QualityConfig) -> IntArray:
+def _missing(stamps_ns: IntArray) -> IntArray:
     """The rows after which scans are missing: much longer than what is usual in this log."""
     intervals_s = np.diff(stamps_ns) * 1e-9
     if not len(intervals_s):
         return np.zeros(0, dtype=np.int64)
     usual_s = float(np.percentile(intervals_s, _USUAL_PERCENTILE, method="lower"))
-    longest_s = max(config.hole_s, config.hole_intervals * usual_s)
+    longest_s = max(_HOLE_S, _HOLE_INTERVALS * usual_s)
     return np.flatnonzero(intervals_s > longest_s)
 
 
@@ -176,54 +183,54 @@ def _walls(store: KeyframeStore, poses: FloatArray, number: int) -> FloatArray:
     return Pose2(*poses[number].tolist()).apply(store.points(number, _RANGE_M))
 
 
-def unwatched(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
+def unwatched(evidence: Evidence) -> Iterator[Finding]:
     """Holes after which nothing shows that the robot was where the map has it."""
-    open_ = [hole for hole in evidence.holes if not _is_bridged(hole, config)]
+    open_ = [hole for hole in evidence.holes if not _is_bridged(hole)]
     starts = np.unique(np.array([hole.keyframe for hole in open_], dtype=np.int64))
-    joined = _joined(evidence.layout, starts, config)
+    joined = _joined(evidence.layout, starts)
     for hole in open_:
         number = int(np.searchsorted(starts, hole.keyframe))
-        if joined[number + 1] in joined[: number + 1] and not _is_contradicted(hole, config):
+        if joined[number + 1] in joined[: number + 1] and not _is_contradicted(hole):
             continue
         stamp_ns = int(evidence.trajectory.stamps_ns[hole.row])
         yield Finding(
             code=HOLE,
             severity="doubtful",
             message=f"{_WHAT[hole.kind]} for {hole.seconds:.0f} s before {stamp_ns * 1e-9:.3f} s, "
-            f"and {_reason(hole, config)}: where the robot was afterwards is a guess",
+            f"and {_reason(hole)}: where the robot was afterwards is a guess",
             advice=_ADVICE[hole.kind],
             value=hole.seconds,
-            limit=config.hole_s if hole.kind == "missing" else None,
+            limit=_HOLE_S if hole.kind == "missing" else None,
             where=Where.of(stamp_ns, place_at(evidence.trajectory, hole.row)),
         )
 
 
-def _is_bridged(hole: Hole, config: QualityConfig) -> bool:
+def _is_bridged(hole: Hole) -> bool:
     """Whether odometry moved as the map did, or the robot stood among the same walls.
 
     A robot that was carried elsewhere is not put down to a decimetre where it would have stood.
     """
     measured, apart = hole.measured, hole.apart
-    if measured is None or _is_still(measured, config):
-        return _is_still(apart, config) and hole.alike >= config.hole_walls_share
-    slack_m = config.still_m + config.odometry_share * measured.distance
-    slack_rad = config.still_rad + config.odometry_share * abs(measured.theta)
+    if measured is None or _is_still(measured):
+        return _is_still(apart) and hole.alike >= _HOLE_WALLS_SHARE
+    slack_m = _STILL_M + ODOMETRY_SHARE * measured.distance
+    slack_rad = STILL_RAD + ODOMETRY_SHARE * abs(measured.theta)
     return apart.distance <= slack_m and abs(apart.theta) <= slack_rad
 
 
-def _is_contradicted(hole: Hole, config: QualityConfig) -> bool:
+def _is_contradicted(hole: Hole) -> bool:
     """Whether odometry and walls both say that the robot did not stay where the map has it.
 
     Matches do not count against that: in corridors there are many of a wrong map, too.
     """
-    return hole.kind == "rest" and hole.alike < config.hole_walls_share
+    return hole.kind == "rest" and hole.alike < _HOLE_WALLS_SHARE
 
 
-def _is_still(motion: Pose2, config: QualityConfig) -> bool:
-    return motion.distance <= config.still_m and abs(motion.theta) <= config.still_rad
+def _is_still(motion: Pose2) -> bool:
+    return motion.distance <= _STILL_M and abs(motion.theta) <= STILL_RAD
 
 
-def _joined(layout: Layout, starts: IntArray, config: QualityConfig) -> IntArray:
+def _joined(layout: Layout, starts: IntArray) -> IntArray:
     """To which group each of the pieces between holes belongs (holes + 1,).
 
     `starts` are the keyframes that follow the holes. Pieces are in one group when matches tie them
@@ -237,9 +244,9 @@ def _joined(layout: Layout, starts: IntArray, config: QualityConfig) -> IntArray
         if a == b:
             continue
         since_m = float(way[newer] - way[starts[b - 1]])
-        if since_m >= config.tie_m:
-            ties.add((a, b, int(since_m // config.same_place_m)))
-    return _groups(len(starts) + 1, sorted(ties), config.moved_votes)
+        if since_m >= _TIE_M:
+            ties.add((a, b, int(since_m // SAME_PLACE_M)))
+    return _groups(len(starts) + 1, sorted(ties), MOVED_VOTES)
 
 
 def _groups(count: int, ties: Sequence[tuple[int, int, int]], votes: int) -> IntArray:
@@ -250,14 +257,14 @@ def _groups(count: int, ties: Sequence[tuple[int, int, int]], votes: int) -> Int
     return np.asarray(groups, dtype=np.int64)
 
 
-def _reason(hole: Hole, config: QualityConfig) -> str:
+def _reason(hole: Hole) -> str:
     """Why the motion over a hole is not known."""
     measured, apart = hole.measured, hole.apart
     if measured is None:
         return "no odometry tells of it"
-    if not _is_still(measured, config):
+    if not _is_still(measured):
         return "odometry tells another motion than the map"
-    if _is_still(apart, config):
+    if _is_still(apart):
         return "the walls changed though the wheels did not turn"
     return (
         f"the wheels did not turn though the map has the robot {apart.distance:.1f} m and "

@@ -10,15 +10,19 @@ from specmap_cli.core.findings import Finding, Where
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.labels import runs
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.settings import QualityConfig
 from specmap_cli.core.tracks import step_lengths, travelled
 from specmap_cli.quality.evidence import Evidence, place_at
 
+_UNMEASURED_M = 2.0  # longest way that nothing measured; a quarter of it may be wrong
+ODOMETRY_WINDOW_M = 5.0  # way over which odometry is compared with the map
+ODOMETRY_SHARE = 0.3  # share of the way by which both may differ in the median: wheels err less
+# Share of the way in a single place, where wheels slip, before it is noted.
+ODOMETRY_SLIP_SHARE = 0.5
 UNMEASURED, ODOMETRY = "unmeasured-way", "odometry-disagrees"
 _PACE_PERCENTILE = 75.0  # of the steps of a robot that moves: it slows down in turns and at doors
 
 
-def unmeasured_way(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
+def unmeasured_way(evidence: Evidence) -> Iterator[Finding]:
     """Stretches whose length is a guess: bare corridors that no odometry measures.
 
     Registration cannot tell there how far the robot came. As long as the scans lasted, the robot
@@ -32,7 +36,7 @@ def unmeasured_way(evidence: Evidence, config: QualityConfig) -> Iterator[Findin
     pace_m = float(np.percentile(steps[seen], _PACE_PERCENTILE)) if seen.any() else 0.0
     for start, end in runs(trajectory.blind):
         way_m = pace_m * (end - start)
-        if not trajectory.blind[start] or way_m <= config.unmeasured_m:
+        if not trajectory.blind[start] or way_m <= _UNMEASURED_M:
             continue
         stamp_ns = int(trajectory.stamps_ns[start])
         yield Finding(
@@ -42,12 +46,12 @@ def unmeasured_way(evidence: Evidence, config: QualityConfig) -> Iterator[Findin
             f"show how far the robot came, and no odometry does: about {way_m:.0f} m are a guess",
             advice="record odometry",
             value=way_m,
-            limit=config.unmeasured_m,
+            limit=_UNMEASURED_M,
             where=Where.of(stamp_ns, place_at(trajectory, start)),
         )
 
 
-def odometry_disagrees(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
+def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     """Odometry that tells another way than the map: everywhere, or in single places.
 
     Everywhere: it is of another robot or clock, or the laser is not where the log says. In a single
@@ -56,12 +60,12 @@ def odometry_disagrees(evidence: Evidence, config: QualityConfig) -> Iterator[Fi
     trajectory = evidence.trajectory
     if trajectory.odometry is None or not evidence.measured.any():
         return
-    rows, apart = _deviations(trajectory.poses, trajectory.odometry, config.odometry_window_m)
+    rows, apart = _deviations(trajectory.poses, trajectory.odometry, ODOMETRY_WINDOW_M)
     if not len(rows):
         return
     usual, worst = float(np.median(apart)), int(apart.argmax())
-    everywhere = usual > config.odometry_share
-    if not everywhere and apart[worst] <= config.odometry_slip_share:
+    everywhere = usual > ODOMETRY_SHARE
+    if not everywhere and apart[worst] <= ODOMETRY_SLIP_SHARE:
         return
     row = int(rows[worst])
     stamp_ns = int(trajectory.stamps_ns[row])
@@ -76,7 +80,7 @@ def odometry_disagrees(evidence: Evidence, config: QualityConfig) -> Iterator[Fi
         if everywhere
         else "",
         value=usual if everywhere else float(apart[worst]),
-        limit=config.odometry_share if everywhere else config.odometry_slip_share,
+        limit=ODOMETRY_SHARE if everywhere else ODOMETRY_SLIP_SHARE,
         where=Where.of(stamp_ns, place_at(trajectory, row)),
     )
 

@@ -7,18 +7,22 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from specmap_cli.core.findings import Finding, Where
-from specmap_cli.core.settings import QualityConfig
 from specmap_cli.core.text import counted
 from specmap_cli.core.tracks import step_lengths
 from specmap_cli.layout.audit import Disagreement
 from specmap_cli.quality.evidence import Evidence, graded
 
+_LOOSE_SHARE_POOR = 0.1  # share of the way that a guess places, above which a map is poor
+_WALLS_SHARE_POOR = 0.1  # share of the passes compared that disagree, above which a map is poor
+MOVED_M = 1.0  # a piece that the layout moved farther is told of
+MOVED_VOTES = 3  # a piece that was moved is doubtful when fewer matches say so
+SAME_PLACE_M = 5.0  # disagreements, and matches, this near are of one place
 LOOSE, WALLS, REFUTED = "loose-part", "walls-disagree", "closures-refuted"
 MENDED = "walls-mended"
 BEYOND, MOVED, LAYOUT = "beyond-grid", "part-moved", "layout-refused"
 
 
-def loose_parts(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
+def loose_parts(evidence: Evidence) -> Iterator[Finding]:
     """Pieces of the way after a break that nothing ties to the others."""
     layout = evidence.layout
     steps = step_lengths(layout.poses)
@@ -28,7 +32,7 @@ def loose_parts(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
         end = next((number for number in ends if number > start), len(layout.poses))
         way_m = float(steps[start : end - 1].sum())
         share = way_m / total_m if total_m else 1.0
-        severity, limit = graded(share, 0.0, config.loose_share_poor)
+        severity, limit = graded(share, 0.0, _LOOSE_SHARE_POOR)
         stamp_ns = evidence.keyframes_ns[start]
         yield Finding(
             code=LOOSE,
@@ -42,14 +46,14 @@ def loose_parts(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
         )
 
 
-def walls(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
+def walls(evidence: Evidence) -> Iterator[Finding]:
     """Places where passes of the robot disagree about the walls, a finding a place."""
     found = evidence.audit.disagreements
     if not found:
         return
     share = len(found) / evidence.audit.compared
-    severity, limit = graded(share, 0.0, config.walls_share_poor)
-    for group in _by_place(found, config.same_place_m):
+    severity, limit = graded(share, 0.0, _WALLS_SHARE_POOR)
+    for group in _by_place(found, SAME_PLACE_M):
         worst = max(group, key=lambda one: one.walls_m)
         x, y = worst.place
         earlier_ns, later_ns = (evidence.keyframes_ns[n] for n in (worst.earlier, worst.later))
@@ -67,7 +71,7 @@ def walls(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
         )
 
 
-def contradictions(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
+def contradictions(evidence: Evidence) -> Iterator[Finding]:
     """Passes that contradict each other all over the map, a little everywhere."""
     standing = evidence.layout.evidence.standing
     if standing.is_doubtful and not evidence.audit.disagreements:
@@ -80,7 +84,7 @@ def contradictions(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
         )
 
 
-def mended(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
+def mended(evidence: Evidence) -> Iterator[Finding]:
     """Walls that the layout drew twice and the audit brought together; what is left is told."""
     healing = evidence.layout.healing
     if healing is not None:
@@ -94,24 +98,24 @@ def mended(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
         )
 
 
-def moved_parts(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
+def moved_parts(evidence: Evidence) -> Iterator[Finding]:
     """Pieces after a break that the layout moved far, and by how many closures and passes."""
     for part in evidence.layout.evidence.parts:
-        if part.moved_m <= config.moved_m or not part.votes:
+        if part.moved_m <= MOVED_M or not part.votes:
             continue
         stamp_ns = evidence.keyframes_ns[part.first]
         yield Finding(
             code=MOVED,
-            severity="doubtful" if part.votes < config.moved_votes else "note",
+            severity="doubtful" if part.votes < MOVED_VOTES else "note",
             message=f"the layout moved what follows {stamp_ns * 1e-9:.3f} s by "
             f"{part.moved_m:.1f} m, to where closures and passes ({part.votes}) put it",
             value=part.moved_m,
-            limit=config.moved_m,
+            limit=MOVED_M,
             where=Where.of(stamp_ns, evidence.place_of(part.first)),
         )
 
 
-def refused_layout(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
+def refused_layout(evidence: Evidence) -> Iterator[Finding]:
     """A layout under which more walls contradict each other is not taken."""
     if evidence.layout.evidence.choice == "tracked" and len(evidence.layout.nodes):
         yield Finding(
@@ -123,7 +127,7 @@ def refused_layout(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
         )
 
 
-def refuted(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
+def refuted(evidence: Evidence) -> Iterator[Finding]:
     """Closures that contradict the layout; where rooms look alike some always do."""
     count = sum(link.kind == "closure" for link in evidence.layout.dropped)
     if count:
@@ -136,7 +140,7 @@ def refuted(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
         )
 
 
-def beyond_grid(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
+def beyond_grid(evidence: Evidence) -> Iterator[Finding]:
     """Keyframes that did not fit into the largest grid allowed."""
     if evidence.beyond:
         yield Finding(

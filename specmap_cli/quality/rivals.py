@@ -11,21 +11,22 @@ from collections.abc import Iterator, Sequence
 
 from specmap_cli.core.findings import Finding, Where
 from specmap_cli.core.geometry import IDENTITY, Pose2
-from specmap_cli.core.settings import QualityConfig
 from specmap_cli.core.text import counted
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.quality.evidence import Evidence
+from specmap_cli.quality.holes import STILL_RAD
+from specmap_cli.quality.placed import MOVED_M
 
 RIVAL = "rival-place"
 _LEAST = 2  # that agree to a metre and a few degrees: of wrong ones no two do by chance
 
 
-def rival_places(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
+def rival_places(evidence: Evidence) -> Iterator[Finding]:
     """Pieces after an unmeasured hole or break that several refuted closures put elsewhere."""
     poses = [Pose2(*pose) for pose in evidence.layout.poses.tolist()]
     for start in _unmeasured(evidence):
         across = [link for link in evidence.layout.dropped if _spans(link, start)]
-        votes, correction = _largest_agreement(across, poses, config)
+        votes, correction = _largest_agreement(across, poses)
         if votes < _LEAST:
             continue
         here = poses[start]
@@ -56,20 +57,18 @@ def _spans(link: Link, start: int) -> bool:
     return link.kind == "closure" and (link.source < start) != (link.target < start)
 
 
-def _largest_agreement(
-    links: Sequence[Link], poses: Sequence[Pose2], config: QualityConfig
-) -> tuple[int, Pose2]:
+def _largest_agreement(links: Sequence[Link], poses: Sequence[Pose2]) -> tuple[int, Pose2]:
     """How many links agree on one motion of the newer piece in the map, and that motion.
 
-    What moves it no farther than `moved_m` is no other place. Links of one keyframe count once.
+    What moves it no farther than `MOVED_M` is no other place. Links of one keyframe count once.
     """
     best, motion = 0, IDENTITY
     for one in links:
         correction = _correction(one, poses)
         newer = poses[max(one.source, one.target)]
-        if (newer.inverse() @ correction @ newer).distance <= config.moved_m:
+        if (newer.inverse() @ correction @ newer).distance <= MOVED_M:
             continue
-        agreeing = [other for other in links if _agrees(other, correction, poses, config)]
+        agreeing = [other for other in links if _agrees(other, correction, poses)]
         votes = min(
             len({min(link.source, link.target) for link in agreeing}),
             len({max(link.source, link.target) for link in agreeing}),
@@ -87,8 +86,8 @@ def _correction(link: Link, poses: Sequence[Pose2]) -> Pose2:
     return poses[link.target] @ claimed.inverse() @ poses[link.source].inverse()
 
 
-def _agrees(link: Link, correction: Pose2, poses: Sequence[Pose2], config: QualityConfig) -> bool:
+def _agrees(link: Link, correction: Pose2, poses: Sequence[Pose2]) -> bool:
     """Whether a link puts its newer end where a motion takes it."""
     newer = poses[max(link.source, link.target)]
     apart = (correction @ newer).inverse() @ (_correction(link, poses) @ newer)
-    return bool(apart.distance <= config.moved_m and abs(apart.theta) <= config.still_rad)
+    return bool(apart.distance <= MOVED_M and abs(apart.theta) <= STILL_RAD)

@@ -6,14 +6,15 @@ from collections.abc import Iterator
 
 from specmap_cli.core.findings import Finding, Where
 from specmap_cli.core.labels import runs
-from specmap_cli.core.settings import QualityConfig
 from specmap_cli.core.text import counted
 from specmap_cli.quality.evidence import Evidence, graded, place_at
 
+_LOST_SHARE = 0.02  # share of lost scans above which a map is doubtful
+_LOST_SHARE_POOR = 0.2  # share of lost scans above which a map is poor
 LOST, BREAK = "lost-scans", "tracking-break"
 
 
-def lost_scans(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
+def lost_scans(evidence: Evidence) -> Iterator[Finding]:
     """Scans that could not be registered: their share, and where most of them are in a row."""
     trajectory = evidence.trajectory
     lost = trajectory.lost
@@ -22,7 +23,7 @@ def lost_scans(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
     share = float(lost.mean())
     stretches = [(start, end) for start, end in runs(lost) if lost[start]]
     start, end = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
-    severity, limit = graded(share, config.lost_share, config.lost_share_poor)
+    severity, limit = graded(share, _LOST_SHARE, _LOST_SHARE_POOR)
     stamp_ns = int(trajectory.stamps_ns[start])
     measured = evidence.measured.any()
     yield Finding(
@@ -42,7 +43,7 @@ def lost_scans(evidence: Evidence, config: QualityConfig) -> Iterator[Finding]:
     )
 
 
-def breaks(evidence: Evidence, _: QualityConfig) -> Iterator[Finding]:
+def breaks(evidence: Evidence) -> Iterator[Finding]:
     """Where tracking started afresh; what is not tied to the rest is told of by `loose`."""
     measured = evidence.measured.any()
     bridge = "odometry" if measured else "the motion before"

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from specmap_cli.core.findings import INPUT, Finding, Quality, Severity
-from specmap_cli.core.settings import QualityConfig
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.holes import unwatched
 from specmap_cli.quality.measured import odometry_disagrees, unmeasured_way
@@ -32,7 +31,7 @@ from specmap_cli.quality.placed import LAYOUT as LAYOUT_REFUSED
 from specmap_cli.quality.rivals import RIVAL, rival_places
 from specmap_cli.quality.tracked import breaks, lost_scans
 
-Check = Callable[[Evidence, QualityConfig], Iterator[Finding]]
+Check = Callable[[Evidence], Iterator[Finding]]
 
 RECORDING: tuple[Check, ...] = (
     lost_scans,
@@ -57,20 +56,20 @@ LAYOUT_CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT_REFUSED, WALLS, MENDED, RE
 _ORDER: tuple[Severity, ...] = ("poor", "doubtful", "note")
 
 
-def judged(evidence: Evidence, config: QualityConfig) -> Quality:
+def judged(evidence: Evidence) -> Quality:
     """The verdict with all findings, the gravest first, in the order of the stages otherwise."""
-    return quality_of([*of_recording(evidence, config), *of_layout(evidence, config)])
+    return quality_of([*of_recording(evidence), *of_layout(evidence)])
 
 
-def of_recording(evidence: Evidence, config: QualityConfig) -> list[Finding]:
+def of_recording(evidence: Evidence) -> list[Finding]:
     """What is to be said of a recording, wherever its map is laid into another one."""
     told = [Finding(code=INPUT, severity="note", message=text) for text in evidence.warnings]
-    return [*_found(RECORDING, evidence, config), *told]
+    return [*_found(RECORDING, evidence), *told]
 
 
-def of_layout(evidence: Evidence, config: QualityConfig) -> list[Finding]:
+def of_layout(evidence: Evidence) -> list[Finding]:
     """What is to be said of a layout, of one recording or of several."""
-    return _found(LAYOUT, evidence, config)
+    return _found(LAYOUT, evidence)
 
 
 def quality_of(findings: Sequence[Finding]) -> Quality:
@@ -79,5 +78,5 @@ def quality_of(findings: Sequence[Finding]) -> Quality:
     return Quality.of(sorted(ordered, key=lambda one: _ORDER.index(one.severity)))
 
 
-def _found(checks: Sequence[Check], evidence: Evidence, config: QualityConfig) -> list[Finding]:
-    return [finding for check in checks for finding in check(evidence, config)]
+def _found(checks: Sequence[Check], evidence: Evidence) -> list[Finding]:
+    return [finding for check in checks for finding in check(evidence)]

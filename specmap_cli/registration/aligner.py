@@ -14,6 +14,9 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import RegistrationConfig
 
+WINDOW_KEYFRAMES = 80  # keyframes in the local map
+REBUILD_KEYFRAMES = 4  # keyframes between rebuilds of the voxels, which forget older ones
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorKind:
@@ -40,7 +43,7 @@ class Aligner(Protocol):
     def insert(self, points: FloatArray, map_from_base: FloatArray) -> None:
         """Add a keyframe: points (N, 3) of the base frame seen from a pose (4, 4).
 
-        The map holds the last `window_keyframes` of them; older ones must leave it soon.
+        The map holds the last `WINDOW_KEYFRAMES` of them; older ones must leave it soon.
         """
 
     def clear(self) -> None:

@@ -40,6 +40,9 @@ from specmap_cli.registration.sweep_view import SweepView, view_of
 from specmap_cli.registration.tally import COUNTS, warnings_of
 from specmap_cli.registration.track import Track
 
+_KEYFRAME_M = 0.3  # motion between keyframes of the local map
+_KEYFRAME_RAD = 0.25  # turn between keyframes of the local map
+_LOST_LIMIT = 5  # lost scans in a row that end a local map
 _REFUTING_SHARE = 0.5  # of a first sweep's walls that another one looks through: few can move
 
 
@@ -56,7 +59,7 @@ class FrontEnd:
         self._motion = MotionModel(config)
         self._map: LocalMap | None = None
         self._track = Track()
-        self._founding = Founding(config.lost_limit)
+        self._founding = Founding(_LOST_LIMIT)
 
     @property
     def warnings(self) -> list[str]:
@@ -66,7 +69,7 @@ class FrontEnd:
     def take(self, sweep: Sweep) -> tuple[PosedScan, ...]:
         """The scans that are settled by one more sweep, in their order: mostly its own.
 
-        The first scans of a map wait until another one fits them, `lost_limit` of them at most.
+        The first scans of a map wait until another one fits them, `_LOST_LIMIT` of them at most.
         Those of a map that is given up are lost. Ask for the `rest` at the end of a log.
         """
         scan = self.register(sweep)
@@ -159,7 +162,7 @@ class FrontEnd:
 
     def _conclude(self, verdict: Verdict, view: SweepView, local: LocalMap, *, blind: bool) -> None:
         """Keep the pose, insert a keyframe when due, end the map after a run of lost sweeps."""
-        config, fit, track = self.config, verdict.fit, self._track
+        fit, track = verdict.fit, self._track
         step = Pose2.from_matrix(track.pose).inverse() @ fit.planar
         self._motion.conclude(step, confirmed=verdict.proven)
         self._count(registered=not verdict.lost, lost=verdict.lost)
@@ -169,12 +172,12 @@ class FrontEnd:
         if walls and not blind:
             track = track.with_steady(step)
         track = replace(track, pose=fit.pose, lost_in_a_row=lost_in_a_row, founded=founded)
-        if lost_in_a_row == config.lost_limit and len(local):
+        if lost_in_a_row == _LOST_LIMIT and len(local):
             local.clear()
             self._count(breaks=1)
             left = track.left if track.keyframe is None else track.keyframe
             track = replace(track, keyframe=None, left=left, broken=True, founded=False)
-        due = moved(track.keyframe, fit.planar, config.keyframe_m, config.keyframe_rad)
+        due = moved(track.keyframe, fit.planar, _KEYFRAME_M, _KEYFRAME_RAD)
         if due and walls:
             local.insert(view, fit.pose)
             track = track.with_keyframe(fit.planar, self._reliance(track, verdict, view))

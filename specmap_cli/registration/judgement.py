@@ -11,7 +11,15 @@ from dataclasses import dataclass, replace
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.registration.locating import ENOUGH, MOST, Located
+from specmap_cli.registration.locating import (
+    ENOUGH,
+    FAIR_SCORE,
+    GOOD_SCORE,
+    MOST,
+    POOR_SCORE,
+    SURE_SCORE,
+    Located,
+)
 from specmap_cli.registration.scene import Fit
 
 _BEYOND_DOUBT = 0.85  # score that proves a motion by itself: most right results have more
@@ -63,7 +71,7 @@ def judge(
         lost = fit.score < _HOPELESS
     else:
         far = measured or located.wide_searched
-        needed = needed_score(config, searched=located.searched, far=far)
+        needed = needed_score(searched=located.searched, far=far)
         score = fit.score if measured or support.share < MOST else support.score
         lost = score < max(needed, _HOPELESS)
     certain = not lost and not located.unaligned and support.share >= MOST
@@ -71,19 +79,19 @@ def judge(
         fit=replace(fit, pose=guess) if lost else fit,
         agrees=located.agrees,
         lost=lost,
-        certain=certain and support.score > config.good_score,
+        certain=certain and support.score > GOOD_SCORE,
         proven=certain and support.score > _BEYOND_DOUBT,
-        refutes=lost or (support.share >= ENOUGH and support.score < config.fair_score),
-        founds=not lost and support.share >= ENOUGH and support.score >= config.fair_score,
+        refutes=lost or (support.share >= ENOUGH and support.score < FAIR_SCORE),
+        founds=not lost and support.share >= ENOUGH and support.score >= FAIR_SCORE,
     )
 
 
-def needed_score(config: RegistrationConfig, *, searched: bool, far: bool) -> float:
+def needed_score(*, searched: bool, far: bool) -> float:
     """The score that a result contradicting the expected motion must have.
 
     `searched`: a search had to be called; `far`: that motion was odometry's, or the search a wide
     one.
     """
     if not searched:
-        return config.poor_score
-    return config.sure_score if far else config.fair_score
+        return POOR_SCORE
+    return SURE_SCORE if far else FAIR_SCORE

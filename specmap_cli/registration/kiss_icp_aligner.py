@@ -14,8 +14,11 @@ import numpy as np
 from specmap_cli.core.errors import PACKAGE, UsageError
 from specmap_cli.core.geometry import FloatArray, product
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.registration.aligner import SensorKind
+from specmap_cli.registration.aligner import REBUILD_KEYFRAMES, WINDOW_KEYFRAMES, SensorKind
 
+_POINTS_PER_VOXEL = 10  # most points kept in a voxel of planar scans
+_CLOUD_POINTS_PER_VOXEL = 20  # most points kept in a voxel of 3D clouds
+_ITERATIONS = 50  # of the registration, per kernel
 _CONVERGED = 1e-4  # KISS-ICP's own: steps below it, metres and radians, end the iterations
 _CONVERGED_IN_SPACE = 5e-4  # in voxels of twice the size, and thousands of points average more
 _NEARLY_CONVERGED = 1e-3  # enough for a coarse alignment, whose result is aligned again
@@ -30,7 +33,7 @@ class KissIcpAligner:
     met after some drift they would bend the trajectory.
     """
 
-    def __init__(self, config: RegistrationConfig, sensor: SensorKind) -> None:
+    def __init__(self, _config: RegistrationConfig, sensor: SensorKind) -> None:
         try:
             from kiss_icp.mapping import VoxelHashMap
             from kiss_icp.registration import Registration
@@ -42,20 +45,19 @@ class KissIcpAligner:
             ) from error
         # one thread: the sums of several would come in another order at every run
         converged = _CONVERGED_IN_SPACE if sensor.in_space else _CONVERGED
-        self._fine = Registration(config.iterations, converged, max_num_threads=1)
-        self._coarse = Registration(config.iterations, _NEARLY_CONVERGED, max_num_threads=1)
+        self._fine = Registration(_ITERATIONS, converged, max_num_threads=1)
+        self._coarse = Registration(_ITERATIONS, _NEARLY_CONVERGED, max_num_threads=1)
         reach_m = _KEPT_RANGES * sensor.range_m
-        most = config.cloud_points_per_voxel if sensor.in_space else config.points_per_voxel
+        most = _CLOUD_POINTS_PER_VOXEL if sensor.in_space else _POINTS_PER_VOXEL
         self._voxels = VoxelHashMap(sensor.voxel_m, reach_m, most)
-        self._clouds: deque[FloatArray] = deque(maxlen=config.window_keyframes)
-        self._rebuild_keyframes = config.rebuild_keyframes
+        self._clouds: deque[FloatArray] = deque(maxlen=WINDOW_KEYFRAMES)
         self._inserted = 0
 
     def insert(self, points: FloatArray, map_from_base: FloatArray) -> None:
         """Add a keyframe: points (N, 3) of the base frame seen from a pose (4, 4)."""
         placed = product(points, map_from_base[:3, :3].T) + map_from_base[:3, 3]
         self._clouds.appendleft(placed)
-        if self._inserted % self._rebuild_keyframes == 0:
+        if self._inserted % REBUILD_KEYFRAMES == 0:
             self._voxels.clear()
             placed = np.concatenate(self._clouds)  # the newest first: a full voxel takes no more
         self._voxels.add_points(placed)

@@ -13,9 +13,16 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.score_field import PointCells, ScoreField
-from specmap_cli.registration.aligner import Aligner, SensorKind
+from specmap_cli.registration.aligner import (
+    REBUILD_KEYFRAMES,
+    WINDOW_KEYFRAMES,
+    Aligner,
+    SensorKind,
+)
 from specmap_cli.registration.seen_space import SeenSpace
 from specmap_cli.registration.sweep_view import SweepView
+
+_FIELD_RANGES = 2.0  # side of the score field, in ranges; walls beyond score 0
 
 # Of the score field, in spacings of the walls' points: cells that leave no gap between them, and a
 # sigma of one voxel. Finer fields cost time and tell right from wrong results no better.
@@ -24,7 +31,7 @@ _SEEN_SPACINGS = 4.0  # cells of the space looked at: two voxels, as wide as a w
 
 
 class LocalMap:
-    """The last `window_keyframes` keyframes, in the map frame.
+    """The last `WINDOW_KEYFRAMES` keyframes, in the map frame.
 
     The score field forgets older ones when the registration method rebuilds its voxels; until then
     new walls are drawn into it.
@@ -34,12 +41,11 @@ class LocalMap:
         self.aligner, self.sensor = aligner, sensor
         self._spacing_m = config.voxel_m / 2
         self._sigma_m = _SIGMA_SPACINGS * self._spacing_m
-        self._rebuild_keyframes = config.rebuild_keyframes
         self._inserted = 0
-        self._side_m = config.field_ranges * sensor.range_m
-        self._walls: deque[FloatArray] = deque(maxlen=config.window_keyframes)
-        self._outlines: deque[FloatArray] = deque(maxlen=config.window_keyframes)
-        self._cells: deque[PointCells] = deque(maxlen=config.window_keyframes)  # of the walls
+        self._side_m = _FIELD_RANGES * sensor.range_m
+        self._walls: deque[FloatArray] = deque(maxlen=WINDOW_KEYFRAMES)
+        self._outlines: deque[FloatArray] = deque(maxlen=WINDOW_KEYFRAMES)
+        self._cells: deque[PointCells] = deque(maxlen=WINDOW_KEYFRAMES)  # of the walls
         self._field: ScoreField | None = None
         self._seen: SeenSpace | None = None
 
@@ -65,7 +71,7 @@ class LocalMap:
         cells = PointCells.of(walls, _CELL_SPACINGS * self._spacing_m)
         self._cells.appendleft(cells)
         self._outlines.appendleft(planar.apply(view.outline()))
-        rebuilt = self._inserted % self._rebuild_keyframes == 0
+        rebuilt = self._inserted % REBUILD_KEYFRAMES == 0
         field = None if rebuilt else self._field
         self._field = None if field is None else field.with_cells(cells, self._sigma_m)
         self._seen = None
@@ -80,7 +86,7 @@ class LocalMap:
     def field(self) -> ScoreField:
         """The score field of the walls, built when first asked for.
 
-        Walls too far from the last keyframe for a field of `field_ranges` are left out.
+        Walls too far from the last keyframe for a field of `_FIELD_RANGES` are left out.
         """
         if self._field is None:
             x, y = self._outlines[0][0].tolist()  # the last laser

@@ -8,9 +8,16 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration.prospect import BEYOND_DOUBT, Prospect
 from specmap_cli.registration.scene import Bounds, Fit, Scene, Support
-from specmap_cli.registration.search_windows import near_window, wide_bounds, wide_window
+from specmap_cli.registration.search_windows import SEARCH_M, near_window, wide_bounds, wide_window
 from specmap_cli.registration.sliding import carried_along, slid
 
+_KERNEL_VOXELS = (2.0, 1.0, 0.5, 0.25)  # widths of the robust kernel, in voxels, coarse to fine
+GOOD_SCORE = 0.75  # up to this score a search is made
+_DOUBT_M = 0.15  # a search is also made when the result is this far from its guess
+_DOUBT_RAD = 0.1  # a search is also made when the result is turned this far from its guess
+POOR_SCORE = 0.5  # below this score the wide search is made, too
+SURE_SCORE = 0.7  # score needed against odometry once a search was made, or the scan is lost
+FAIR_SCORE = 0.6  # score needed without odometry, or the scan is lost
 _WIDER = 2.0  # first kernel after a wide search, in widest kernels: its steps are coarser
 _FINE_KERNELS = (0.5, 0.25)  # voxels: they follow only walls near by, not new ones from afar
 # Share of a sweep's walls that could be seen, from which on they say something; and with which they
@@ -45,11 +52,11 @@ class Located:
 def locate(scene: Scene, prospect: Prospect) -> Located:
     """The best pose found for a sweep, never farther from its guess than the bounds allow."""
     config, guess = scene.config, prospect.guess
-    kernels, bounds = config.kernel_voxels, Bounds.around(guess, config)
+    kernels, bounds = _KERNEL_VOXELS, Bounds.around(guess, config)
     fit = _first_fit(scene, prospect, bounds)
-    doubted = _is_doubted(guess, fit, config) and not _is_settled(scene, prospect, fit)
+    doubted = _is_doubted(guess, fit) and not _is_settled(scene, prospect, fit)
     if doubted:
-        window = near_window(config, measured=prospect.expected.measured)
+        window = near_window(measured=prospect.expected.measured)
         found = scene.search(guess, window, kernels, bounds)
         fit = _better(scene, prospect, fit, found, guess)
         fit = _backed_up(scene, prospect, fit)
@@ -75,13 +82,13 @@ def _first_fit(scene: Scene, prospect: Prospect, bounds: Bounds) -> Fit:
 
     A motion carried on may err by more than a quick one mends, and streets look alike.
     """
-    config, guess = scene.config, prospect.guess
-    if prospect.expected.measured and config.quick_kernel_voxels != config.kernel_voxels:
+    guess = prospect.guess
+    if prospect.expected.measured:
         quick = scene.align_quickly(guess, bounds)
         sure = quick.score >= BEYOND_DOUBT and not quick.refused
-        if sure and not _is_far(guess, quick, config):
+        if sure and not _is_far(guess, quick):
             return quick
-    return scene.align(guess, config.kernel_voxels, bounds)
+    return scene.align(guess, _KERNEL_VOXELS, bounds)
 
 
 def _concluded(
@@ -89,9 +96,9 @@ def _concluded(
 ) -> Located:
     """The result, or trusted odometry's own place where that is the better one."""
     support = _support(scene, fit)
-    near = prospect.agrees(fit) or _agrees_with_walls(scene, prospect, fit, support)
+    near = prospect.agrees(fit) or _agrees_with_walls(prospect, fit, support)
     unaligned = False
-    doubted = searched or fit.score < scene.config.sure_score
+    doubted = searched or fit.score < SURE_SCORE
     if prospect.trusted and doubted and not near:
         own = _by_odometry(scene, prospect)
         there = scene.support(own.planar)
@@ -126,23 +133,23 @@ def _is_tenable(scene: Scene, own: Fit, support: Support, other: Fit) -> bool:
     config = scene.config
     if _speaks_against(support, config):
         return False
-    explained = support.share >= ENOUGH and support.score >= config.sure_score
-    if other.score < config.sure_score or explained:
+    explained = support.share >= ENOUGH and support.score >= SURE_SCORE
+    if other.score < SURE_SCORE or explained:
         return True
     return scene.gain(own.planar, other.planar) < _REFUTES
 
 
-def _agrees_with_walls(scene: Scene, prospect: Prospect, fit: Fit, support: Support) -> bool:
+def _agrees_with_walls(prospect: Prospect, fit: Fit, support: Support) -> bool:
     """Whether a result is a little too far from odometry's place, but the walls speak for it."""
     if not prospect.expected.measured or support.share < MOST:
         return False
     near = prospect.agrees(fit, _ROUGHLY if prospect.trusted else _NEARLY)
-    return near and support.score >= scene.config.sure_score
+    return near and support.score >= SURE_SCORE
 
 
 def _support(scene: Scene, fit: Fit) -> Support:
     """What the walls say of a result; where nearly all fit, all of them."""
-    if fit.score > scene.config.good_score:
+    if fit.score > GOOD_SCORE:
         return Support(score=fit.score, share=1.0, count=len(scene.view.probe))
     return scene.support(fit.planar)
 
@@ -150,7 +157,7 @@ def _support(scene: Scene, fit: Fit) -> Support:
 def _speaks_against(support: Support, config: RegistrationConfig) -> bool:
     """Whether the walls that could be seen are enough to say no, and do."""
     enough = support.count >= config.min_points and support.share >= ENOUGH
-    return enough and support.score < config.poor_score * min(1.0, support.share / MOST)
+    return enough and support.score < POOR_SCORE * min(1.0, support.share / MOST)
 
 
 def _is_settled(scene: Scene, prospect: Prospect, fit: Fit) -> bool:
@@ -159,7 +166,7 @@ def _is_settled(scene: Scene, prospect: Prospect, fit: Fit) -> bool:
         return False
     support = scene.support(fit.planar)
     share = ENOUGH if prospect.trusted else MOST
-    return support.share >= share and support.score > scene.config.good_score
+    return support.share >= share and support.score > GOOD_SCORE
 
 
 def _better(scene: Scene, prospect: Prospect, fit: Fit, found: Fit, place: FloatArray) -> Fit:
@@ -173,7 +180,7 @@ def _better(scene: Scene, prospect: Prospect, fit: Fit, found: Fit, place: Float
         return fit.or_better(found)
     support = scene.support(fit.planar)
     if support.share < _NEARLY_ALL:
-        kept = support.share >= ENOUGH and support.score >= scene.config.fair_score
+        kept = support.share >= ENOUGH and support.score >= FAIR_SCORE
     else:
         needed = fit.score + _PER_SLACK * prospect.slacks(Pose2.from_matrix(place), found)
         kept = found.score < needed
@@ -188,15 +195,15 @@ def _backed_up(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
     """
     config, reverse = scene.config, prospect.reverse
     step_m = prospect.expected.motion.distance
-    if reverse is None or fit.score >= BEYOND_DOUBT or step_m <= config.search_m:
+    if reverse is None or fit.score >= BEYOND_DOUBT or step_m <= SEARCH_M:
         return fit
     for share in _BACKED_UP:
         forward = share * (reverse[:3, 3] - prospect.guess[:3, 3])
         place = prospect.guess.copy()
         place[:3, 3] += forward
-        window = near_window(config, measured=True)
+        window = near_window(measured=True)
         bounds = Bounds.around(place, config)
-        found = scene.search(place, window, config.kernel_voxels, bounds)
+        found = scene.search(place, window, _KERNEL_VOXELS, bounds)
         if found.score >= BEYOND_DOUBT:
             fit = _better(scene, prospect, fit, found, place)
     return fit
@@ -207,11 +214,11 @@ def _unturned(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
 
     Where odometry's turn is right, walls come into sight that are new at the other place.
     """
-    if prospect.unturned is None or fit.score >= scene.config.poor_score:
+    if prospect.unturned is None or fit.score >= POOR_SCORE:
         return fit
-    found = scene.align(prospect.unturned, scene.config.kernel_voxels)
+    found = scene.align(prospect.unturned, _KERNEL_VOXELS)
     support = scene.support(found.planar)
-    certain = support.share >= MOST and support.score > scene.config.good_score
+    certain = support.share >= MOST and support.score > GOOD_SCORE
     return fit.or_better(found) if certain else replace(fit, refused=fit.refused + found.refused)
 
 
@@ -220,22 +227,22 @@ def _calls_for_wide_search(scene: Scene, prospect: Prospect, fit: Fit) -> bool:
 
     Before a contradiction is believed, the robot is looked for wherever it can have come.
     """
-    agreeing, config = prospect.agrees(fit), scene.config
-    if fit.score >= (config.sure_score if agreeing else BEYOND_DOUBT):
+    agreeing = prospect.agrees(fit)
+    if fit.score >= (SURE_SCORE if agreeing else BEYOND_DOUBT):
         return False
     support = scene.support(fit.planar)
     new = support.share < _NEARLY_ALL or not prospect.expected.measured
-    if agreeing and fit.score >= config.poor_score and new:
+    if agreeing and fit.score >= POOR_SCORE and new:
         return False
-    return not (agreeing and support.share >= MOST and support.score >= scene.config.fair_score)
+    return not (agreeing and support.share >= MOST and support.score >= FAIR_SCORE)
 
 
-def _is_doubted(guess: FloatArray, fit: Fit, config: RegistrationConfig) -> bool:
+def _is_doubted(guess: FloatArray, fit: Fit) -> bool:
     """Whether an alignment scores too low, or ended too far from its guess, to be just taken."""
-    return _is_far(guess, fit, config) or fit.score <= config.good_score
+    return _is_far(guess, fit) or fit.score <= GOOD_SCORE
 
 
-def _is_far(guess: FloatArray, fit: Fit, config: RegistrationConfig) -> bool:
+def _is_far(guess: FloatArray, fit: Fit) -> bool:
     """Whether an alignment ended farther from its guess than most do."""
     away = Pose2.from_matrix(guess).inverse() @ fit.planar
-    return away.distance >= config.doubt_m or abs(away.theta) >= config.doubt_rad
+    return away.distance >= _DOUBT_M or abs(away.theta) >= _DOUBT_RAD

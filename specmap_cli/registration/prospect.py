@@ -10,6 +10,9 @@ from specmap_cli.registration.expected_motion import ExpectedMotion
 from specmap_cli.registration.reliance import UNKNOWN, Reliance
 from specmap_cli.registration.scene import Fit, Scene
 
+_GUESS_MARGIN = 0.05  # score by which steady motion must beat odometry as the guess
+SEARCH_RAD = 0.35  # half angle of the search: a clock apart, in a turn
+
 # What alignments mend at any scan: half a voxel, and as much at the walls of a room.
 _SMALL_M, _SMALL_RAD = 0.05, 0.02
 BEYOND_DOUBT = 0.85  # score of a place that is right without odometry: most right ones have more
@@ -67,13 +70,13 @@ def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> Fl
         return guess
     other = product(before, expected.carried.matrix())
     apart = expected.motion.inverse() @ expected.carried
-    if abs(apart.theta) > scene.config.search_rad or _is_small(apart):
+    if abs(apart.theta) > SEARCH_RAD or _is_small(apart):
         return guess
-    margin, places = scene.config.guess_margin, [Pose2.from_matrix(p) for p in (guess, other)]
+    places = [Pose2.from_matrix(p) for p in (guess, other)]
     by_odometry, by_motion = (scene.score(place) for place in places)
-    better = by_motion > by_odometry + margin
+    better = by_motion > by_odometry + _GUESS_MARGIN
     if better and by_motion < BEYOND_DOUBT:  # there may be new space
-        better = scene.gain(*places) > margin
+        better = scene.gain(*places) > _GUESS_MARGIN
     return other if better else guess
 
 

@@ -15,6 +15,9 @@ from specmap_cli.grids.matching import Window, search
 from specmap_cli.registration.local_map import LocalMap
 from specmap_cli.registration.sweep_view import SweepView
 
+# Kernels tried first, those above half a voxel for 3D clouds alone; all of them follow only if
+# their result is in doubt.
+QUICK_KERNEL_VOXELS = (1.5, 0.25)
 _COARSE_VOXELS = 0.5  # kernels wider than this need neither all points nor full convergence
 _CLEARLY_BETTER = 0.02  # score that a search must gain: as much as scores of one place vary
 
@@ -139,7 +142,7 @@ class Scene:
         Its steps shorten by a share each, those on the score field much faster: so in the plane
         these lead to where the narrow kernels begin.
         """
-        kernels = self.config.quick_kernel_voxels
+        kernels = QUICK_KERNEL_VOXELS
         if self.local.sensor.in_space:
             return self.align(guess, kernels, bounds)
         planar, sigma_m = Pose2.from_matrix(guess), self.local.sensor.voxel_m

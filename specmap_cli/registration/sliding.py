@@ -14,6 +14,7 @@ from specmap_cli.grids.observability import weakest_direction
 from specmap_cli.registration.prospect import BEYOND_DOUBT
 from specmap_cli.registration.scene import Fit, Scene
 
+_SLIP_M = 0.08  # a result this far behind odometry may have slipped in a corridor
 _ALIKE = 0.01  # scores this near speak for two places alike
 # Score that walls lose at a place they object to; what noise of the last scan, seen again at the
 # same place, seems to prove is less.
@@ -31,7 +32,7 @@ def slid(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
     here = fit.planar
     forward = np.array([np.cos(here.theta), np.sin(here.theta)])
     behind = float(np.dot((by_motion.x - here.x, by_motion.y - here.y), forward))
-    if abs(behind) < scene.config.slip_m:
+    if abs(behind) < _SLIP_M:
         return fit
     if not scene.local.sensor.in_space:
         along = carried_along(scene, fit, by_motion)

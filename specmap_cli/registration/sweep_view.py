@@ -15,6 +15,8 @@ from specmap_cli.registration.deskew import deskewed, moved_returns, usable_time
 from specmap_cli.registration.expected_motion import ExpectedMotion
 from specmap_cli.registration.seen_space import outline_of
 
+_MAX_POINTS = 600  # a denser planar scan is thinned to this
+_MAX_CLOUD_POINTS = 2000  # a denser 3D cloud is thinned to this: alignments take most time
 _BELOW_RANGE_MAX = 0.999  # some drivers report no return as the largest range, rounded
 _GROWTH = 1.4  # of the cell from one try to the next at thinning: about half the points
 
@@ -52,15 +54,15 @@ def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) 
     hit = np.isfinite(near) & (near <= reach_m)
     r, b = near[hit], scan.bearings[hit]
     hits = sweep.base_from_laser.apply(np.column_stack([r * np.cos(b), r * np.sin(b)]))
-    walls = _thinned_to(hits, config.voxel_m / 2, config.max_points)
+    walls = _thinned_to(hits, config.voxel_m / 2, _MAX_POINTS)
     probe = thinned(walls, config.voxel_m)
     if sweep.cloud is None:
         cloud, sparse = _in_space(walls), _in_space(probe)
         dense = cloud
     else:
         dense = _cloud_of(sweep.cloud, sweep.cloud_times_s, expected, config)
-        cloud = _thinned_to(dense, config.cloud_voxel_m, config.max_cloud_points)
-        sparse = _thinned_to(cloud, 2 * config.cloud_voxel_m, config.max_cloud_points // 2)
+        cloud = _thinned_to(dense, config.cloud_voxel_m, _MAX_CLOUD_POINTS)
+        sparse = _thinned_to(cloud, 2 * config.cloud_voxel_m, _MAX_CLOUD_POINTS // 2)
     return SweepView(
         planar=scan,
         cloud=cloud,

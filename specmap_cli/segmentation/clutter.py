@@ -13,6 +13,8 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import BoolArray, cell_distances
 
+# Solid furniture is thicker than this across: walls are thinner than tables.
+FURNITURE_THICK_M = 0.4
 _SLACK = 1e-9  # sizes that are equal on paper stay equal in floating point
 _SLIT_M = 0.15  # free space narrower than this, in a wall or between two pieces of one, is noise
 _SOLID = 0.5  # share of its rectangle: furniture fills three quarters, corners of walls a third
@@ -25,7 +27,7 @@ def furniture(free: BoolArray, resolution: float, config: SegmentationConfig) ->
     furniture: of a railing or a window front a laser sees dashes, here longer, there shorter than a
     chair. What is solid by itself stays furniture, whatever stands beside it.
     """
-    sizes = np.array([config.obstacle_m, config.furniture_m, config.furniture_thick_m])
+    sizes = np.array([config.obstacle_m, config.furniture_m, FURNITURE_THICK_M])
     largest, bulky, thick = (sizes / resolution).tolist()
     pieces = small_obstacles(free, largest)
     linked = _linked(pieces, resolution)

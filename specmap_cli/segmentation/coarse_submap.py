@@ -16,12 +16,17 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, add_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid
 
+SPLIT_CELL_M = 0.1  # cells of the working grid in a test; finer ones are only slower
+_SPLIT_STEP_M = 0.15  # motion between scans in a test's map
+_SPLIT_STEP_RAD = 0.2  # turn between scans in a test's map
+PATH_MARGIN_M = 1.0  # map kept round the band of the path: obstacles at its edge are seen whole
+
 
 class CoarseSubmap:
     """Keyframes of a submap in order, and a grid of them that is just good enough to find doors.
 
-    Its cells are no finer than `split_cell_m`, the working grid's. A keyframe enters the grid when
-    the robot moved `split_step_m` or turned `split_step_rad` since the last that did, and does so
+    Its cells are no finer than `SPLIT_CELL_M`, the working grid's. A keyframe enters the grid when
+    the robot moved `_SPLIT_STEP_M` or turned `_SPLIT_STEP_RAD` since the last that did, and does so
     once: what a split leaves of a grid is counted by taking out the rest.
     """
 
@@ -29,7 +34,7 @@ class CoarseSubmap:
         self, config: SegmentationConfig, grid_config: GridConfig, store: KeyframeStore
     ) -> None:
         self.config = config
-        coarse = max(config.split_cell_m, grid_config.resolution_m)
+        coarse = max(SPLIT_CELL_M, grid_config.resolution_m)
         self.grid_config = grid_config.model_copy(update={"resolution_m": coarse})
         self._store = store
         self._keyframes: list[int] = []
@@ -55,7 +60,7 @@ class CoarseSubmap:
         self._keyframes.append(keyframe)
         self._places.extend(pose)
         last = self._store.pose(self._chosen[-1]) if self._chosen else None
-        if moved(last, pose, self.config.split_step_m, self.config.split_step_rad):
+        if moved(last, pose, _SPLIT_STEP_M, _SPLIT_STEP_RAD):
             self._chosen.append(keyframe)
         return driven
 
@@ -64,7 +69,7 @@ class CoarseSubmap:
         self._count()
         if not self.config.path_band_m:
             return self._grid.snapshot()
-        return self._grid.near(self.poses, self.config.path_band_m + self.config.path_margin_m)
+        return self._grid.near(self.poses, self.config.path_band_m + PATH_MARGIN_M)
 
     def split(self, stays: BoolArray) -> tuple[CoarseSubmap, CoarseSubmap]:
         """Those of the keyframes (p,) that stay, and those that do not: two submaps."""

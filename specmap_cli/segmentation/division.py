@@ -14,6 +14,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import BoolArray, GridMap
 from specmap_cli.segmentation.clutter import (
+    FURNITURE_THICK_M,
     WorkingGrid,
     coarse_step,
     furniture,
@@ -34,6 +35,8 @@ from specmap_cli.segmentation.visibility import (
     visibility_graph,
 )
 from specmap_cli.segmentation.wide_doors import with_narrow_doors
+
+_WIDTH_PERCENTILE = 60.0  # of the local widths in a room is the room's width
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +78,7 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     rings = max(RINGS, work.step + 1)  # across a coarse cell that is not wholly free
     fine = spread_labels(work.refine(cells, opened.shape), opened, rings)
     if config.fill:
-        pieces = upright.apply(pieces_at_walls(grid, config.furniture_thick_m))
+        pieces = upright.apply(pieces_at_walls(grid, FURNITURE_THICK_M))
         fine = fill_cupboards(fine, pieces, grid.resolution)
     named, names = _by_area(fine if config.fill else np.where(free, fine, np.int32(-1)))
     return Segmentation(
@@ -162,7 +165,7 @@ def _merged(
     groups = [widths[clusters == label] for label in range(int(clusters.max()) + 1)]
     borders = border_widths(cells, work.clearance)
     joined = np.array(
-        join_wide(borders, groups, config.merge_ratio, config.width_percentile), dtype=np.int32
+        join_wide(borders, groups, config.merge_ratio, _WIDTH_PERCENTILE), dtype=np.int32
     )
     return np.where(cells < 0, np.int32(-1), joined[np.maximum(cells, 0)])
 

@@ -13,6 +13,8 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.segmentation.coarse_submap import CoarseSubmap, way_driven
 from specmap_cli.segmentation.splitting import SplitTest, examine
 
+_TEST_METRES = 1.0  # travelled between two tests
+
 Observer = Callable[[SplitTest, bool, "Occasion"], None]
 
 # Of the least part that a test can split off a long way: so much later may a test find it.
@@ -95,7 +97,7 @@ class OnlineSegmenter:
         self._since_test += driven
         self._way_m += driven
         least_m = self.config.split_share * self._way_m
-        return self._since_test >= max(self.config.test_metres, _LATER * least_m)
+        return self._since_test >= max(_TEST_METRES, _LATER * least_m)
 
     def _test(self) -> list[Region]:
         """Test the current submap; the regions that were split off, oldest first."""

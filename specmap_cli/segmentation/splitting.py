@@ -20,11 +20,14 @@ from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.gridmap import BoolArray, GridMap
 from specmap_cli.segmentation.affinity import dense_normalised, dense_similarity, local_scales
 from specmap_cli.segmentation.clutter import WorkingGrid, small_obstacles, working_grid
+from specmap_cli.segmentation.coarse_submap import PATH_MARGIN_M, SPLIT_CELL_M
 from specmap_cli.segmentation.flood import flooded_at
 from specmap_cli.segmentation.kmeans import LabelArray, bisect
 from specmap_cli.segmentation.spectrum import largest_eigenpairs
 from specmap_cli.segmentation.visibility import IndexArray, sample_nodes, visibility_graph
 
+_SPLIT_NODES = 250  # most nodes in a test: the blocks grow
+_SPLIT_EIGENPAIRS = 12  # looked at in a test: each room seen but not entered takes one
 _FEWEST_NODES = 3  # two nodes share one sight line: nothing to divide
 _STANDING_M = 1e-6  # counted at every pose, so that a robot that stands still has a way
 
@@ -61,7 +64,7 @@ def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> Spl
     if not window.cells.size:  # the way leaves a grid that may not grow any more
         return _undivided(window, poses, np.empty((0, 2)))
     opened = window.free | small_obstacles(window.free, config.split_obstacle_m / window.resolution)
-    work = working_grid(opened, window.resolution, config.split_cell_m)
+    work = working_grid(opened, window.resolution, SPLIT_CELL_M)
     way = np.clip(window.cells_of(poses[:, :2]) // work.step, 0, np.array(work.clearance.shape) - 1)
     nodes = _nodes_along(work, way, config)
     places = window.centres_of(work.fine_cells(nodes))
@@ -107,7 +110,7 @@ def _near_the_way(grid: GridMap, poses: FloatArray, config: SegmentationConfig) 
     """The part of `grid` near the poses, or all of it when nodes may lie anywhere."""
     if not config.path_band_m:
         return grid
-    return grid.near(poses, config.path_band_m + config.path_margin_m)
+    return grid.near(poses, config.path_band_m + PATH_MARGIN_M)
 
 
 def _nodes_along(work: WorkingGrid, way: IndexArray, config: SegmentationConfig) -> IndexArray:
@@ -122,9 +125,9 @@ def _nodes_along(work: WorkingGrid, way: IndexArray, config: SegmentationConfig)
     least = config.split_clearance_m / work.cell_m
     while True:
         nodes = sample_nodes(clearance, block, least, config.nodes)
-        if len(nodes) <= config.split_nodes:
+        if len(nodes) <= _SPLIT_NODES:
             return nodes
-        block = max(block + 1, int(block * (len(nodes) / config.split_nodes) ** 0.5))
+        block = max(block + 1, int(block * (len(nodes) / _SPLIT_NODES) ** 0.5))
 
 
 def _homes(work: WorkingGrid, nodes: IndexArray, cells: IndexArray) -> IndexArray:
@@ -147,7 +150,7 @@ def _spectrum(
     S = dense_similarity(graph.lengths, graph.pairs, config.split_scale * scales, len(nodes))
     members = _joined(S > 0.0, here)
     L = dense_normalised(S[np.ix_(members, members)])
-    values, vectors = largest_eigenpairs(L, config.split_eigenpairs)
+    values, vectors = largest_eigenpairs(L, _SPLIT_EIGENPAIRS)
     return members, values, vectors
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.json_values import Count, Value
 from specmap_cli.grids.gridmap import FREE, UNKNOWN
 from specmap_cli.topology.regions import NOBODY, Regions
 
@@ -25,12 +26,12 @@ _Owners = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Same:
-    """An old and a new submap that are one, and how far they cover each other, in (0.5, 1]."""
+class Same(Value):
+    """A submap of either map that are one, and intersection over union of what both maps saw."""
 
-    old: int
-    new: int
-    iou: float
+    old: Count
+    new: Count
+    iou: float  # in (0.5, 1]
 
 
 @dataclass(frozen=True, kw_only=True)  # without slots: the mapping is made once

@@ -24,6 +24,8 @@ from specmap_cli.topology.topological_map import (
 )
 from specmap_cli.topology.ways import NO_WAY, Way, ways
 
+PLACE_MARGIN_M = 0.1  # a place to stand is so much farther from walls than the robot's radius
+
 
 def with_ways(
     topology: TopologicalMap,
@@ -41,7 +43,7 @@ def with_ways(
     space = Space.of(regions, scanned=stood is not None)
     driven = {pair: edge.traversals for pair, edge in topology.edges.items()}
     found = passages(space, driven, config.door_min_m)
-    anchors = anchors_of(space, _cells(space, stood), config.robot_radius_m, config.margin_m)
+    anchors = anchors_of(space, _cells(space, stood), config.robot_radius_m, PLACE_MARGIN_M)
     edges = _edges(topology, found, kind)
     there = ways(space, anchors, edges, config.robot_radius_m)
     doors = _doors_of(found)

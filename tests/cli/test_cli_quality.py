@@ -9,32 +9,37 @@ import pytest
 
 from specmap_cli.maps.store import read_map
 from tests.cli.conftest import QUICK, Run
+from tests.turning import turn
 
-# odometry would have to agree with the map to a tenth of a millimetre a metre
-DOUBTFUL = ("--set", "quality.odometry_share=0.0001")
+
+def doubting() -> None:
+    """Odometry has to agree with the map to a tenth of a millimetre a metre."""
+    turn("quality", odometry_share=0.0001)
 
 
 @pytest.mark.parametrize(
-    ("settings", "asked", "code"),
+    ("doubtful", "asked", "code"),
     [
-        ((), ("--fail-on", "doubtful"), 0),
-        (DOUBTFUL, ("--fail-on", "poor"), 0),
-        (DOUBTFUL, ("--fail-on", "doubtful"), 5),
+        (False, ("--fail-on", "doubtful"), 0),
+        (True, ("--fail-on", "poor"), 0),
+        (True, ("--fail-on", "doubtful"), 5),
     ],
 )
 def test_a_build_can_fail_on_its_verdict(
     run: Run,
     tiny_log: Path,
     tmp_path: Path,
-    settings: tuple[str, ...],
+    doubtful: bool,
     asked: tuple[str, ...],
     code: int,
 ) -> None:
     out = tmp_path / "map"
-    outcome = run("build", tiny_log, "-o", out, *QUICK, *settings, *asked, "--json")
+    if doubtful:
+        doubting()
+    outcome = run("build", tiny_log, "-o", out, *QUICK, *asked, "--json")
     assert outcome.code == code
     told = json.loads(outcome.out)["quality"]
-    assert told["verdict"] == ("doubtful" if settings else "good")
+    assert told["verdict"] == ("doubtful" if doubtful else "good")
     stored = read_map(out).record.graph.quality
     assert stored is not None
     assert stored.as_dict() == told  # the map is there in any case
@@ -48,7 +53,8 @@ def test_other_verdicts_cannot_be_asked_for(run: Run, tmp_path: Path) -> None:
 
 def test_doubts_come_first_and_are_warned_of(run: Run, tiny_log: Path, tmp_path: Path) -> None:
     out = tmp_path / "map"
-    outcome = run("build", tiny_log, "-o", out, *QUICK, *DOUBTFUL)
+    doubting()
+    outcome = run("build", tiny_log, "-o", out, *QUICK)
     assert outcome.code == 0, "nobody asked it to fail"
     first = outcome.out.splitlines()[0]
     assert first.startswith(f"{out}: this map is doubtful: odometry and the map disagree by ")
@@ -56,5 +62,5 @@ def test_doubts_come_first_and_are_warned_of(run: Run, tiny_log: Path, tmp_path:
     assert f"specmap: warning: {warned}" in outcome.err.splitlines()
     assert warned in read_map(out).run["warnings"]
     assert "quality: good" not in outcome.out
-    quiet = run("build", tiny_log, "-o", out, *QUICK, *DOUBTFUL, "--overwrite", "-q")
+    quiet = run("build", tiny_log, "-o", out, *QUICK, "--overwrite", "-q")
     assert (quiet.out.splitlines()[0], quiet.err) == (first, "")

@@ -213,3 +213,14 @@ def test_the_printed_settings_can_be_given_back(tmp_path: Path, run: Run) -> Non
 def test_a_value_in_the_place_of_a_section_gives_way(run: Run) -> None:
     said = run("config", "--set", "grid=1", "--set", "grid.resolution_m=0.1")
     assert tomllib.loads(said.out)["grid"]["resolution_m"] == 0.1
+
+
+def test_a_retired_setting_is_told_once_and_has_no_effect(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "specmap.toml"
+    path.write_text("[relaxation]\nnode_m = 0.3\n", encoding="utf-8")
+    said = run("config", "--config", path, "--set", "relaxation.node_m=0.5")
+    assert said.code == 0
+    assert "node_m" not in said.out
+    fixed = "relaxation.node_m was retired: its value is now fixed at 0.3; 0.5 has no effect"
+    assert said.err == f"specmap: warning: {fixed}\n"
+    assert run("config", "--config", path, "--quiet").err == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ def test_a_flag_goes_over_the_file_the_file_over_the_preset_and_it_over_the_defa
     assert config.segmentation.neighbours == 9  # the file
     assert config.segmentation.labels == PRESETS["paper"]["segmentation"]["labels"]  # the preset
     assert config.segmentation.labels != Config().segmentation.labels
-    assert config.segmentation.test_metres == Config().segmentation.test_metres  # the default
+    assert config.segmentation.test_keyframes == Config().segmentation.test_keyframes  # the default
 
 
 def test_the_preset_may_stand_in_the_file_and_a_flag_goes_over_it(tmp_path: Path) -> None:
@@ -114,6 +115,18 @@ def test_a_file_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
         load_config(path)
 
 
+def test_programs_are_told_where_and_which_key_was_meant(tmp_path: Path) -> None:
+    path = write(tmp_path, "[grid]\nresolutoin_m = 0.1\n")
+    with pytest.raises(UsageError) as caught:
+        load_config(path)
+    hint = "did you mean grid.resolution_m?; run `specmap config` to see every key and its default"
+    assert (caught.value.where, caught.value.hint) == (str(path), hint)
+    assert str(caught.value) == f"{path}: grid.resolutoin_m: no such setting, {hint}"
+    with pytest.raises(UsageError) as caught:
+        load_config(None, None, {"grid": {"resolutoin_m": 0.1}})
+    assert (caught.value.where, caught.value.hint) == ("grid.resolutoin_m", hint)
+
+
 def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "specmap.toml"
     path.write_text("seed = 3\n", encoding="utf-8-sig")
@@ -136,3 +149,24 @@ def test_later_overrides_leave_the_rest_alone() -> None:
     assert changed.grid.resolution_m == 0.1
     assert changed.segmentation == paper.segmentation
     assert changed.preset == "paper"
+
+
+def descriptions(section: type[BaseModel], before: str = "") -> Iterator[tuple[str, str]]:
+    """Every setting by its dotted key, and what is said of it."""
+    for name, field in section.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield from descriptions(kind, f"{name}.")
+        else:
+            yield before + name, field.description or ""
+
+
+def test_every_description_can_be_read_alone() -> None:
+    found = dict(descriptions(Config))
+    print("\n".join(f"{key}: {text}" for key, text in found.items()))  # for eyes: pytest -rP
+    pronouns = ("It ", "They ", "Its ", "Their ", "This ", "These ", "The same", "Of them", "Or ")
+    for key, text in found.items():
+        assert text[:1].isupper(), key
+        assert text.endswith("."), key
+        assert len(text.split()) >= 4, key
+        assert not text.startswith((*pronouns, "And ", "As ")), key

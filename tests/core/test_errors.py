@@ -76,9 +76,14 @@ def test_every_code_is_given_somewhere() -> None:
     ],
 )
 def test_the_parts_of_a_message(message: str, where: str | None, hint: str | None) -> None:
-    assert (errors.where_of(message), errors.hint_of(message)) == (where, hint)
+    error = errors.SpecmapError(message)
+    assert (error.where, error.hint) == (where, hint)
+    given = errors.UsageError(message, where="here", hint="do")
+    assert (str(given), given.where, given.hint) == (message, "here", "do")
 
 
 def test_an_error_keeps_its_code_on_the_way_to_another_process() -> None:
-    error = pickle.loads(pickle.dumps(errors.LogError("gone", code=errors.LOG_MISSING)))
+    gone = errors.LogError("gone", code=errors.LOG_MISSING, where="a.mcap", hint="copy it")
+    error = pickle.loads(pickle.dumps(gone))
     assert (str(error), error.code) == ("gone", "log-missing")
+    assert (error.where, error.hint) == ("a.mcap", "copy it")

@@ -13,9 +13,11 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig
+from specmap_cli.grids.evidence import SURFACE_GAP_M
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
 from tests.strategies import few, planar_scans, poses, seeds
+from tests.turning import turn
 
 CELL = 0.0625  # a power of two, so that shifts by whole cells are exact
 Taken = list[tuple[PlanarScan, Pose2]]
@@ -64,7 +66,7 @@ def proved_points(scan: PlanarScan, pose: Pose2, config: GridConfig) -> FloatArr
     beams = np.column_stack([np.cos(scan.bearings), np.sin(scan.bearings)]) * ranges[:, None]
     ends = [beams[returned]]
     gaps = np.linalg.norm(np.diff(beams, axis=0), axis=1)
-    for i in np.flatnonzero(returned[1:] & returned[:-1] & (gaps <= config.surface_gap_m)):
+    for i in np.flatnonzero(returned[1:] & returned[:-1] & (gaps <= SURFACE_GAP_M)):
         ends.append(beams[i] + np.linspace(0, 1, 12)[:, None] * (beams[i + 1] - beams[i]))
     along = np.linspace(0.0, 1.0, 400)[:, None, None] * np.concatenate(ends)[None]
     return pose.apply(along.reshape(-1, 2))
@@ -186,9 +188,9 @@ def test_all_along_a_beam_the_cells_are_known(scan: PlanarScan, pose: Pose2) -> 
     share=st.sampled_from([0.1, 0.25, 0.5, 1.0]),
 )
 def test_a_cell_is_occupied_from_its_share_of_hits_on(hits: int, passes: int, share: float) -> None:
-    config = settings(occupied_share=share)
+    turn("grids", occupied_share=share)
     beams = [one_beam(0.0, 2.0)] * hits + [one_beam(0.0, 4.0)] * passes
-    grid = gridded(beams, [IDENTITY] * len(beams), config)
+    grid = gridded(beams, [IDENTITY] * len(beams), CONFIG)
     expected = UNKNOWN
     if hits + passes:
         expected = OCCUPIED if hits and hits >= share * (hits + passes) else FREE
@@ -213,7 +215,8 @@ def test_a_reading_that_is_no_range_changes_nothing(reading: float) -> None:
     whole = PlanarScan(0, bearings, np.array([2.0, 3.0, 2.0]), 20.0, False)
     broken = PlanarScan(0, bearings, np.array([2.0, reading, 2.0]), 20.0, False)
     without = PlanarScan(0, bearings[[0, 2]], np.array([2.0, 2.0]), 20.0, False)
-    config = settings(surface_gap_m=0.01)
+    turn("grids", surface_gap_m=0.01)
+    config = CONFIG
     assert known(gridded([broken], [IDENTITY], config)) == known(
         gridded([without], [IDENTITY], config)
     )
@@ -225,7 +228,8 @@ def test_a_reading_that_is_no_range_changes_nothing(reading: float) -> None:
 @pytest.mark.parametrize(("gap", "state"), [(0.5, FREE), (0.3, UNKNOWN)])
 def test_between_two_returns_of_one_surface_all_is_free(gap: float, state: int) -> None:
     scan = PlanarScan(0, np.array([-0.1, 0.1]), np.array([2.0, 2.0]), 20.0, False)  # 0.4 m apart
-    config = settings(resolution_m=0.02, surface_gap_m=gap)
+    turn("grids", surface_gap_m=gap)
+    config = settings(resolution_m=0.02)
     grid = gridded([scan], [IDENTITY], config)
     assert grid.values_at(np.array([[1.5, 0.0]]))[0] == state
     assert grid.values_at(1.5 * np.array([[math.cos(0.1), math.sin(0.1)]]))[0] == FREE

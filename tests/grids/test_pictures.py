@@ -15,6 +15,7 @@ import pytest
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.grids.pictures import read_picture
+from tests.turning import turn
 
 GREY = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
@@ -60,12 +61,10 @@ def test_the_bounds_are_settings(tmp_path: Path) -> None:
     assert read_picture(path, LimitsConfig(picture_max_mpixel=12e-6)).shape == (3, 4, 1)
     with pytest.raises(MapError, match=r"4 x 3 pixels are more than 1\.1e-05 million: scale it"):
         read_picture(path, LimitsConfig(picture_max_mpixel=11e-6))
+    turn("grids", picture_max_mb=5e-5)
     with pytest.raises(MapError) as caught:
-        read_picture(path, LimitsConfig(picture_max_mb=5e-5))
-    assert str(caught.value) == (
-        f"{path}: cannot read the image: larger than 5e-05 MB; if it is meant, raise "
-        "limits.picture_max_mb"
-    )
+        read_picture(path)
+    assert str(caught.value) == f"{path}: cannot read the image: larger than 5e-05 MB"
 
 
 def test_want_of_memory_is_told_as_what_it_is(

@@ -9,6 +9,7 @@ import pytest
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.records import NO_SUBMAP, Labels
+from specmap_cli.history.record import StayRecord
 from specmap_cli.history.visits import Tour, Visit, day_of, days_of, totals, tour_of, zone_of
 
 _NS = 1_000_000_000
@@ -57,10 +58,10 @@ def test_a_visit_counts_on_the_day_it_began() -> None:
         Visit(4, _MIDNIGHT + 30 * _NS, _MIDNIGHT + 60 * _NS),
     ))  # fmt: skip
     first, second = days_of([late], zone_of("UTC"))
-    assert (first["day"], first["recordings"], first["driven_m"]) == ("2026-03-01", 1, 12.0)
-    assert first["rooms"] == [{"room": 3, "visits": 1, "minutes": 1.5}]
-    assert (second["recordings"], second["minutes"]) == (0, 0)
-    assert second["rooms"] == [{"room": 4, "visits": 1, "minutes": 0.5}]
+    assert (first.day, first.recordings, first.driven_m) == ("2026-03-01", 1, 12.0)
+    assert first.rooms == [StayRecord(room=3, visits=1, minutes=1.5)]
+    assert (second.recordings, second.minutes) == (0, 0)
+    assert second.rooms == [StayRecord(room=4, visits=1, minutes=0.5)]
 
 
 def test_visits_add_up() -> None:

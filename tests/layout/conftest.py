@@ -8,7 +8,6 @@ import pytest
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.path_graph import Graph, graph_of
 from tests.layout.driving import building, drifted, round_trip, scans_of, stored
@@ -37,4 +36,4 @@ def perfect(
     truth, scans = drive
     second_lap = 480
     with stored(truth, scans) as store:
-        yield store, graph_of(store, [], [second_lap], RelaxationConfig())
+        yield store, graph_of(store, [], [second_lap])

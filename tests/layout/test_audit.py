@@ -8,13 +8,11 @@ import pytest
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.core.settings import AuditConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.audit import Audit, Disagreement, audit, passes_of
+from specmap_cli.layout.audit import _PASS_M, _WALL_M, Audit, Disagreement, audit, passes_of
 from tests.layout.driving import stored
 
 Drive = tuple[FloatArray, list[PlanarScan]]
-CONFIG = AuditConfig()
 SECOND_LAP = 480
 
 
@@ -34,14 +32,14 @@ def second_lap_moved(poses: FloatArray, motion: Pose2) -> FloatArray:
 
 def test_a_right_layout_has_no_disagreement(truth: tuple[KeyframeStore, FloatArray]) -> None:
     store, poses = truth
-    found = audit(store, poses, [], CONFIG)
+    found = audit(store, poses, [])
     assert found.compared >= 5
     assert found.disagreements == ()
 
 
 def test_noise_of_centimetres_is_none(truth: tuple[KeyframeStore, FloatArray]) -> None:
     store, poses = truth
-    found = audit(store, second_lap_moved(poses, Pose2(0.05, -0.05, 0.005)), [], CONFIG)
+    found = audit(store, second_lap_moved(poses, Pose2(0.05, -0.05, 0.005)), [])
     assert found.disagreements == ()
 
 
@@ -50,7 +48,7 @@ def test_walls_drawn_twice_are_found_with_their_distance(
     truth: tuple[KeyframeStore, FloatArray], away: tuple[float, float]
 ) -> None:
     store, poses = truth
-    found = audit(store, second_lap_moved(poses, Pose2(*away, 0.0)), [], CONFIG)
+    found = audit(store, second_lap_moved(poses, Pose2(*away, 0.0)), [])
     assert found.disagreements
     known = [one for one in found.disagreements if one.offset is not None]
     assert known
@@ -65,7 +63,7 @@ def test_the_offset_leads_back(truth: tuple[KeyframeStore, FloatArray]) -> None:
     store, poses = truth
     bent = second_lap_moved(poses, Pose2(0.5, 0.3, 0.04))
     worst = max(
-        (one for one in audit(store, bent, [], CONFIG).disagreements if one.offset is not None),
+        (one for one in audit(store, bent, []).disagreements if one.offset is not None),
         key=lambda one: one.walls_m,
     )
     assert worst.offset is not None
@@ -79,9 +77,9 @@ def test_what_is_folded_over_another_place_fits_nowhere(
     """Another part of the building drawn over this one: no small motion mends that."""
     store, poses = truth
     turned = second_lap_moved(poses, Pose2(9.0, -2.0, np.pi / 2))
-    found = audit(store, turned, [], CONFIG)
+    found = audit(store, turned, [])
     assert found.disagreements
-    assert all(one.walls_m >= CONFIG.wall_m for one in found.disagreements)
+    assert all(one.walls_m >= _WALL_M for one in found.disagreements)
 
 
 def test_a_chair_is_no_disagreement(drive: Drive) -> None:
@@ -98,25 +96,25 @@ def test_a_chair_is_no_disagreement(drive: Drive) -> None:
             scan = replace(scan, ranges=ranges)
         seen.append(scan)
     with stored(poses, seen) as store:
-        assert audit(store, poses, [], CONFIG).disagreements == ()
+        assert audit(store, poses, []).disagreements == ()
 
 
 def test_passes_cut_the_whole_path_and_end_at_breaks(
     truth: tuple[KeyframeStore, FloatArray],
 ) -> None:
     store, poses = truth
-    passes = passes_of(store, poses, [SECOND_LAP], CONFIG)
+    passes = passes_of(store, poses, [SECOND_LAP])
     assert [one.first for one in passes][1:] == [one.last + 1 for one in passes][:-1]
     assert passes[0].first == 0
     assert passes[-1].last == len(poses) - 1
     assert SECOND_LAP in [one.first for one in passes]
     ways = np.diff([one.way_m for one in passes])
-    assert (ways <= CONFIG.pass_m + 0.2).all()
+    assert (ways <= _PASS_M + 0.2).all()
 
 
 def test_no_keyframes_no_audit() -> None:
     with KeyframeStore() as store:
-        assert audit(store, np.zeros((0, 3)), [], CONFIG) == Audit()
+        assert audit(store, np.zeros((0, 3)), []) == Audit()
 
 
 def test_distance_is_that_at_the_place_of_the_walls() -> None:

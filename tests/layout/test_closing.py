@@ -31,10 +31,17 @@ from tests.layout.driving import (
     true_link,
     worst,
 )
+from tests.turning import turned
 
 CONFIG = RelaxationConfig()
-ALONE = RelaxationConfig(loops_per_node=0, stray_tries=0)  # no pass mends what closures do
 Drive = tuple[FloatArray, list[PlanarScan]]
+
+
+@pytest.fixture
+def alone() -> Iterator[None]:
+    """No pass mends what closures do."""
+    with turned("layout.nearby_passes", LOOPS_PER_NODE=0), turned("layout.strays", STRAY_TRIES=0):
+        yield
 
 
 @pytest.fixture
@@ -42,17 +49,16 @@ def ring(drive: Drive) -> Iterator[tuple[FloatArray, Graph, Walls, Views]]:
     """The drive as tracked with some drift, and what closing it needs."""
     truth, scans = drive
     with stored(drifted(truth), scans) as store:
-        graph = graph_of(store, [60, 100, 200, 540, 590, 690], [], ALONE)
-        yield truth, graph, Walls(store, graph, 12.0), Views.of(store, graph, ALONE)
+        graph = graph_of(store, [60, 100, 200, 540, 590, 690], [])
+        yield truth, graph, Walls(store, graph, 12.0), Views.of(store, graph)
 
 
-def close(
-    ring: tuple[FloatArray, Graph, Walls, Views], closures: list[Link], config: RelaxationConfig
-) -> Closed:
+def close(ring: tuple[FloatArray, Graph, Walls, Views], closures: list[Link]) -> Closed:
     _, graph, walls, views = ring
-    return closed(graph, as_tracked(graph), closures, walls, views, config)
+    return closed(graph, as_tracked(graph), closures, walls, views)
 
 
+@pytest.mark.usefixtures("alone")
 @pytest.mark.parametrize("away", [(3.0, 1.0), (0.0, 1.5)])
 def test_a_wrong_closure_that_drift_would_allow_brings_walls_into_free_space(
     ring: tuple[FloatArray, Graph, Walls, Views], away: tuple[float, float]
@@ -60,22 +66,25 @@ def test_a_wrong_closure_that_drift_would_allow_brings_walls_into_free_space(
     truth = ring[0]
     x, y, theta = true_link(truth, 60, 540).source_from_target
     wrong = link(60, 540, (x + away[0], y + away[1], theta), "closure")
-    found = close(ring, [wrong], ALONE)
+    found = close(ring, [wrong])
     assert [one.reason for one in found.judged] == ["contradicted"]
     assert found.draft.loops == ()
     assert found.judged[0].away_m > 1.0
-    unasked = close(ring, [wrong], ALONE.model_copy(update={"suspects_most": 0}))
+    with turned("layout.closing", _SUSPECTS_MOST=0):
+        unasked = close(ring, [wrong])
     assert unasked.draft.loops == (wrong,), "nothing was suspected"
 
 
+@pytest.mark.usefixtures("alone")
 def test_right_closures_are_not_suspected(ring: tuple[FloatArray, Graph, Walls, Views]) -> None:
     truth = ring[0]
     right = [true_link(truth, *ends, "closure") for ends in ((60, 540), (100, 590), (200, 690))]
-    found = close(ring, right, ALONE)
+    found = close(ring, right)
     assert found.draft.loops == tuple(right)
     assert all(one.believed for one in found.judged)
 
 
+@pytest.mark.usefixtures("alone")
 def test_a_wrong_one_goes_and_the_right_ones_stay(
     ring: tuple[FloatArray, Graph, Walls, Views],
 ) -> None:
@@ -83,7 +92,7 @@ def test_a_wrong_one_goes_and_the_right_ones_stay(
     right = [true_link(truth, *ends, "closure") for ends in ((60, 540), (200, 690))]
     x, y, theta = true_link(truth, 100, 590).source_from_target
     wrong = link(100, 590, (x - 4.0, y, theta), "closure")
-    found = close(ring, [wrong, *right], ALONE)
+    found = close(ring, [wrong, *right])
     assert {(one.link.source, one.believed) for one in found.judged if one.link is not wrong} == {
         (60, True),
         (200, True),
@@ -109,9 +118,10 @@ def test_suspects_follow_one_another_on_both_passes_and_mend_most_first() -> Non
     away = (1.0, 2.0, 5.0, 1.5, 0.1)
     reasons: tuple[Reason, ...] = ("drift", "drift", "drift", "agreement", "near")
     believed = [judged_as(*of) for of in zip(links, reasons, away, strict=True)]
-    groups = suspects(graph, believed, CONFIG)
+    groups = suspects(graph, believed)
     assert [[one.link.source for one in group] for group in groups] == [[300], [0, 40, 80]]
-    assert len(suspects(graph, believed, RelaxationConfig(suspects_most=1))) == 1
+    with turned("layout.closing", _SUSPECTS_MOST=1):
+        assert len(suspects(graph, believed)) == 1
 
 
 def shifted_lap(truth: FloatArray, motion: tuple[float, float, float], at: int) -> FloatArray:
@@ -121,14 +131,15 @@ def shifted_lap(truth: FloatArray, motion: tuple[float, float, float], at: int) 
     return tracked
 
 
+@pytest.mark.usefixtures("alone")
 def test_one_closure_does_not_move_a_piece_that_odometry_bridged(drive: Drive) -> None:
     """The bridge is good to 2 cm; a wrong closure asks for four metres."""
     truth, scans = drive
     at, x, y, theta = 500, *true_link(truth, 60, 540).source_from_target
     wrong = Constraint(60, 540, Pose2(x + 4.0, y, theta), STIFF)
     with stored(truth, scans) as store:
-        layout = relax(store, [wrong], {at: Bridge(0.02, 0.005)}, ALONE)
-        unknown = relax(store, [wrong], {at: None}, ALONE)
+        layout = relax(store, [wrong], {at: Bridge(0.02, 0.005)}, CONFIG)
+        unknown = relax(store, [wrong], {at: None}, CONFIG)
     assert worst(layout.poses, truth) < 0.1
     assert worst(unknown.poses, truth) < 0.1, "nor on one closure's word where nothing is known"
     assert layout.loose == ()
@@ -137,13 +148,14 @@ def test_one_closure_does_not_move_a_piece_that_odometry_bridged(drive: Drive) -
     assert [one.first for one in unknown.evidence.parts] == [at]
 
 
+@pytest.mark.usefixtures("alone")
 def test_two_closures_that_agree_move_a_piece_of_which_nothing_is_known(drive: Drive) -> None:
     truth, scans = drive
     at = 500
     right = [true_constraint(truth, 60, 540), true_constraint(truth, 200, 690)]
     with stored(shifted_lap(truth, (2.0, -3.0, 0.7), at), scans) as store:
-        both = relax(store, right, [at], ALONE)
-        one = relax(store, right[:1], [at], ALONE)
+        both = relax(store, right, [at], CONFIG)
+        one = relax(store, right[:1], [at], CONFIG)
     assert worst(both.poses, truth) < 0.2
     assert both.loose == ()
     (move,) = both.evidence.parts
@@ -171,6 +183,7 @@ def test_the_layout_tells_what_it_moved(drive: Drive) -> None:
     assert [one.link.source for one in evidence.closures[:1]] == [100]
 
 
+@pytest.mark.usefixtures("alone")
 def test_what_is_worse_than_the_path_as_tracked_is_not_taken(drive: Drive) -> None:
     """Three wrong closures that agree, over a path that was perfect, and none is suspected."""
     truth, scans = drive
@@ -178,9 +191,8 @@ def test_what_is_worse_than_the_path_as_tracked_is_not_taken(drive: Drive) -> No
     for i, j in ((60, 540), (130, 610), (200, 690)):
         x, y, theta = true_link(truth, i, j).source_from_target
         wrong.append(Constraint(i, j, Pose2(x + 0.8, y + 0.8, theta), STIFF))
-    unsuspecting = ALONE.model_copy(update={"suspects_most": 0})
-    with stored(truth, scans) as store:
-        layout = relax(store, wrong, [], unsuspecting)
+    with stored(truth, scans) as store, turned("layout.closing", _SUSPECTS_MOST=0):
+        layout = relax(store, wrong, [], CONFIG)
     assert layout.evidence.choice in {"tracked", "passes"}
     assert worst(layout.poses, truth) < 0.05
     assert layout.kept == ()
@@ -203,7 +215,7 @@ def test_what_the_passes_say_anyway_is_kept_with_them() -> None:
     near = true_link(truth, 60, 540, "closure")
     wrong = link(130, count - 10, (6.0, 5.0, 1.0), "closure")
     spoiled = Finished("relaxed", passes, (near, wrong), Standing(agree=1000, contradict=500))
-    found = chosen(graph, passes, spoiled, Standing(), cast(Views, Trusting()), CONFIG)
+    found = chosen(graph, passes, spoiled, Standing(), cast(Views, Trusting()))
     assert found.choice == "passes"
     assert found.draft.loops == (*passes.loops, near)
     assert found.dropped == (wrong,)

@@ -12,6 +12,7 @@ from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.closure_matching import Place, place_around, sharpened
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.path_graph import Graph
 from tests.layout.driving import between, scans_of
 
@@ -24,7 +25,7 @@ def place(store: KeyframeStore, keyframe: int) -> Place:
     """What was seen around a keyframe of its lap."""
     first = 0 if keyframe < SECOND_LAP else SECOND_LAP
     lap = range(first, SECOND_LAP if first == 0 else len(store))
-    return place_around(store, lap, keyframe - first, CONFIG)
+    return place_around(store, lap, keyframe - first)
 
 
 def of_scan(points: FloatArray) -> Place:
@@ -40,7 +41,7 @@ def test_a_rough_closure_is_brought_to_the_truth(perfect: Perfect, seed: int) ->
     old = new - SECOND_LAP + int(rng.integers(-5, 6))
     truth = between(store.poses, old, new)
     guess = truth @ Pose2(*rng.uniform((-0.1, -0.1, -0.03), (0.1, 0.1, 0.03)).tolist())
-    found = sharpened(place(store, old), place(store, new), guess, CONFIG)
+    found = sharpened(place(store, old), place(store, new), guess)
     missed = truth.inverse() @ found
     assert missed.distance < 0.01
     assert abs(missed.theta) < 0.002
@@ -54,9 +55,7 @@ def test_what_was_seen_the_other_way_round_is_tied_by_what_both_showed(perfect: 
     behind = tuple(scan[scan[:, 0] < 0.6] for scan in new.scans)
     truth = between(store.poses, 30, SECOND_LAP + 48)
     guess = truth @ Pose2(0.06, -0.05, 0.015)
-    off = truth.inverse() @ sharpened(
-        replace(old, scans=ahead), replace(new, scans=behind), guess, CONFIG
-    )
+    off = truth.inverse() @ sharpened(replace(old, scans=ahead), replace(new, scans=behind), guess)
     assert off.distance < 0.02
     assert abs(off.theta) < 0.004
 
@@ -64,8 +63,8 @@ def test_what_was_seen_the_other_way_round_is_tied_by_what_both_showed(perfect: 
 def test_where_the_walls_do_not_fit_the_guess_stays(perfect: Perfect) -> None:
     store, _ = perfect
     guess = Pose2(0.3, -0.2, 0.1)
-    assert sharpened(place(store, 25), place(store, 120), guess, CONFIG) == guess
-    assert sharpened(place(store, 25), of_scan(np.zeros((3, 2))), guess, CONFIG) == guess
+    assert sharpened(place(store, 25), place(store, 120), guess) == guess
+    assert sharpened(place(store, 25), of_scan(np.zeros((3, 2))), guess) == guess
 
 
 def test_a_closure_does_not_leave_what_was_compared(perfect: Perfect) -> None:
@@ -75,7 +74,7 @@ def test_a_closure_does_not_leave_what_was_compared(perfect: Perfect) -> None:
     truth = between(store.poses, old, new)
     for off in (Pose2(0.45, 0.0, 0.0), Pose2(0.0, 0.45, 0.0), Pose2(0.0, 0.0, 0.12)):
         guess = truth @ off
-        found = sharpened(place(store, old), place(store, new), guess, CONFIG)
+        found = sharpened(place(store, old), place(store, new), guess)
         moved = guess.inverse() @ found
         assert moved.distance <= 0.3
         assert abs(moved.theta) <= 0.06
@@ -87,7 +86,7 @@ def test_along_a_bare_corridor_nothing_is_made_up() -> None:
     (scan,) = scans_of(GridMap(cells, 0.05), np.array([[25.0, 1.5, 0.0]]), 720)
     walls = of_scan(scan.hits(6.0))
     guess = Pose2(0.2, 0.08, 0.02)
-    found = sharpened(walls, walls, guess, CONFIG)
+    found = sharpened(walls, walls, guess)
     assert found.x == pytest.approx(0.2, abs=0.01)
     assert abs(found.y) < 0.02
     assert abs(found.theta) < 0.006
@@ -96,12 +95,12 @@ def test_along_a_bare_corridor_nothing_is_made_up() -> None:
 def test_a_place_is_what_was_seen_within_a_few_metres_of_path(perfect: Perfect) -> None:
     """Of a path of 60 keyframes, 10 cm apart, those within 2.5 m, in the frame of the middle."""
     store, _ = perfect
-    whole = place_around(store, range(60), 30, CONFIG)
+    whole = place_around(store, range(60), 30)
     assert len(whole.scans) == 51
     assert whole.own == 25
     np.testing.assert_array_equal(whole.poses, compose(invert(store.poses[30]), store.poses[5:56]))
-    np.testing.assert_array_equal(whole.scans[25], store.points(30, CONFIG.match_range_m))
-    alone = place_around(store, [30], 0, CONFIG)
+    np.testing.assert_array_equal(whole.scans[25], store.points(30, MATCH_RANGE_M))
+    alone = place_around(store, [30], 0)
     assert len(alone.scans) == 1
     assert 0 < len(alone.walls) < len(whole.walls)
 
@@ -109,7 +108,7 @@ def test_a_place_is_what_was_seen_within_a_few_metres_of_path(perfect: Perfect) 
 @pytest.mark.parametrize("own", [0, 7, 50])
 def test_of_a_place_a_few_scans_stand_for_all(perfect: Perfect, own: int) -> None:
     store, _ = perfect
-    whole = place_around(store, range(100, 151), own, CONFIG)
+    whole = place_around(store, range(100, 151), own)
     few = whole.of_few(8)
     assert len(few.scans) == 9
     np.testing.assert_allclose(few.poses[few.own], np.zeros(3), atol=1e-12)

@@ -11,15 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose
-from specmap_cli.core.settings import RelaxationConfig
-from specmap_cli.layout.drift import chain_lengths, deviations
+from specmap_cli.layout.drift import CLOSURE_SLACK_M, chain_lengths, deviations
 from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import Link
 from tests.layout.driving import as_tracked, graph_by_hand, link, network_of, true_link
 from tests.strategies import poses
-
-CONFIG = RelaxationConfig()
+from tests.turning import turned
 
 
 def track(count: int, turn: float = 0.02) -> FloatArray:
@@ -36,13 +34,11 @@ def wrong_by(graph: Graph, source: int, target: int, metres: float) -> Link:
     return link(source, target, right @ Pose2(metres, 0.0, 0.0), "closure")
 
 
-def kinds_of(
-    graph: Graph, draft: Draft, closures: list[Link], config: RelaxationConfig = CONFIG
-) -> list[str]:
+def kinds_of(graph: Graph, draft: Draft, closures: list[Link]) -> list[str]:
     """Whether the layout says what each closure does, or drift explains the rest, or nothing."""
-    found = deviations(graph, draft, closures, config)
+    found = deviations(graph, draft, closures)
     return [
-        "near" if away <= config.closure_slack_m else ("far" if away <= allowed else "refuted")
+        "near" if away <= CLOSURE_SLACK_M else ("far" if away <= allowed else "refuted")
         for away, allowed in zip(found.away_m, found.allowed_m, strict=True)
     ]
 
@@ -69,7 +65,7 @@ def test_chains_are_the_shortest_paths_of_networkx(
         else np.inf
         for a, b in closures
     ]
-    found = chain_lengths(graph, links, [link(a, b, (0.0, 0.0, 0.0)) for a, b in closures], CONFIG)
+    found = chain_lengths(graph, links, [link(a, b, (0.0, 0.0, 0.0)) for a, b in closures])
     assert found.tolist() == pytest.approx(expected)
 
 
@@ -78,7 +74,7 @@ def test_the_shorter_of_two_parallel_links_counts() -> None:
     long, short = link(0, 19, (6.0, 0.0, 0.0)), link(0, 19, (2.0, 0.0, 0.0))
     closure = link(0, 19, (0.0, 0.0, 0.0))
     for loops in ([long, short], [short, long]):
-        assert chain_lengths(graph, loops, [closure], CONFIG).tolist() == [2.0]
+        assert chain_lengths(graph, loops, [closure]).tolist() == [2.0]
 
 
 @pytest.mark.parametrize(
@@ -103,13 +99,13 @@ def test_where_a_pass_cuts_the_path_short_drift_explains_little() -> None:
 def test_the_limits_are_set() -> None:
     graph = graph_by_hand(track(101, 0.0))
     closures = [wrong_by(graph, 0, 100, 3.0)]
-    for settings, expected in (
-        ({"closure_slack_m": 3.5}, "near"),
-        ({"closure_drift_share": 0.04}, "refuted"),
-        ({"drift_share": 10.0}, "far"),
+    for home, limit, expected in (
+        ("drift", {"CLOSURE_SLACK_M": 3.5}, "near"),
+        ("drift", {"_CLOSURE_DRIFT_SHARE": 0.04}, "refuted"),
+        ("uncertainty", {"DRIFT_SHARE": 10.0}, "far"),
     ):
-        config = RelaxationConfig(**settings)
-        assert kinds_of(graph, as_tracked(graph), closures, config) == [expected]
+        with turned(f"layout.{home}", **limit):
+            assert kinds_of(graph, as_tracked(graph), closures) == [expected]
 
 
 def test_over_a_break_only_the_guess_may_be_off() -> None:
@@ -137,7 +133,7 @@ def test_a_bridge_lets_its_own_error_be_mended() -> None:
 
 def test_without_closures_there_is_nothing_to_say() -> None:
     graph = graph_by_hand(track(60))
-    found = deviations(graph, as_tracked(graph), [], CONFIG)
+    found = deviations(graph, as_tracked(graph), [])
     assert found.away_m.shape == found.allowed_m.shape == (0,)
 
 

@@ -52,9 +52,9 @@ def test_a_long_step_of_a_recording_that_was_thinned_before_is_a_gap() -> None:
     rng = np.random.default_rng(3)
     tracked, placed = rng.normal(size=(5, 3)), np.zeros((5, 3))
     placed[:, 0] = [0.0, 0.1, 2.0, 2.1, 4.0]
-    gaps = gaps_of(placed, np.array([0, 0, 0, 0, 1]), CONFIG)
+    gaps = gaps_of(placed, np.array([0, 0, 0, 0, 1]))
     assert list(gaps) == [2]  # the last step leads into another recording
-    assert not gaps_of(placed, np.full(5, -1), CONFIG)  # a log of few scans
+    assert not gaps_of(placed, np.full(5, -1))  # a log of few scans
     found = moved(tracked_over_gaps(tracked, placed, np.arange(5), gaps))
     np.testing.assert_allclose(found[1], [1.9, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(found[[0, 2, 3]], moved(tracked)[[0, 2, 3]], atol=1e-12)
@@ -74,13 +74,13 @@ def test_what_is_left_lies_as_it_did_and_its_graph_says_so(
     tracked = tracked_over_gaps(whole.poses, layout.poses, numbers, ())
     with stored(tracked, [drive[1][k] for k in numbers.tolist()]) as store:
         of = np.zeros(len(layout.poses), dtype=np.int64)
-        gaps = gaps_of(store.poses, of[numbers], CONFIG)
-        fewer = without_keyframes(store, layout, numbers, of, gaps, CONFIG)
-        graph = joined(store.poses, fewer.nodes, fewer.odometry, CONFIG)
+        gaps = gaps_of(store.poses, of[numbers])
+        fewer = without_keyframes(store, layout, numbers, of, gaps)
+        graph = joined(store.poses, fewer.nodes, fewer.odometry)
     assert (fewer.poses == layout.poses[numbers]).all()
     assert len(fewer.odometry) == len(fewer.nodes) - 1
     draft = Draft(poses=fewer.poses[fewer.nodes], loops=fewer.kept)
-    again = solved(graph, draft, CONFIG).poses
+    again = solved(graph, draft).poses
     assert np.abs(again - draft.poses)[:, :2].max() < 0.05
 
 
@@ -94,7 +94,7 @@ def test_a_link_whose_end_is_gone_ends_beside_it(
     tracked = tracked_over_gaps(whole.poses, layout.poses, numbers, ())
     with stored(tracked, [drive[1][k] for k in numbers.tolist()]) as store:
         of = np.zeros(len(layout.poses), dtype=np.int64)
-        fewer = without_keyframes(store, layout, numbers, of, {}, CONFIG)
+        fewer = without_keyframes(store, layout, numbers, of, {})
     assert len({frozenset((one.source, one.target)) for one in fewer.kept}) == len(fewer.kept)
     stayed = len(layout.kept) - len(lost)
     assert len(fewer.kept) > stayed
@@ -114,7 +114,7 @@ def test_a_carried_link_is_less_sure_than_the_one_it_comes_from(
         tracked = tracked_over_gaps(whole.poses, layout.poses, numbers, ())
         with stored(tracked, [drive[1][k] for k in numbers.tolist()]) as store:
             of = np.zeros(len(layout.poses), dtype=np.int64)
-            fewer = without_keyframes(store, layout, numbers, of, {}, CONFIG)
+            fewer = without_keyframes(store, layout, numbers, of, {})
         (one,) = [each for each in fewer.kept if numbers[each.target] == 620]
         spread[first] = np.linalg.inv(one.information).trace()
     (link,) = [each for each in layout.kept if each.target == 620]

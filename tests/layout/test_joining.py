@@ -51,7 +51,7 @@ def twice(drive: tuple[FloatArray, list[PlanarScan]]) -> Iterator[Twice]:
 
 def joined(twice: Twice, motion: Pose2, ties: tuple[Constraint, ...] = ()) -> Layout:
     new = placed(twice.new, motion, CUT)
-    return join_layouts(twice.store, twice.old, new, ties, {CUT: None}, CONFIG)
+    return join_layouts(twice.store, twice.old, new, ties, {CUT: None})
 
 
 def test_the_second_recording_comes_to_lie_where_it_belongs(twice: Twice) -> None:

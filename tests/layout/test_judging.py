@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.agreement import Ends, Pairs, independent, largest_agreement, pairs_of
-from specmap_cli.layout.judging import Judgement, judge, spread_of
+from specmap_cli.layout.judging import _CLOSURE_VOTES, Judgement, judge, spread_of
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.pose_graph import Link
 from tests.layout.driving import as_tracked, graph_by_hand, link, true_link
+from tests.turning import turned
 
-CONFIG = RelaxationConfig()
 STEP = np.diag([1 / 0.035**2, 1 / 0.035**2, 1 / 0.006**2])  # of a metre, by the default settings
 SIDES_M = (60.0, 35.0)
 
@@ -76,8 +75,8 @@ def killian(seed: int) -> tuple[FloatArray, Graph, list[Link], list[bool]]:
     return truth, graph_of_steps(tracked_by(truth, seed)), closures, [bool(k < 8) for k in order]
 
 
-def judged(graph: Graph, closures: list[Link], config: RelaxationConfig = CONFIG) -> Judgement:
-    return judge(graph, as_tracked(graph), closures, config)
+def judged(graph: Graph, closures: list[Link]) -> Judgement:
+    return judge(graph, as_tracked(graph), closures)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -90,7 +89,7 @@ def test_eight_that_agree_win_and_three_that_agree_with_nothing_go(seed: int) ->
     far = [one for one, r in zip(found.closures, right, strict=True) if r and one.believed]
     assert max(one.away_m for one in far) > 3.0
     assert {one.reason for one in far} <= {"agreement", "near"}
-    assert min(one.votes for one in far if one.reason == "agreement") >= CONFIG.closure_votes
+    assert min(one.votes for one in far if one.reason == "agreement") >= _CLOSURE_VOTES
     assert judged(graph, closures) == found
 
 
@@ -101,24 +100,24 @@ def test_one_alone_must_stay_within_drift_and_two_are_not_several() -> None:
         verdicts = judged(graph, few).closures
         assert all(one.believed is (one.away_m <= one.allowed_m) for one in verdicts)
         assert {one.votes for one in verdicts} == {1}
-    strict = RelaxationConfig(closure_drift_share=0.001, closure_slack_m=0.0)
-    assert not any(one.believed for one in judged(graph, some[:2], strict).closures)
-    assert sum(one.believed for one in judged(graph, some, strict).closures) >= 7
+    with turned("layout.drift", _CLOSURE_DRIFT_SHARE=0.001, CLOSURE_SLACK_M=0.0):
+        assert not any(one.believed for one in judged(graph, some[:2]).closures)
+        assert sum(one.believed for one in judged(graph, some).closures) >= 7
 
 
 def test_the_same_place_seen_again_and_again_is_one_evidence() -> None:
     truth, rng = large_loop(), np.random.default_rng(0)
     graph, lap = graph_of_steps(tracked_by(truth, 1)), int(2 * sum(SIDES_M))
     same = [nearly(truth, 20 + k, 20 + k + lap, rng) for k in range(4)]
-    strict = RelaxationConfig(closure_drift_share=0.0, closure_slack_m=0.0)
-    assert not any(one.believed for one in judged(graph, same, strict).closures)
     along = [nearly(truth, 20 + 8 * k, 20 + 8 * k + lap, rng) for k in range(4)]
-    assert all(one.believed for one in judged(graph, along, strict).closures)
+    with turned("layout.drift", _CLOSURE_DRIFT_SHARE=0.0, CLOSURE_SLACK_M=0.0):
+        assert not any(one.believed for one in judged(graph, same).closures)
+        assert all(one.believed for one in judged(graph, along).closures)
 
 
 def compared(graph: Graph, closures: list[Link]) -> Pairs:
-    spread = spread_of(graph, as_tracked(graph), CONFIG)
-    return pairs_of(graph, graph.poses, Ends.of(graph, closures), spread, CONFIG)
+    spread = spread_of(graph, as_tracked(graph))
+    return pairs_of(graph, graph.poses, Ends.of(graph, closures), spread)
 
 
 def offices(count: int = 8) -> tuple[Graph, list[Link]]:
@@ -131,7 +130,7 @@ def offices(count: int = 8) -> tuple[Graph, list[Link]]:
 def test_look_alike_offices_agree_and_are_impossible() -> None:
     """Seven closures agree pair by pair, but the way between is too short to be off by 5 m."""
     graph, twins = offices()
-    agreed = largest_agreement(compared(graph, twins), CONFIG)
+    agreed = largest_agreement(compared(graph, twins))
     assert agreed.members == tuple(range(7))
     assert independent(Ends.of(graph, twins), agreed.members, graph.path, 4.0) == 7
     verdicts = judged(graph, twins).closures

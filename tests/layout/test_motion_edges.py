@@ -8,25 +8,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.observability import observability
 from specmap_cli.layout.motion_edges import (
+    _RANGE_NOISE_M,
     guess_information,
     motion_links,
     step_information,
 )
 from tests.layout.driving import between
 from tests.strategies import angles, seeds
+from tests.turning import turned
 
-CONFIG = RelaxationConfig()
 NOTHING = np.zeros((0, 2))
 
 
-def information_of(step: Pose2, points: FloatArray, config: RelaxationConfig) -> FloatArray:
+def information_of(step: Pose2, points: FloatArray) -> FloatArray:
     """Of one motion that ends where these points are seen."""
-    fisher = observability(points, config.range_noise_m)[None]
-    (information,) = step_information([step], fisher, config)
+    fisher = observability(points, _RANGE_NOISE_M)[None]
+    (information,) = step_information([step], fisher)
     return np.asarray(information)
 
 
@@ -56,11 +56,11 @@ def test_a_bare_corridor_leaves_the_way_along_it_open() -> None:
     walls = np.vstack([np.column_stack([x, x * 0 - 1]), np.column_stack([-x, x * 0 + 1])])
     fisher = observability(walls, 0.1)
     assert fisher[0, 0] < 1e-6 * fisher[1, 1]
-    sigma = np.sqrt(np.diag(np.linalg.inv(information_of(Pose2(0.3, 0, 0), walls, CONFIG))))
+    sigma = np.sqrt(np.diag(np.linalg.inv(information_of(Pose2(0.3, 0, 0), walls))))
     assert sigma[0] > 0.25
     assert sigma[1] < 0.05
     end = np.column_stack([x * 0 + 5, np.linspace(-1, 1, 100)])
-    closed = information_of(Pose2(0.3, 0, 0), np.vstack([walls, end]), CONFIG)
+    closed = information_of(Pose2(0.3, 0, 0), np.vstack([walls, end]))
     assert np.sqrt(np.linalg.inv(closed)[0, 0]) < 0.05
 
 
@@ -90,8 +90,8 @@ def test_a_turned_robot_sees_as_much(seed: int, angle: float) -> None:
 )
 def test_too_few_or_scattered_points_tell_nothing(points: FloatArray) -> None:
     assert np.array_equal(observability(points, 0.1), np.zeros((3, 3)))
-    blind = np.linalg.inv(information_of(Pose2(0.0, 0.0, 0.0), points, CONFIG))
-    guess = np.linalg.inv(guess_information(CONFIG))
+    blind = np.linalg.inv(information_of(Pose2(0.0, 0.0, 0.0), points))
+    guess = np.linalg.inv(guess_information())
     assert np.allclose(blind, guess + np.diag([0.01**2, 0.01**2, 0.003**2]))
 
 
@@ -100,22 +100,23 @@ def test_a_longer_motion_is_known_less_well(
     short: float, more: float, turn: float, further: float
 ) -> None:
     points = outline(1)
-    near = np.linalg.inv(information_of(Pose2(short, 0.0, turn), points, CONFIG))
-    far = np.linalg.inv(information_of(Pose2(short + more, 0.0, turn + further), points, CONFIG))
+    near = np.linalg.inv(information_of(Pose2(short, 0.0, turn), points))
+    far = np.linalg.inv(information_of(Pose2(short + more, 0.0, turn + further), points))
     assert (np.diag(far) >= np.diag(near) - 1e-12).all()
     assert np.allclose(near, near.T)
     assert (np.linalg.eigvalsh(near) > 0).all()
 
 
 def test_the_noise_of_a_motion_is_set() -> None:
-    coarse = RelaxationConfig(step_share=0.3, turn_share=0.2, guess_m=1e-6, guess_rad=1e-6)
-    spread = np.linalg.inv(information_of(Pose2(2.0, 0.0, 0.5), NOTHING, coarse))
+    noise = {"_STEP_SHARE": 0.3, "_TURN_SHARE": 0.2, "GUESS_M": 1e-6, "_GUESS_RAD": 1e-6}
+    with turned("layout.motion_edges", **noise):
+        spread = np.linalg.inv(information_of(Pose2(2.0, 0.0, 0.5), NOTHING))
     assert np.sqrt(np.diag(spread)) == pytest.approx([0.61, 0.61, 0.103], rel=1e-4)
 
 
 def test_each_node_is_linked_to_the_next_and_loosely_over_a_break(store: KeyframeStore) -> None:
     nodes = np.array([0, 3, 7, 20])
-    links = motion_links(store, nodes, {7: None}, CONFIG)
+    links = motion_links(store, nodes, {7: None})
     assert [(edge.source, edge.target, edge.kind) for edge in links] == [
         (0, 3, "odometry"),
         (3, 7, "loose"),
@@ -124,6 +125,6 @@ def test_each_node_is_linked_to_the_next_and_loosely_over_a_break(store: Keyfram
     for edge in links:
         expected = between(store.poses, edge.source, edge.target)
         assert edge.source_from_target == pytest.approx(expected, abs=1e-12)
-    assert np.array_equal(links[1].information, guess_information(CONFIG))
+    assert np.array_equal(links[1].information, guess_information())
     assert links[0].information[0, 0] > 100 * links[1].information[0, 0]
-    assert motion_links(store, nodes[:1], {}, CONFIG) == ()
+    assert motion_links(store, nodes[:1], {}) == ()

@@ -11,32 +11,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angle
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.nearby_passes import candidates, find_passes, passes_at
-from specmap_cli.layout.path_graph import Draft, Graph
+from specmap_cli.layout.path_graph import LOOP_PATH_M, Draft, Graph
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.solving import renewed
 from specmap_cli.layout.stops import stops
+from specmap_cli.layout.strays import _STRAY_VOTES
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import as_tracked, between
 from tests.strategies import pose_arrays
+from tests.turning import turned
 
-CONFIG = RelaxationConfig()
 Perfect = tuple[KeyframeStore, Graph]
 
 
-def by_loops(node: int, poses: FloatArray, path: FloatArray, config: RelaxationConfig) -> list[int]:
-    """The candidates of a node, from the words of the settings."""
+def by_loops(node: int, poses: FloatArray, path: FloatArray, radius: float) -> list[int]:
+    """The candidates of a node, from the words of the constants."""
     ranked = []
     for k in range(len(poses)):
         distance = float(np.hypot(*(poses[k, :2] - poses[node, :2])))
         turn = abs(wrap_angle(float(poses[k, 2] - poses[node, 2])))
-        if path[node] - path[k] > config.loop_path_m and distance < config.loop_radius_m:
+        if path[node] - path[k] > LOOP_PATH_M and distance < radius:
             ranked.append((distance + 0.7 * turn, k))
     chosen: list[int] = []
     for _, k in sorted(ranked):
-        if all(abs(path[k] - path[other]) > config.loop_radius_m for other in chosen):
+        if all(abs(path[k] - path[other]) > radius for other in chosen):
             chosen.append(k)
     return chosen
 
@@ -51,18 +52,18 @@ def test_candidates_are_near_far_along_the_path_and_apart(
     poses: FloatArray, steps: list[float], node: int, radius: float
 ) -> None:
     path = np.cumsum(steps)
-    config = RelaxationConfig(loop_radius_m=radius)
-    assert candidates(node, poses, path, config) == by_loops(node, poses, path, config)
+    with turned("layout.nearby_passes", LOOP_RADIUS_M=radius):
+        assert candidates(node, poses, path) == by_loops(node, poses, path, radius)
 
 
 def test_none_per_node_is_none(perfect: Perfect) -> None:
     store, graph = perfect
-    walls = Walls(store, graph, CONFIG.match_range_m)
-    none = RelaxationConfig(loops_per_node=0)
-    assert passes_at(190, graph, graph.poses, walls, {}, set(), 0.5, CONFIG).links
-    found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5, none)
-    assert (found.links, found.guesses, found.is_tied) == ((), {}, False)
-    assert find_passes(graph, as_tracked(graph), walls, none).loops == ()
+    walls = Walls(store, graph, MATCH_RANGE_M)
+    assert passes_at(190, graph, graph.poses, walls, {}, set(), 0.5).links
+    with turned("layout.nearby_passes", LOOPS_PER_NODE=0):
+        found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
+        assert (found.links, found.guesses, found.is_tied) == ((), {}, False)
+        assert find_passes(graph, as_tracked(graph), walls).loops == ()
 
 
 @given(st.lists(st.floats(0.0, 3.0), min_size=1, max_size=30), st.floats(0.1, 5.0))
@@ -82,8 +83,8 @@ def rows_of(graph: Graph, links: Sequence[Link]) -> set[tuple[int, int]]:
 
 def test_a_pass_is_linked_and_remembered(perfect: Perfect) -> None:
     store, graph = perfect
-    walls = Walls(store, graph, CONFIG.match_range_m)
-    first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5, CONFIG)
+    walls = Walls(store, graph, MATCH_RANGE_M)
+    first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
     assert first.is_tied
     (found,) = first.links
     truth = between(graph.tracked, found.source, found.target)
@@ -91,7 +92,7 @@ def test_a_pass_is_linked_and_remembered(perfect: Perfect) -> None:
     assert found.target == graph.nodes[190]
     assert first.cut_short == 0
     linked = rows_of(graph, first.links)
-    again = passes_at(190, graph, graph.poses, walls, first.guesses, linked, 0.5, CONFIG)
+    again = passes_at(190, graph, graph.poses, walls, first.guesses, linked, 0.5)
     assert again.links == ()
     assert again.is_tied
     assert again.guesses == first.guesses
@@ -99,15 +100,15 @@ def test_a_pass_is_linked_and_remembered(perfect: Perfect) -> None:
 
 def test_the_second_pass_is_asked_when_the_first_does_not_fit(perfect: Perfect) -> None:
     store, graph = perfect
-    walls = Walls(store, graph, CONFIG.match_range_m)
+    walls = Walls(store, graph, MATCH_RANGE_M)
     graph = replace(graph, path=10 * graph.path)  # so that neighbours are passes of their own
-    best, second = candidates(190, graph.poses, graph.path, CONFIG)[:2]
+    best, second = candidates(190, graph.poses, graph.path)[:2]
     guess = Pose2(*compose(invert(graph.poses[best]), graph.poses[190]).tolist())
     tried = {(best, 190): guess}  # to no avail
-    found = passes_at(190, graph, graph.poses, walls, tried, set(), 0.5, CONFIG)
+    found = passes_at(190, graph, graph.poses, walls, tried, set(), 0.5)
     assert rows_of(graph, found.links) == {(second, 190)}
-    one = RelaxationConfig(loops_per_node=1)
-    assert not passes_at(190, graph, graph.poses, walls, tried, set(), 0.5, one).is_tied
+    with turned("layout.nearby_passes", LOOPS_PER_NODE=1):
+        assert not passes_at(190, graph, graph.poses, walls, tried, set(), 0.5).is_tied
 
 
 @pytest.mark.parametrize(("shift", "count"), [(0.9, 0), (1.1, 1)])
@@ -115,32 +116,32 @@ def test_a_pair_that_moved_by_a_metre_is_matched_again(
     perfect: Perfect, shift: float, count: int
 ) -> None:
     store, graph = perfect
-    walls = Walls(store, graph, CONFIG.match_range_m)
-    config = RelaxationConfig(loops_per_node=1)
-    first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5, config)
-    moved = {pair: guess @ Pose2(shift, 0.0, 0.0) for pair, guess in first.guesses.items()}
-    found = passes_at(190, graph, graph.poses, walls, moved, set(), 0.5, config)
+    walls = Walls(store, graph, MATCH_RANGE_M)
+    with turned("layout.nearby_passes", LOOPS_PER_NODE=1):
+        first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
+        moved = {pair: guess @ Pose2(shift, 0.0, 0.0) for pair, guess in first.guesses.items()}
+        found = passes_at(190, graph, graph.poses, walls, moved, set(), 0.5)
     assert len(found.links) == count
 
 
 def test_a_search_shorter_than_the_drift_is_counted(perfect: Perfect) -> None:
     store, graph = perfect
-    walls = Walls(store, graph, CONFIG.match_range_m)
-    config = RelaxationConfig(loop_search_max_m=0.5)
-    found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.6, config)
+    walls = Walls(store, graph, MATCH_RANGE_M)
+    with turned("layout.nearby_passes", LOOP_SEARCH_MAX_M=0.5):
+        found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.6)
     assert found.cut_short == len(found.guesses) > 0
     tied = as_tracked(graph)
-    hasty = RelaxationConfig(loop_search_max_m=0.3)
-    assert find_passes(graph, tied, walls, hasty).limits["loop_search_max_m"] > 0
-    wide = RelaxationConfig(loop_search_max_m=9.0)
-    assert find_passes(graph, tied, walls, wide).limits == {}
+    with turned("layout.nearby_passes", LOOP_SEARCH_MAX_M=0.3):
+        assert find_passes(graph, tied, walls).limits["loop_search_max_m"] > 0
+    with turned("layout.nearby_passes", LOOP_SEARCH_MAX_M=9.0):
+        assert find_passes(graph, tied, walls).limits == {}
 
 
 def test_passes_are_found_along_the_second_lap(perfect: Perfect) -> None:
     store, graph = perfect
-    walls = Walls(store, graph, CONFIG.match_range_m)
+    walls = Walls(store, graph, MATCH_RANGE_M)
     draft = as_tracked(graph)
-    found = find_passes(graph, draft, walls, CONFIG)
+    found = find_passes(graph, draft, walls)
     assert len(found.loops) >= 15
     for edge in found.loops:
         truth = between(graph.tracked, edge.source, edge.target)
@@ -149,7 +150,7 @@ def test_passes_are_found_along_the_second_lap(perfect: Perfect) -> None:
     assert np.abs(found.poses - graph.poses).max() < 0.1, "they confirm what was right"
     assert draft.loops == ()
     assert draft.tried == {}
-    again = find_passes(graph, found, walls, CONFIG)
+    again = find_passes(graph, found, walls)
     fresh = set(again.tried) - set(found.tried)
     assert len(fresh) <= 2, "nodes moved by millimetres: hardly another one is the nearest"
     assert found.loops == again.loops[: len(found.loops)]
@@ -159,36 +160,38 @@ def test_passes_are_found_along_the_second_lap(perfect: Perfect) -> None:
 def test_where_more_passes_came_by_stops_are_farther_apart(perfect: Perfect) -> None:
     """Each neighbour of a node counts as a pass of its own: there are many."""
     store, graph = perfect
-    walls = Walls(store, graph, CONFIG.match_range_m)
+    walls = Walls(store, graph, MATCH_RANGE_M)
     known = replace(graph, path=10 * graph.path)  # metres that are decimetres
-    sparse = RelaxationConfig(loop_every_m=10.0, loop_path_m=60.0, drift_share=0.004)
-    often = RelaxationConfig(loop_every_m=10.0, loop_path_m=60.0, drift_share=0.02)
-    found = find_passes(known, as_tracked(graph), walls, sparse)
+    with turned("layout.path_graph", LOOP_EVERY_M=10.0, LOOP_PATH_M=60.0):
+        with turned("layout.uncertainty", DRIFT_SHARE=0.004):
+            found = find_passes(known, as_tracked(graph), walls)
+        with turned("layout.uncertainty", DRIFT_SHARE=0.02):
+            often = find_passes(known, as_tracked(graph), walls)
     newer = sorted(graph.row[link.target] for link in found.loops)
     ways = np.diff(known.path[newer])
     assert ways.min() >= 20.0
     assert np.median(ways) < 45.0, "no farther than the path drifts by half of the least search"
-    assert len(find_passes(known, as_tracked(graph), walls, often).loops) > 1.5 * len(found.loops)
+    assert len(often.loops) > 1.5 * len(found.loops)
 
 
 def test_what_confirms_the_layout_does_not_renew_it(
     perfect: Perfect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, graph = perfect
-    walls = Walls(store, graph, CONFIG.match_range_m)
+    walls = Walls(store, graph, MATCH_RANGE_M)
     solutions: list[int] = []
 
-    def counted(graph: Graph, draft: Draft, config: RelaxationConfig) -> Draft:
+    def counted(graph: Graph, draft: Draft) -> Draft:
         solutions.append(len(draft.loops))
-        return renewed(graph, draft, config)
+        return renewed(graph, draft)
 
     monkeypatch.setattr("specmap_cli.layout.nearby_passes.renewed", counted)
-    config = RelaxationConfig(solve_every=2)
-    assert len(find_passes(graph, as_tracked(graph), walls, config).loops) >= 15
+    monkeypatch.setattr("specmap_cli.layout.nearby_passes._SOLVE_EVERY", 2)
+    assert len(find_passes(graph, as_tracked(graph), walls).loops) >= 15
     assert solutions == []
     aside = graph.poses
     aside[graph.parts == 1, 1] += 0.25
-    find_passes(graph, replace(as_tracked(graph), poses=aside), walls, config)
+    find_passes(graph, replace(as_tracked(graph), poses=aside), walls)
     assert 0 < len(solutions) < 5, "the first bring the rest where it belongs"
 
 
@@ -198,10 +201,12 @@ def test_the_layout_is_renewed_as_passes_come_in(perfect: Perfect) -> None:
     second = graph.parts == 1
     aside = graph.poses
     aside[second, 1] += 0.25
-    walls = Walls(store, graph, CONFIG.match_range_m)
+    walls = Walls(store, graph, MATCH_RANGE_M)
     start = replace(as_tracked(graph), poses=aside)
-    often = find_passes(graph, start, walls, RelaxationConfig(solve_every=2))
-    never = find_passes(graph, start, walls, RelaxationConfig(solve_every=10_000))
+    with turned("layout.nearby_passes", _SOLVE_EVERY=2):
+        often = find_passes(graph, start, walls)
+    with turned("layout.nearby_passes", _SOLVE_EVERY=10_000):
+        never = find_passes(graph, start, walls)
     assert np.array_equal(never.poses, aside)
     off = np.hypot(*(often.poses - graph.poses)[second, :2].T)
     assert off.max() < 0.1
@@ -209,11 +214,12 @@ def test_the_layout_is_renewed_as_passes_come_in(perfect: Perfect) -> None:
 
 def test_a_stray_part_is_rejoined_on_the_way(perfect: Perfect) -> None:
     store, graph = perfect
-    walls = Walls(store, graph, CONFIG.match_range_m)
+    walls = Walls(store, graph, MATCH_RANGE_M)
     draft = Draft(poses=graph.poses)
-    found = find_passes(graph, draft, walls, CONFIG)
+    found = find_passes(graph, draft, walls)
     assert found.tied == {0, 1}
-    assert found.tries[1] >= CONFIG.stray_votes - 1, "the guess, which is right, is a vote"
-    alone = find_passes(graph, draft, walls, RelaxationConfig(stray_tries=0))
+    assert found.tries[1] >= _STRAY_VOTES - 1, "the guess, which is right, is a vote"
+    with turned("layout.strays", STRAY_TRIES=0):
+        alone = find_passes(graph, draft, walls)
     assert alone.tied == {0}
     assert all(edge.target < 480 for edge in alone.loops), "a guess is no place to look from"

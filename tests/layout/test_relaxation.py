@@ -7,14 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from specmap_cli.core.config import load_config
-from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.relaxation import Constraint, relax
 from tests.layout.driving import STIFF, drifted, stored, true_constraint, worst
+from tests.turning import turned
 
 CONFIG = RelaxationConfig()
 
@@ -166,9 +165,9 @@ def test_the_layout_holds_what_it_was_made_of(store: KeyframeStore) -> None:
 def test_limits_that_were_hit_are_told(drive: tuple[FloatArray, list[PlanarScan]]) -> None:
     truth, scans = drive
     elsewhere = np.vstack([truth[:60], truth[300:360]])
-    tight = RelaxationConfig(solve_iterations=1, stray_tries=2)
     with stored(drifted(elsewhere, 0.003), [*scans[:60], *scans[300:360]]) as store:
-        layout = relax(store, [true_constraint(elsewhere, 3, 50)], [60], tight)
+        with turned("layout.solving", _SOLVE_ITERATIONS=1), turned("layout.strays", STRAY_TRIES=2):
+            layout = relax(store, [true_constraint(elsewhere, 3, 50)], [60], CONFIG)
         usual = relax(store, [true_constraint(elsewhere, 3, 50)], [60], CONFIG)
     assert layout.limits["stray_tries"] == 1
     assert layout.limits["solve_iterations"] >= 1
@@ -179,10 +178,10 @@ def test_closures_are_all_there_is_without_passes(
     drive: tuple[FloatArray, list[PlanarScan]],
 ) -> None:
     truth, scans = drive
-    config = RelaxationConfig(loops_per_node=0)
-    with stored(drifted(truth), scans) as store:
-        alone = relax(store, [], [], config)
-        tied = relax(store, [true_constraint(truth, 100, 590)], [], config)
+    without_passes = turned("layout.nearby_passes", LOOPS_PER_NODE=0)
+    with stored(drifted(truth), scans) as store, without_passes:
+        alone = relax(store, [], [], CONFIG)
+        tied = relax(store, [true_constraint(truth, 100, 590)], [], CONFIG)
     tracked = drifted(truth)
     assert np.allclose(alone.poses, tracked, atol=1e-6)
     assert alone.kept == ()
@@ -190,8 +189,3 @@ def test_closures_are_all_there_is_without_passes(
     gap = compose(invert(tied.poses[100]), tied.poses[590])
     assert np.hypot(*(gap - compose(invert(truth[100]), truth[590]))[:2]) < 0.1
     assert np.hypot(*(compose(invert(tracked[100]), tracked[590]) - gap)[:2]) > 0.5
-
-
-def test_a_search_cannot_be_longer_than_its_limit() -> None:
-    with pytest.raises(UsageError, match="loop_search_m must not be above loop_search_max_m"):
-        load_config(overrides={"relaxation": {"loop_search_m": 3.0}})

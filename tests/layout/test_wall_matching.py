@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import SPREAD_M, Match, ScoreField, Window, search
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.wall_matching import WallFit, match_walls, nearby_link, opened
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import between, scans_of
+from tests.turning import turned
 
-CONFIG = RelaxationConfig()
 Perfect = tuple[KeyframeStore, Graph]
 
 
@@ -23,7 +23,7 @@ def pass_of(perfect: Perfect, row: int) -> tuple[FloatArray, FloatArray, Pose2]:
     """Walls of a node of the second lap, of the same place in the first, and the true pose."""
     store, graph = perfect
     away = np.hypot(*(graph.poses[:100, :2] - graph.poses[row, :2]).T)
-    old, walls = int(np.argmin(away)), Walls(store, graph, CONFIG.match_range_m)
+    old, walls = int(np.argmin(away)), Walls(store, graph, MATCH_RANGE_M)
     source, target = walls.around(row, 3, graph.poses), walls.around(old, 8, graph.poses)
     return source, target, between(graph.poses, old, row)
 
@@ -47,7 +47,7 @@ def test_a_pass_is_matched_to_centimetres(perfect: Perfect, seed: int) -> None:
     rng = np.random.default_rng(seed)
     source, target, truth = pass_of(perfect, int(rng.integers(142, 205)))
     error = Pose2(*rng.uniform((-0.7, -0.7, -0.14), (0.7, 0.7, 0.14)).tolist())
-    fit = match_walls(source, target, truth @ error, 1.0, CONFIG)
+    fit = match_walls(source, target, truth @ error, 1.0)
     assert fit is not None
     gap = truth.inverse() @ fit.target_from_source
     assert gap.distance < 0.05
@@ -58,12 +58,11 @@ def test_a_pass_is_matched_to_centimetres(perfect: Perfect, seed: int) -> None:
 
 def test_another_place_does_not_fit(perfect: Perfect) -> None:
     store, graph = perfect
-    walls = Walls(store, graph, CONFIG.match_range_m)
+    walls = Walls(store, graph, MATCH_RANGE_M)
     source, target = (walls.around(row, reach, graph.poses) for row, reach in ((10, 3), (45, 8)))
     here = Pose2(0.0, 0.0, 0.0)
-    assert match_walls(source, target, here, 1.0, CONFIG) is None
-    lax = RelaxationConfig(loop_score=0.0)
-    assert match_walls(source, target, here, 1.0, lax) is not None, "the score alone refuses it"
+    assert match_walls(source, target, here, 1.0) is None
+    assert match_walls(source, target, here, 1.0, 0.0) is not None, "the score alone refuses it"
 
 
 def counted_searches(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
@@ -88,7 +87,7 @@ def test_what_fits_where_it_is_said_to_be_is_not_searched(
 ) -> None:
     source, target, truth = pass_of(perfect, 190)
     windows = counted_searches(monkeypatch)
-    fit = match_walls(source, target, truth @ Pose2(off_m, 0.0, 0.0), drift_m, CONFIG)
+    fit = match_walls(source, target, truth @ Pose2(off_m, 0.0, 0.0), drift_m)
     assert fit is not None
     assert (truth.inverse() @ fit.target_from_source).distance < 0.05
     assert len(windows) == searches
@@ -100,7 +99,7 @@ def test_where_much_may_have_drifted_a_good_fit_is_not_the_end_of_it(
     """Doors in a row look alike: the next one may fit better still."""
     source, target, truth = pass_of(perfect, 190)
     windows = counted_searches(monkeypatch)
-    assert match_walls(source, target, truth, 0.6, CONFIG) is not None
+    assert match_walls(source, target, truth, 0.6) is not None
     assert len(windows) == 2
 
 
@@ -110,15 +109,15 @@ def test_what_shows_other_walls_is_given_up_after_the_rough_search(
     source, _, _ = pass_of(perfect, 190)
     windows = counted_searches(monkeypatch)
     target = np.column_stack([np.linspace(20.0, 25.0, 200), np.full(200, 20.0)])
-    assert match_walls(source, target, Pose2(0.0, 0.0, 0.0), 0.4, CONFIG) is None
+    assert match_walls(source, target, Pose2(0.0, 0.0, 0.0), 0.4) is None
     assert len(windows) == 1
 
 
 def test_what_lies_farther_off_than_the_drift_is_not_found(perfect: Perfect) -> None:
     source, target, truth = pass_of(perfect, 190)
     guess = truth @ Pose2(2.0, 0.0, 0.0)
-    near = match_walls(source, target, guess, 0.5, CONFIG)
-    far = match_walls(source, target, guess, 2.2, CONFIG)
+    near = match_walls(source, target, guess, 0.5)
+    far = match_walls(source, target, guess, 2.2)
     assert near is None or (truth.inverse() @ near.target_from_source).distance > 0.5
     assert far is not None
     assert (truth.inverse() @ far.target_from_source).distance < 0.05
@@ -128,10 +127,10 @@ def test_what_lies_farther_off_than_the_drift_is_not_found(perfect: Perfect) -> 
 def test_too_few_points_are_not_matched(count: int, least: int, found: bool) -> None:
     points = corridor()
     few = points[:: len(points) // count]
-    config = RelaxationConfig(match_points=least, loop_score=0.1)
     here = Pose2(0.0, 0.0, 0.0)
-    assert (match_walls(few, points, here, 0.3, config) is not None) is found
-    assert match_walls(np.zeros((0, 2)), points, here, 0.3, config) is None
+    with turned("layout.wall_matching", MATCH_POINTS=least):
+        assert (match_walls(few, points, here, 0.3, 0.1) is not None) is found
+        assert match_walls(np.zeros((0, 2)), points, here, 0.3, 0.1) is None
 
 
 @pytest.mark.parametrize(("turn", "open_axis"), [(0.0, 0), (np.pi / 2, 1)])
@@ -142,7 +141,7 @@ def test_along_a_corridor_a_match_is_loose_in_the_frame_of_the_source(
     points = corridor()
     target_from_source = Pose2(0.0, 0.0, turn)
     source = target_from_source.inverse().apply(points)
-    deviation = deviations(match_walls(source, points, target_from_source, 0.3, CONFIG))
+    deviation = deviations(match_walls(source, points, target_from_source, 0.3))
     assert deviation[open_axis] > 0.1
     assert deviation[1 - open_axis] < 0.05
 
@@ -175,7 +174,7 @@ def test_a_window_that_fits_all_over_says_nothing_of_the_way(heading: float) -> 
 def test_in_a_bare_corridor_the_nearest_of_equal_places_is_taken() -> None:
     short = corridor(500)
     short = short[np.abs(short[:, 0]) < 3.0]
-    fit = match_walls(short, corridor(), Pose2(0.5, 0.0, 0.0), 2.0, CONFIG)
+    fit = match_walls(short, corridor(), Pose2(0.5, 0.0, 0.0), 2.0)
     assert fit is not None
     assert abs(fit.target_from_source.x - 0.5) < 0.35
     assert abs(fit.target_from_source.y) < 0.03

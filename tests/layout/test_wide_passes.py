@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.judging import judge, spread_of
+from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.path_graph import Graph, graph_of
 from specmap_cli.layout.strays import Guess
 from specmap_cli.layout.walls import Walls
 from specmap_cli.layout.wide_passes import WideClaims, wide_claims
 from tests.layout.driving import as_tracked, between, link, stored
+from tests.turning import turned
 
-CONFIG = RelaxationConfig(wide_every_m=4.0)
 Drive = tuple[FloatArray, list[PlanarScan]]
+
+
+@pytest.fixture(autouse=True)
+def _often() -> Iterator[None]:
+    with turned("layout.wide_passes", _WIDE_EVERY_M=4.0):
+        yield
 
 
 def stretched(truth: FloatArray, metres: float, until: int = 450) -> FloatArray:
@@ -26,58 +34,61 @@ def stretched(truth: FloatArray, metres: float, until: int = 450) -> FloatArray:
     return tracked
 
 
-def searched(drive: Drive, metres: float, config: RelaxationConfig) -> tuple[Graph, WideClaims]:
+def searched(drive: Drive, metres: float) -> tuple[Graph, WideClaims]:
     """What is found where the second lap was put metres aside, by an error that is expected."""
     truth, scans = drive
     with stored(stretched(truth, metres), scans) as store:
-        graph = graph_of(store, [], [], config)
-        spread = spread_of(graph, as_tracked(graph), config)
-        walls = Walls(store, graph, config.match_range_m)
-        return graph, wide_claims(graph, as_tracked(graph), walls, spread, config)
+        graph = graph_of(store, [], [])
+        spread = spread_of(graph, as_tracked(graph))
+        walls = Walls(store, graph, MATCH_RANGE_M)
+        return graph, wide_claims(graph, as_tracked(graph), walls, spread)
 
 
 def test_what_lies_metres_away_is_found(drive: Drive) -> None:
     truth, _ = drive
-    graph, claims = searched(drive, 4.0, CONFIG)
+    graph, claims = searched(drive, 4.0)
     late = [claim for claim in claims.links if claim.target > 480]
     assert len(late) >= 3
     for claim in late:
         gap = between(truth, claim.source, claim.target).inverse() @ claim.source_from_target
         assert gap.distance < 0.2
     assert {claim.kind for claim in claims.links} == {"nearby"}
-    verdicts = judge(graph, as_tracked(graph), late, CONFIG).closures
+    verdicts = judge(graph, as_tracked(graph), late).closures
     assert min(one.away_m for one in verdicts) > 3.0
-    alone = judge(graph, as_tracked(graph), late[:1], CONFIG).closures
+    alone = judge(graph, as_tracked(graph), late[:1]).closures
     assert [one.reason for one in alone] == ["impossible"], "one pass far away is not believed"
 
 
 @pytest.mark.parametrize(
-    "config",
+    ("home", "name", "value"),
     [
-        RelaxationConfig(loops_per_node=0),
-        RelaxationConfig(loop_search_max_m=99.0),  # the near search reaches as far
-        RelaxationConfig(wide_every_m=500.0),
+        ("layout.nearby_passes", "LOOPS_PER_NODE", 0),
+        ("layout.nearby_passes", "LOOP_SEARCH_MAX_M", 99.0),  # the near search reaches as far
+        ("layout.wide_passes", "_WIDE_EVERY_M", 500.0),
     ],
 )
-def test_nothing_is_searched_where_it_need_not_be(drive: Drive, config: RelaxationConfig) -> None:
-    assert searched(drive, 4.0, config)[1] == WideClaims((), {})
+def test_nothing_is_searched_where_it_need_not_be(
+    drive: Drive, home: str, name: str, value: float
+) -> None:
+    with turned(home, **{name: value}):
+        assert searched(drive, 4.0)[1] == WideClaims((), {})
 
 
 def test_a_path_that_is_tied_is_not_searched_and_nothing_twice(drive: Drive) -> None:
     truth, scans = drive
     with stored(stretched(truth, 4.0), scans) as store:
-        graph = graph_of(store, [], [], CONFIG)
-        walls = Walls(store, graph, CONFIG.match_range_m)
+        graph = graph_of(store, [], [])
+        walls = Walls(store, graph, MATCH_RANGE_M)
         draft = as_tracked(graph)
-        spread = spread_of(graph, draft, CONFIG)
+        spread = spread_of(graph, draft)
         nodes = graph.nodes.tolist()
         ties = [link(nodes[0], node, (0.0, 0.0, 0.0)) for node in nodes[30:]]
         tied = as_tracked(graph, *ties)
-        assert wide_claims(graph, tied, walls, spread, CONFIG) == WideClaims((), {})
-        first = wide_claims(graph, draft, walls, spread, CONFIG)
+        assert wide_claims(graph, tied, walls, spread) == WideClaims((), {})
+        first = wide_claims(graph, draft, walls, spread)
         again = as_tracked(graph)
         again = type(again)(poses=again.poses, tied=again.tied, tried=first.guesses)
-        assert wide_claims(graph, again, walls, spread, CONFIG) == WideClaims((), {})
+        assert wide_claims(graph, again, walls, spread) == WideClaims((), {})
 
 
 def test_a_guess_reaches_along_its_error_and_turns_as_far() -> None:

@@ -16,6 +16,7 @@ from specmap_cli.logs.ceiling import Ceiling
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
+from tests.turning import configured
 
 REACH_M, CODE_M, CLAIMED_M = 2.5, 2.8, 30.0
 
@@ -102,7 +103,7 @@ def test_no_scan_of_a_log_has_a_return_there_and_a_warning_tells_the_distance(
 
 def test_it_is_found_after_the_first_look_too(coded_log: Path) -> None:
     with open_log([coded_log]) as log:
-        stream = SweepStream(log, LogConfig(look_scans=3))
+        stream = SweepStream(log, configured(LogConfig, "logs", {"look_scans": 3}))
         shown = [has_code(sweep) for sweep in stream]
     assert any(shown[:3])
     assert not any(shown[len(shown) // 2 :])

@@ -17,6 +17,7 @@ from specmap_cli.logs.readers.encoding import odometry_cdr, scan_cdr
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.readers.typestore import ODOMETRY
 from specmap_cli.logs.writer import LogWriter
+from tests.turning import configured, turn
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
@@ -39,7 +40,8 @@ def write_scans(path: Path, stamps_s: list[float], beams: int = 5) -> None:
 
 def check_of(path: Path, **options: object) -> tuple[TopicCheck, ...]:
     with open_log(path) as log:
-        return check(log, LogConfig.model_validate(options))
+        turn("logs", **options)
+        return check(log)
 
 
 def test_an_intact_log(drive: Path) -> None:
@@ -119,7 +121,7 @@ def test_info_counts_what_is_lost_only_when_all_is_read(
         db.execute(f"UPDATE messages SET data = 'no bytes' WHERE id = {last}")
     db.close()
     with open_log(path) as log:
-        quick = summarize(log, LogConfig(look_scans=3))
+        quick = summarize(log, configured(LogConfig, "logs", {"look_scans": 3}))
         assert quick.checked is None
         assert quick.damage == ()
         said = "checked: only the beginning; --check reads all messages and compares the counts"
@@ -153,5 +155,3 @@ def test_a_topic_of_which_nothing_is_left_is_listed(
 def test_wrong_types_are_refused_at_once(drive: Path) -> None:
     with pytest.raises(TypeError, match=r"^log: expected .*Log, found"):
         check(str(drive))  # type: ignore[arg-type]
-    with open_log(drive) as log, pytest.raises(TypeError, match=r"^config: .*LogConfig, found"):
-        check(log, {"pause_intervals": 4})  # type: ignore[arg-type]

@@ -19,6 +19,7 @@ from specmap_cli.logs.readers.typestore import LASER_SCAN, ODOMETRY
 from specmap_cli.logs.sensors import Glimpse
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
+from tests.turning import turn
 
 SECOND = 1_000_000_000
 TODAY = 1_700_000_000 * SECOND
@@ -52,15 +53,16 @@ def tenths(count: int, start: int = TODAY) -> list[int]:
 def test_stamps_are_used_while_they_say_when(
     stamps: list[int], times: list[int], source: str
 ) -> None:
-    assert choose_clock(glimpses(stamps, times), [], SETTINGS).source == source
+    assert choose_clock(glimpses(stamps, times), []).source == source
 
 
 def test_scans_by_order_are_stamped_by_the_rate_that_whole_seconds_tell() -> None:
     whole = [t // SECOND * SECOND for t in tenths(41, 5 * SECOND)]
-    clock = choose_clock(glimpses(whole, whole), [], SETTINGS)
+    clock = choose_clock(glimpses(whole, whole), [])
     assert (clock.source, clock.first_ns, clock.interval_ns) == ("order", 5 * SECOND, SECOND // 10)
     assert [clock.scan_ns(n, 0, 0) for n in range(3)] == tenths(3, 5 * SECOND)
-    unknown = choose_clock(glimpses([7] * 5, [7] * 5), [], LogConfig(order_interval_s=0.5))
+    turn("logs", order_interval_s=0.5)
+    unknown = choose_clock(glimpses([7] * 5, [7] * 5), [])
     assert (unknown.first_ns, unknown.interval_ns) == (7, SECOND // 2)
 
 
@@ -74,8 +76,8 @@ def test_scans_by_order_leave_the_time_to_drive(
     """Otherwise the odometry of a sparse log would seem to jump."""
     zeros = [0] * 9
     besides = [Beside((0, 0), (0, 0), (n * step_m, 0.0)) for n in range(3)]
-    config = LogConfig(order_speed_mps=speed_mps)
-    clock = choose_clock(glimpses(zeros, zeros), besides, config)
+    turn("logs", order_speed_mps=speed_mps)
+    clock = choose_clock(glimpses(zeros, zeros), besides)
     assert clock.interval_ns == round(interval_s * SECOND)
 
 
@@ -88,15 +90,16 @@ def test_the_settings_say_how_far_apart_the_clocks_may_be(
     times = tenths(9)
     ahead = [t + round(apart_s * SECOND) for t in times]
     besides = [Beside((t, t), (s, t)) for s, t in zip(ahead, times, strict=True)]
-    clock = choose_clock(glimpses(ahead, times), besides, LogConfig(clocks_apart_s=limit_s))
+    turn("logs", clocks_apart_s=limit_s)
+    clock = choose_clock(glimpses(ahead, times), besides)
     assert clock.odometry_shift_ns == round(shift_s * SECOND)
 
 
 def test_a_zero_among_stamps_of_the_recorders_clock_was_never_set() -> None:
     stamps = [0, *tenths(9)[1:]]
-    same = choose_clock(glimpses(stamps, tenths(9)), [], SETTINGS)
+    same = choose_clock(glimpses(stamps, tenths(9)), [])
     assert same.scan_ns(0, 0, TODAY) == TODAY
-    simulated = choose_clock(glimpses(tenths(9, 0), tenths(9)), [], SETTINGS)
+    simulated = choose_clock(glimpses(tenths(9, 0), tenths(9)), [])
     assert simulated.scan_ns(0, 0, TODAY) == 0
     assert Clock(odometry_shift_ns=5).odometry_ns(0, TODAY) == TODAY
 

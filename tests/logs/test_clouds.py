@@ -27,7 +27,7 @@ def cloud(name: str, kind: str, values: NDArray[np.float64]) -> CloudRecord:
 
 
 def points_of(record: CloudRecord, clock: PointClock | None = None) -> CloudPoints:
-    return cloud_points(record, STAMP, LogConfig(), clock)
+    return cloud_points(record, STAMP, clock)
 
 
 @pytest.mark.parametrize(

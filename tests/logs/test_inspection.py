@@ -25,6 +25,7 @@ from specmap_cli.logs.summary import (
     TopicSummary,
 )
 from specmap_cli.logs.writer import LogWriter
+from tests.turning import configured
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
@@ -32,7 +33,7 @@ START = 1_700_000_000 * SECOND
 
 def summary_of(path: Path | list[Path], **options: object) -> LogSummary:
     with open_log(path) as log:
-        return summarize(log, LogConfig.model_validate(options))
+        return summarize(log, configured(LogConfig, "logs", options))
 
 
 def write_scans(path: Path, count: int = 3, beams: int = 5, **scan: Any) -> None:

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.levelling import CloudLeveller, floor_of
+from tests.turning import turn
 
 
 def room(seed: int = 0) -> FloatArray:
@@ -30,7 +30,7 @@ def test_a_tilted_lidar_is_levelled_and_keeps_its_heading(
 ) -> None:
     turned = Rotation.from_euler("Z", yaw).apply(room())
     level_from_lidar = Rotation.from_euler("YX", [pitch, roll])
-    found = floor_of(level_from_lidar.inv().apply(turned), LogConfig())
+    found = floor_of(level_from_lidar.inv().apply(turned))
     assert found is not None
     off = Rotation.from_matrix(found.rotation) * level_from_lidar.inv()
     assert off.magnitude() < 0.004
@@ -40,7 +40,7 @@ def test_a_tilted_lidar_is_levelled_and_keeps_its_heading(
 def test_returns_beneath_the_floor_do_not_hide_it() -> None:
     """A shiny floor mirrors the ceiling."""
     mirrored = room()[3000:6000][::40] * (1.0, 1.0, -1.0) - (0.0, 0.0, 2.4)
-    found = floor_of(np.concatenate([room(), mirrored]), LogConfig())
+    found = floor_of(np.concatenate([room(), mirrored]))
     assert found is not None
     assert found.floor_m == pytest.approx(-1.2, abs=0.01)
 
@@ -63,25 +63,22 @@ def only(*keep: str) -> FloatArray:
     ids=["nothing", "few", "no floor", "strip", "too far", "small share"],
 )
 def test_a_cloud_without_a_floor_says_so(cloud: FloatArray, settings_: dict[str, float]) -> None:
-    assert floor_of(cloud, LogConfig.model_validate(settings_)) is None
+    turn("logs", **settings_)
+    assert floor_of(cloud) is None
 
 
 def test_a_floor_tilted_beyond_the_limit_is_none() -> None:
     tilted = Rotation.from_euler("X", 0.5).apply(only("floor"))
-    assert floor_of(tilted, LogConfig()) is not None
-    assert floor_of(tilted, LogConfig(floor_tilt_max_rad=0.3)) is None
+    assert floor_of(tilted) is not None
+    turn("logs", floor_tilt_max_rad=0.3)
+    assert floor_of(tilted) is None
 
 
 def test_a_cloud_without_a_floor_has_the_level_of_the_one_before() -> None:
-    leveller = CloudLeveller(LogConfig())
+    leveller = CloudLeveller()
     first = leveller.level(only("walls", "ceiling"))
     np.testing.assert_array_equal(first.rotation, np.eye(3))
     assert first.floor_m is None
     second = leveller.level(Rotation.from_euler("X", 0.2).apply(room()))
     assert second.floor_m == pytest.approx(-1.2, abs=0.01)
     assert leveller.level(only("walls")) is second
-
-
-def test_levelling_can_be_switched_off() -> None:
-    leveller = CloudLeveller(LogConfig(floor_tilt_max_rad=0.0))
-    assert leveller.level(room()).floor_m is None

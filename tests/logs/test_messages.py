@@ -38,6 +38,7 @@ from specmap_cli.logs.readers.typestore import (
     typestore,
 )
 from tests.strategies import few
+from tests.turning import turn
 
 DATATYPES = {"u1": 2, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 STAMP = 1_700_000_000_250_000_000
@@ -125,7 +126,7 @@ def test_any_layout_gives_the_points_and_their_times(
     table["time"] = np.linspace(0.0, 0.1, table.size).reshape(shape)
     flat = table.reshape(-1)
     flat["y"][:holes] = np.nan
-    points, times, _ = cloud_points(decoded_cloud(cloud_message(table, padding)), STAMP, SETTINGS)
+    points, times, _ = cloud_points(decoded_cloud(cloud_message(table, padding)), STAMP)
     kept = flat[holes:]
     np.testing.assert_array_equal(points, np.column_stack([kept[axis] for axis in "xyz"]))
     if len(kept) > 1:
@@ -149,7 +150,7 @@ def test_point_times_of_every_kind(name: str, kind: str, values: list[float]) ->
     layout = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), (name, f"<{kind}")])
     table = np.ones((1, 3), dtype=layout)
     table[name] = values
-    _, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
+    _, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
     assert times is not None
     np.testing.assert_allclose(times, [0.0, 0.05, 0.1], atol=3e-7)
 
@@ -157,7 +158,7 @@ def test_point_times_of_every_kind(name: str, kind: str, values: list[float]) ->
 def test_times_before_the_stamp_are_kept() -> None:
     table = np.ones((1, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4")])
     table["time"] = [-0.1, -0.05, 0.0]
-    _, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
+    _, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
     np.testing.assert_allclose(times, [-0.1, -0.05, 0.0], atol=1e-7)  # type: ignore[arg-type]
 
 
@@ -165,7 +166,7 @@ def test_times_before_the_stamp_are_kept() -> None:
 def test_times_that_cannot_be_relied_on_are_none(values: list[float]) -> None:
     table = np.ones((1, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f8")])
     table["time"] = values
-    points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
+    points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
     assert len(points) == 3
     assert times is None
 
@@ -177,7 +178,7 @@ def test_points_at_the_origin_and_beyond_range_are_left_out_with_their_times() -
         table[axis][0, 1] = 0.0
     table["x"][1, 0] = 300.0
     table["z"][1, 2] = np.inf
-    points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
+    points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
     assert len(points) == 3
     np.testing.assert_allclose(times, [0.0, 20e-9, 40e-9])  # type: ignore[arg-type]
 
@@ -210,7 +211,7 @@ def test_a_field_beyond_its_point_is_refused(name: str, offset: int) -> None:
 
 def test_an_empty_cloud_has_no_points() -> None:
     table = np.ones((0, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
-    points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
+    points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
     assert points.shape == (0, 3)
     assert times is None
 
@@ -285,9 +286,8 @@ def test_times_are_used_as_far_from_the_stamp_as_the_settings_allow(
 ) -> None:
     table = np.ones((1, 3), dtype=[*XYZ, ("time", "<f4")])
     table["time"] = [-0.15, -0.05, 0.0]
-    found = cloud_points(
-        decoded_cloud(cloud_message(table)), STAMP, LogConfig(cloud_time_max_s=longest)
-    )
+    turn("logs", cloud_time_max_s=longest)
+    found = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
     assert (found.times_s is not None) is kept
     assert found.far_times is far
 
@@ -296,21 +296,21 @@ def test_times_are_used_as_far_from_the_stamp_as_the_settings_allow(
 def test_times_of_no_use_are_not_far(values: list[float]) -> None:
     table = np.ones((1, 3), dtype=[*XYZ, ("time", "<f4")])
     table["time"] = values
-    assert not cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS).far_times
+    assert not cloud_points(decoded_cloud(cloud_message(table)), STAMP).far_times
 
 
 def test_a_time_that_is_not_finite_counts_only_with_its_point() -> None:
     table = np.ones((1, 3), dtype=[*XYZ, ("time", "<f4")])
     table["time"] = [0.0, math.nan, 0.1]
     table["x"][0, 1] = math.nan
-    found = cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS)
+    found = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
     np.testing.assert_allclose(found.times_s, [0.0, 0.1], atol=1e-7)  # type: ignore[arg-type]
 
 
 def test_a_field_of_another_name_is_no_time() -> None:
     table = np.ones((1, 3), dtype=[*XYZ, ("intensity", "<f4")])
     table["intensity"] = [0.0, 0.1, 0.2]
-    assert cloud_points(decoded_cloud(cloud_message(table)), STAMP, SETTINGS).times_s is None
+    assert cloud_points(decoded_cloud(cloud_message(table)), STAMP).times_s is None
 
 
 @pytest.mark.parametrize(("reach", "count"), [(100.0, 3), (5.1, 2), (4.9, 1), (1.0, 0)])
@@ -318,8 +318,8 @@ def test_points_beyond_the_range_of_the_settings_are_left_out(reach: float, coun
     table = np.zeros((1, 3), dtype=XYZ)
     table["x"] = [3.0, 3.0, 30.0]
     table["y"] = [0.0, 4.0, 0.0]
-    config = LogConfig(cloud_range_max_m=reach)
-    points, times_s, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP, config)
+    turn("logs", cloud_range_max_m=reach)
+    points, times_s, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
     assert len(points) == count
     assert times_s is None
 
@@ -331,7 +331,7 @@ def test_fields_of_unknown_datatypes_are_passed_over() -> None:
     fields += [field("odd", 12, 99, 1), field("", 12, 7, 1)]
     record = decoded_cloud(cloud_message(table, fields=fields))
     assert record.points.dtype.names == ("x", "y", "z")
-    assert len(cloud_points(record, STAMP, SETTINGS).points) == 4
+    assert len(cloud_points(record, STAMP).points) == 4
 
 
 def test_a_message_of_another_type_is_no_scan() -> None:

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.odometry import MAX_POSES, OdometryBuffer, interpolated
 from tests.strategies import poses
+from tests.turning import turn
 
 MS = 1_000_000
 
@@ -83,7 +83,8 @@ def test_memory_is_bounded() -> None:
 @given(st.lists(st.tuples(st.integers(0, 400), st.floats(-9, 9)), min_size=2, max_size=30))
 def test_poses_are_those_of_linear_interpolation(found: list[tuple[int, float]]) -> None:
     """Whatever the order of arrival; the last of a repeated stamp counts."""
-    buffer = OdometryBuffer(LogConfig(odometry_gap_s=1000))
+    turn("logs", odometry_gap_s=1000)
+    buffer = OdometryBuffer()
     known = {}
     for stamp, x in found:
         buffer.add(stamp * MS, Pose2(x, -x, 0.0))
@@ -122,7 +123,8 @@ def test_interpolation_starts_and_ends_at_its_poses(a: Pose2, b: Pose2) -> None:
 def test_the_settings_say_how_far_odometry_reaches(
     settings_: dict[str, float], asked_ms: int, there: bool
 ) -> None:
-    buffer = OdometryBuffer(LogConfig.model_validate(settings_))
+    turn("logs", **settings_)
+    buffer = OdometryBuffer()
     buffer.add(1000 * MS, Pose2(0.0, 0.0, 0.0))
     buffer.add(1100 * MS, Pose2(1.0, 0.0, 0.0))
     assert (buffer.at(asked_ms * MS) is not None) is there
@@ -130,7 +132,8 @@ def test_the_settings_say_how_far_odometry_reaches(
 
 @pytest.mark.parametrize(("reset_s", "kept"), [(5.0, 1), (6.0, 2)])
 def test_the_settings_say_what_is_late_and_what_a_clock_set_back(reset_s: float, kept: int) -> None:
-    buffer = OdometryBuffer(LogConfig(clock_reset_s=reset_s))
+    turn("logs", clock_reset_s=reset_s)
+    buffer = OdometryBuffer()
     buffer.add(10_000 * MS, Pose2(0.0, 0.0, 0.0))
     buffer.add(4_500 * MS, Pose2(1.0, 0.0, 0.0))
     assert len(buffer) == kept

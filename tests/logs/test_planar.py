@@ -24,6 +24,7 @@ from specmap_cli.logs.planar import (
     lowest_returns,
 )
 from tests.strategies import few
+from tests.turning import configured, turn
 
 LEVEL = Mount.from_matrix(np.eye(4))
 SETTINGS = LogConfig()
@@ -57,7 +58,7 @@ def record(
 
 
 def levelled(scan: ScanRecord, stamp_ns: int = 5) -> PlanarScan:
-    return ScanLeveller(LEVEL, SETTINGS).level(scan, stamp_ns)
+    return ScanLeveller(LEVEL).level(scan, stamp_ns)
 
 
 def mounted(roll: float, pitch: float, yaw: float, x: float, y: float, z: float) -> FloatArray:
@@ -85,7 +86,7 @@ def test_returns_are_where_the_mounted_laser_saw_them(
     flat = np.column_stack([in_laser, np.zeros(beams), np.ones(beams)])
     expected = (flat @ base_from_laser.T)[:, :2]
     mount = Mount.from_matrix(base_from_laser)
-    scan = ScanLeveller(mount, SETTINGS).level(record(ranges, 0.3, step), 5)
+    scan = ScanLeveller(mount).level(record(ranges, 0.3, step), 5)
     found = mount.base_from_laser.apply(scan.hits())
     assert (np.diff(scan.bearings) > 0.0).all()
     order = np.argsort(expected[:, 0] + 10.0 * expected[:, 1])
@@ -161,7 +162,7 @@ def test_scans_without_beams_or_angles_are_refused(bad: ScanRecord) -> None:
 
 
 def test_bearings_are_shared_between_scans_and_renewed_when_the_laser_changes() -> None:
-    leveller = ScanLeveller(LEVEL, SETTINGS)
+    leveller = ScanLeveller(LEVEL)
     first, second = leveller.level(record([1.0, 2.0]), 5), leveller.level(record([2.0, 1.0]), 6)
     assert first.bearings is second.bearings
     third = leveller.level(record([1.0, 2.0, 3.0]), 7)
@@ -183,7 +184,9 @@ def brute_force(cloud: FloatArray, beams: int, low: float, high: float) -> Float
 def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band() -> None:
     rng = np.random.default_rng(3)
     cloud = rng.uniform((-5, -5, 0), (5, 5, 3), (4000, 3))
-    config = LogConfig(cloud_beams=90, band_min_m=0.5, band_max_m=1.0)
+    config = configured(
+        LogConfig, "logs", {"cloud_beams": 90, "band_min_m": 0.5, "band_max_m": 1.0}
+    )
     scan = CloudFlattener(np.eye(4), 0.25, config).flatten(cloud, 9)
     np.testing.assert_allclose(scan.ranges, brute_force(cloud, 90, 0.75, 1.25))
     assert scan.full_circle
@@ -197,7 +200,7 @@ def test_a_bearing_is_empty_where_the_lidar_looks_and_unknown_where_it_never_did
     half = np.linspace(0.01, 3.14, 400)
     floor = np.column_stack([4 * np.cos(half), 4 * np.sin(half), np.zeros(400)])
     wall = np.column_stack([2 * np.cos(half), 2 * np.sin(half), np.ones(400)])[:100]
-    flattener = CloudFlattener(np.eye(4), 0.0, LogConfig(cloud_beams=180))
+    flattener = CloudFlattener(np.eye(4), 0.0, configured(LogConfig, "logs", {"cloud_beams": 180}))
     scan = flattener.flatten(np.vstack([floor, wall]), 1)
     left = scan.bearings > 0.0
     assert np.isnan(scan.ranges[~left]).all()
@@ -217,7 +220,7 @@ def test_a_band_without_height_is_refused() -> None:
 def test_a_coarse_lidar_gets_fewer_bearings() -> None:
     angles = np.radians(np.arange(0, 360, 2) + 0.5)
     ring = np.column_stack([3 * np.cos(angles), 3 * np.sin(angles), np.ones(180)])
-    scan = CloudFlattener(np.eye(4), 0.0, LogConfig(cloud_beams=720)).flatten(ring, 1)
+    scan = CloudFlattener(np.eye(4), 0.0, LogConfig()).flatten(ring, 1)
     assert len(scan.bearings) == 180
     np.testing.assert_allclose(scan.ranges, 3.0)
 
@@ -226,9 +229,9 @@ def test_an_unknown_floor_is_where_the_lowest_returns_are() -> None:
     rng = np.random.default_rng(4)
     floor = np.column_stack([rng.uniform(-3, 3, (900, 2)), np.full(900, -1.2)])
     wall = np.array([[2.0, 0.0, -1.15], [2.5, 0.0, -0.2], [1.5, 0.0, 0.9]])
-    scan = CloudFlattener(np.eye(4), None, LogConfig(cloud_beams=16)).flatten(
-        np.vstack([floor, wall]), 1
-    )
+    scan = CloudFlattener(
+        np.eye(4), None, configured(LogConfig, "logs", {"cloud_beams": 16})
+    ).flatten(np.vstack([floor, wall]), 1)
     assert np.isfinite(scan.ranges).sum() == 1
     assert np.nanmin(scan.ranges) == pytest.approx(2.5)
 
@@ -240,7 +243,8 @@ def test_an_unknown_floor_is_where_the_lowest_returns_are() -> None:
 def test_the_settings_say_how_long_a_sweep_may_take(
     increment: float, longest: float, timed: bool
 ) -> None:
-    leveller = ScanLeveller(LEVEL, LogConfig(scan_time_max_s=longest))
+    turn("logs", scan_time_max_s=longest)
+    leveller = ScanLeveller(LEVEL)
     scan = record(np.ones(10), time_increment=increment)
     assert (leveller.level(scan, 5).beam_times_s is not None) is timed
     assert duration_s(scan) == pytest.approx(9 * increment)
@@ -295,8 +299,8 @@ def test_the_settings_say_where_a_floor_of_unknown_height_is_sought(
     ring = np.column_stack([np.cos(angles), np.sin(angles), np.ones(100)])
     cloud = np.vstack([ring * scale for scale in ((2, 2, -0.5), (6, 6, -1.0), (20, 20, -3.0))])
     mast = np.array([[1.0, 1.0, floor + 1.0]])
-    config = LogConfig.model_validate(
-        {"band_min_m": 0.99, "band_max_m": 1.01, "cloud_beams": 16, **settings_}
+    config = configured(
+        LogConfig, "logs", {"band_min_m": 0.99, "band_max_m": 1.01, "cloud_beams": 16, **settings_}
     )
     scan = CloudFlattener(np.eye(4), None, config).flatten(np.vstack([cloud, mast]), 1)
     assert scan.hits() == pytest.approx(np.array([[1.0, 1.0]]), abs=0.3)
@@ -316,7 +320,7 @@ def test_the_settings_say_how_many_bearings_must_be_filled(
 ) -> None:
     angles = np.radians(np.arange(0, 360, 2) + 0.25)
     ring = np.column_stack([3 * np.cos(angles), 3 * np.sin(angles), np.ones(180)])
-    config = LogConfig(cloud_beams=720, cloud_filled_share=share)
+    config = configured(LogConfig, "logs", {"cloud_filled_share": share})
     scan = CloudFlattener(np.eye(4), 0.0, config).flatten(ring, 1)
     assert len(scan.bearings) == beams
     assert scan.full_circle is (full or share <= 0.25)
@@ -325,7 +329,7 @@ def test_the_settings_say_how_many_bearings_must_be_filled(
 
 def test_a_planar_scan_of_a_cloud_reaches_as_far_as_the_cloud() -> None:
     cloud = np.array([[5.0, 0.1, 1.0], [0.1, 9.0, 1.0]])
-    config = LogConfig(cloud_beams=16, cloud_range_max_m=6.0)
+    config = configured(LogConfig, "logs", {"cloud_beams": 16, "cloud_range_max_m": 6.0})
     scan = CloudFlattener(np.eye(4), 0.0, config).flatten(cloud, 1)
     assert np.isfinite(scan.ranges).sum() == 1
     assert np.isposinf(scan.ranges).sum() == 1, "it has looked there"

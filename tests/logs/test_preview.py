@@ -15,6 +15,7 @@ from specmap_cli.logs.preview import Gap, Preview, StampFaults
 from specmap_cli.logs.readers.encoding import scan_cdr
 from specmap_cli.logs.readers.typestore import LASER_SCAN
 from specmap_cli.logs.writer import LogWriter
+from tests.turning import configured
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
@@ -38,7 +39,7 @@ def write(path: Path, times_s: list[float], step_m: float = 0.1, hangs: range = 
 
 def lines_of(path: Path, complete: bool = False, **options: object) -> list[str]:
     with open_log(path) as log:
-        lines = summarize(log, LogConfig.model_validate(options), complete=complete).lines()
+        lines = summarize(log, configured(LogConfig, "logs", options), complete=complete).lines()
     place = next(n for n, line in enumerate(lines) if line.startswith("build would meet"))
     end = next(n for n, line in enumerate(lines) if line.startswith("checked"))
     return lines[place:end]
@@ -46,7 +47,7 @@ def lines_of(path: Path, complete: bool = False, **options: object) -> list[str]
 
 def preview_of(path: Path, **options: object) -> Preview:
     with open_log(path) as log:
-        found = summarize(log, LogConfig.model_validate(options)).preview
+        found = summarize(log, configured(LogConfig, "logs", options)).preview
     assert found is not None
     return found
 

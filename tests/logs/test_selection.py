@@ -18,6 +18,7 @@ from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.selection import Selection, odometry_ancestor, select
 from specmap_cli.logs.transforms import TransformTree
 from specmap_cli.logs.writer import LogWriter
+from tests.turning import configured
 
 START = 100_000_000_000
 
@@ -36,7 +37,7 @@ def write(path: Path, scans: list[str], odometry: list[str]) -> None:
 
 def choose(path: Path, **options: object) -> Selection:
     with open_log(path) as log:
-        return select(log, LogConfig.model_validate(options))
+        return select(log, configured(LogConfig, "logs", options))
 
 
 def test_a_log_without_scans_says_what_it_has(tmp_path: Path) -> None:

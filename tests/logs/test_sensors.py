@@ -17,6 +17,7 @@ from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.sensors import SeveralSensorsError
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
+from tests.turning import configured
 
 SECOND = 1_000_000_000
 START = 100 * SECOND
@@ -37,7 +38,7 @@ def write(path: Path, lasers: list[Laser], beams: int = 11) -> None:
 
 def read(path: Path, **options: object) -> tuple[list[Sweep], SweepStream]:
     with open_log(path) as log:
-        stream = SweepStream(log, LogConfig.model_validate(options))
+        stream = SweepStream(log, configured(LogConfig, "logs", options))
         return list(stream), stream
 
 

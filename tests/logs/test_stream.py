@@ -20,8 +20,9 @@ from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.encoding import odometry_cdr, scan_cdr
 from specmap_cli.logs.readers.recording import Contents, Message, Recording, survey
 from specmap_cli.logs.readers.typestore import LASER_SCAN, ODOMETRY
-from specmap_cli.logs.stream import SweepStream
+from specmap_cli.logs.stream import _ODOMETRY_WAIT_SCANS, SweepStream
 from specmap_cli.logs.writer import LogWriter
+from tests.turning import configured
 
 SECOND = 1_000_000_000
 START = 100 * SECOND
@@ -64,12 +65,12 @@ def odometry(stamp: int, x: float, time: int | None = None) -> Message:
 
 def stream_of(messages: list[Message], **options: object) -> SweepStream:
     log = Log([Spy(lambda: iter(messages))], [Path("spy")])
-    return SweepStream(log, LogConfig.model_validate(options))
+    return SweepStream(log, configured(LogConfig, "logs", options))
 
 
 def read(path: Path, **options: object) -> tuple[list[Sweep], SweepStream]:
     with open_log(path) as log:
-        stream = SweepStream(log, LogConfig.model_validate(options))
+        stream = SweepStream(log, configured(LogConfig, "logs", options))
         return list(stream), stream
 
 
@@ -108,7 +109,7 @@ def test_a_scan_waits_for_late_odometry_but_not_long() -> None:
     spy = Spy(lambda: iter(late))
     stream = SweepStream(Log([spy], [Path("spy")]), LogConfig())
     for sweep in stream:
-        assert spy.handed_out - 1 - sweep.index <= stream.config.odometry_wait_scans + 2
+        assert spy.handed_out - 1 - sweep.index <= _ODOMETRY_WAIT_SCANS + 2
     assert stream.counts["scans"] == 39
 
 
@@ -334,7 +335,7 @@ def test_the_settings_say_how_many_scans_wait(most: int) -> None:
     late = [odometry(START, 0.0)]
     late += [scan(START + i * SECOND // 1000) for i in range(1, 40)]
     spy = Spy(lambda: iter(late))
-    config = LogConfig(odometry_wait_scans=most)
+    config = configured(LogConfig, "logs", {"odometry_wait_scans": most})
     stream = SweepStream(Log([spy], [Path("spy")]), config)
     held = [spy.handed_out - 2 - sweep.index for sweep in stream]
     assert max(held) == most
@@ -362,10 +363,7 @@ def test_beam_times_that_reach_too_far_are_counted_and_said(
     sweeps, stream = read(path, scan_time_max_s=longest)
     assert stream.counts["far_times"] == counted
     assert all((sweep.planar.beam_times_s is None) is (counted > 0) for sweep in sweeps)
-    said = (
-        "scans whose point times reach beyond log.scan_time_max_s or log.cloud_time_max_s "
-        f"and were not used: {counted}"
-    )
+    said = f"scans whose point times reach farther than a sweep lasts and were not used: {counted}"
     assert (said in stream.warnings) is (counted > 0)
 
 

@@ -17,6 +17,7 @@ from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.writing import MapResult, write_map
+from tests.turning import turn
 
 
 def edit(path: Path, **changes: Any) -> None:
@@ -337,17 +338,20 @@ class TestDamage:
 def test_files_beyond_the_limits_name_the_setting(stored: Path, name: str, field: str) -> None:
     size_mb = (stored / name).stat().st_size / 1e6
     picture = name.endswith(".png")
-    setting = "picture_max_mb" if picture else "text_max_mb"
+    advice = "" if picture else r".*raise limits\.text_max_mb"
 
     def read(limit_mb: float) -> None:
-        found = read_map(stored, LimitsConfig.model_validate({setting: limit_mb}))
+        if picture:
+            turn("grids", picture_max_mb=limit_mb)
+        limits = LimitsConfig() if picture else LimitsConfig(text_max_mb=limit_mb)
+        found = read_map(stored, limits)
         getattr(found, field or "record")
 
     most = max(size_mb, 1.0)
     read(most)
     if name != "topology.json":  # it is read first: it must fit
         (stored / name).write_bytes((stored / name).read_bytes() + b"\n" * 1_000_000)
-    with pytest.raises(MapError, match=rf"{name}: .*larger than .*raise limits\.{setting}"):
+    with pytest.raises(MapError, match=rf"{name}: .*larger than{advice}"):
         read(1e-6 if name == "topology.json" else 1.0)
 
 

@@ -138,7 +138,7 @@ def test_a_map_can_be_laid_out_again_from_its_directory_alone(flat_map: StoredMa
     with flat_map.keyframes() as store:
         regions = {stay.number: stay.from_origin for stay in topology.stays}
         assert sorted(k for ks in regions.values() for k in ks) == list(range(len(store)))
-        constraints = constraints_of(topology.closures, regions, store, config)
+        constraints = constraints_of(topology.closures, regions, store)
         layout = relax(store, tuple(constraints.values()), {}, config)
         layout = along_walls(layout, store, config)
     known = flat_map.labels.poses
@@ -231,14 +231,14 @@ def test_where_tracking_starts_afresh_a_new_submap_begins(flat_done: Finished) -
 
 def test_a_merge_that_the_layout_drops_is_taken_back(flat_done: Finished) -> None:
     """A closure that puts two far places on each other goes; the others stay as they were."""
-    explored, store, config = flat_done.explored, flat_done.store, QUICK
+    explored, store = flat_done.explored, flat_done.store
     merged = [closure for closure in explored.closures if closure.merged]
     assert merged
     wrong = replace(merged[0], old_from_new=Pose2(25.0, 25.0, 1.0))
     closures = tuple(wrong if c is merged[0] else c for c in explored.closures)
-    constraints = constraints_of(closures, explored.regions, store, config.relaxation)
+    constraints = constraints_of(closures, explored.regions, store)
     assert set(constraints) == {(c.old, c.new) for c in merged}
-    finished = finished_by(replace(explored, closures=closures), store, config)
+    finished = finished_by(replace(explored, closures=closures), store, QUICK)
     kept = refute(closures, constraints, finished.layout)
     assert [c.reason for c in kept if c.reason == REFUTED] == [REFUTED]
     for before, after in zip(closures, kept, strict=True):
@@ -251,8 +251,8 @@ def test_a_merge_that_the_layout_drops_is_taken_back(flat_done: Finished) -> Non
 def test_constraints_hold_between_the_nearest_keyframes_of_both_regions(
     flat_done: Finished,
 ) -> None:
-    explored, store, config = flat_done.explored, flat_done.store, QUICK
-    constraints = constraints_of(explored.closures, explored.regions, store, config.relaxation)
+    explored, store = flat_done.explored, flat_done.store
+    constraints = constraints_of(explored.closures, explored.regions, store)
     for (old, new), constraint in constraints.items():
         assert constraint.source in explored.regions[old]
         assert constraint.target in explored.regions[new]

@@ -50,7 +50,7 @@ def test_a_map_keeps_what_its_classifiers_learned_from(flat_map: StoredMap) -> N
     "changed",
     [
         {"recognition": {"feature_set": "table1"}},
-        {"localization": {"virtual_range_m": 5.0}},
+        {"localization": {"false_unknown": 0.1}},
     ],
 )
 def test_other_settings_learn_anew(flat_map: StoredMap, changed: dict[str, Any]) -> None:
@@ -63,7 +63,7 @@ def test_other_settings_learn_anew(flat_map: StoredMap, changed: dict[str, Any])
 
 def test_what_was_cast_in_other_grids_is_cast_anew(flat_map: StoredMap) -> None:
     values = flat_map.config.model_dump()
-    values["grid"] |= {"occupied_share": 0.5}
+    values["grid"] |= {"footprint_m": 0.3}
     found = lessons_of_stored(flat_map, Config.model_validate(values))
     assert len(found.cast.keyframes) == 0 < len(found.along.keyframes)
 
@@ -98,7 +98,7 @@ def test_settings_of_another_version_need_not_be_known(flat_map: StoredMap, tmp_
     shutil.copytree(flat_map.path, tmp_path / "other")
     run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
     run["versions"]["specmap"] = "0.0.1"
-    run["config"]["grid"]["occupied_share"] = 7
+    run["config"]["grid"]["footprint_m"] = 7
     (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
     other = read_map(tmp_path / "other")
     assert len(lessons_of_stored(other, flat_map.config).raw.keyframes) == 0

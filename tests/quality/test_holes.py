@@ -9,15 +9,13 @@ import pytest
 from specmap_cli.core.findings import Where
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, Trajectory
-from specmap_cli.core.settings import QualityConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.quality.evidence import Evidence, Hole
-from specmap_cli.quality.holes import holes_of, unwatched
+from specmap_cli.quality.holes import _HOLE_WALLS_SHARE, holes_of, unwatched
 from tests.layout.driving import link, scans_of, stored
 
-CONFIG = QualityConfig()
 STILL = Pose2(0.0, 0.0, 0.0)
 SCANS = 200  # half a metre apart along x, two a second; every one a keyframe
 
@@ -53,7 +51,7 @@ def found(
     stamps = np.array([scan.stamp_ns for scan in scans])
     way, rows = Trajectory(stamps, poses, odometry=odometry, lost=marks), np.flatnonzero(~marks)
     with stored(poses[rows], [scans[row] for row in rows.tolist()]) as store:
-        return holes_of(store, rows, way, Layout(poses=poses[rows]), breaks, CONFIG)
+        return holes_of(store, rows, way, Layout(poses=poses[rows]), breaks)
 
 
 def evidence(*holes: Hole, ties: Sequence[tuple[int, int]] = ()) -> Evidence:
@@ -81,7 +79,7 @@ def hole(measured: Pose2 | None, apart: Pose2, alike: float = 0.9, keyframe: int
 def told(seen: Hole) -> list[str]:
     """The messages about a hole that was found, after which nothing known was seen."""
     found_in = evidence(replace(seen, keyframe=100, row=100))
-    return [finding.message for finding in unwatched(found_in, CONFIG)]
+    return [finding.message for finding in unwatched(found_in)]
 
 
 def test_a_robot_that_stood_among_the_same_walls_is_found_there_again() -> None:
@@ -103,7 +101,7 @@ def test_a_robot_in_another_room_sees_other_walls() -> None:
     (seen,) = found(scans, believed)
     assert seen.measured is None
     assert seen.apart == pytest.approx((0.0, 0.0, 0.0))
-    assert seen.alike < CONFIG.hole_walls_share
+    assert seen.alike < _HOLE_WALLS_SHARE
     assert told(seen)
 
 
@@ -176,7 +174,7 @@ def test_matches_do_not_outvote_odometry_and_walls(alike: float, doubted: bool) 
     """Walls that are the same behind it speak for wheels that spun."""
     stuck = replace(hole(Pose2(6.0, 0.0, 0.0), Pose2(6.0, 0.0, 0.0), alike), kind="rest")
     seen = evidence(stuck, ties=[(10, 130), (20, 145), (30, 160)])
-    assert bool(list(unwatched(seen, CONFIG))) == doubted
+    assert bool(list(unwatched(seen))) == doubted
 
 
 @pytest.mark.parametrize(
@@ -203,7 +201,7 @@ def test_two_holes_while_the_robot_stands_are_both_looked_at() -> None:
         *(replace(one, keyframe=100, row=100) for one in seen),
         ties=[(10, 130), (20, 145), (30, 160)],
     )
-    assert not list(unwatched(with_ties, CONFIG))
+    assert not list(unwatched(with_ties))
 
 
 @pytest.mark.parametrize(
@@ -264,7 +262,7 @@ def test_a_log_of_one_scan_has_no_holes() -> None:
 def test_odometry_or_the_same_walls_must_tell_where_the_robot_was(
     measured: Pose2 | None, apart: Pose2, alike: float, reason: str | None
 ) -> None:
-    found_there = list(unwatched(evidence(hole(measured, apart, alike)), CONFIG))
+    found_there = list(unwatched(evidence(hole(measured, apart, alike))))
     if reason is None:
         assert found_there == []
         return
@@ -292,18 +290,16 @@ def test_places_known_from_before_confirm_what_follows_a_hole(
     ties: Sequence[tuple[int, int]], doubted: bool
 ) -> None:
     seen = evidence(hole(STILL, Pose2(1.4, 0.0, 0.0)), ties=ties)
-    assert bool(list(unwatched(seen, CONFIG))) == doubted
+    assert bool(list(unwatched(seen))) == doubted
 
 
 def test_each_piece_between_holes_needs_ties_of_its_own() -> None:
     first = hole(STILL, Pose2(1.4, 0.0, 0.0), keyframe=50)
     second = hole(STILL, Pose2(1.4, 0.0, 0.0), keyframe=100)
     over_both = [(10, 130), (20, 145), (30, 160)]
-    (found,) = unwatched(evidence(first, second, ties=over_both), CONFIG)
+    (found,) = unwatched(evidence(first, second, ties=over_both))
     assert found.where is not None
-    assert (
-        found.where.stamp_ns == 25 * 10**9
-    )  # what follows the second one is tied to what precedes both
+    assert found.where.stamp_ns == 25 * 10**9  # what follows it is tied to what precedes both
     middle = [(10, 72), (20, 84), (30, 95)]
     seen = evidence(first, second, ties=[*over_both, *middle])
-    assert not list(unwatched(seen, CONFIG))
+    assert not list(unwatched(seen))

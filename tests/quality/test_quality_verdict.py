@@ -8,7 +8,6 @@ import pytest
 from specmap_cli.core.findings import Finding, Severity, Where
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Trajectory
-from specmap_cli.core.settings import QualityConfig
 from specmap_cli.layout.audit import Audit, Disagreement
 from specmap_cli.layout.contradictions import Standing
 from specmap_cli.layout.evidence import Healing, LayoutEvidence, PartMove
@@ -18,7 +17,6 @@ from specmap_cli.quality.evidence import Evidence, graded
 from specmap_cli.quality.verdict import judged
 
 SCANS = 100  # a metre apart along x, one a second; every one a keyframe
-CONFIG = QualityConfig()
 
 
 def evidence(
@@ -44,7 +42,7 @@ def evidence(
 
 
 def only(found: Evidence) -> Finding:
-    (finding,) = judged(found, CONFIG).findings
+    (finding,) = judged(found).findings
     return finding
 
 
@@ -65,7 +63,7 @@ def closure(kind: str) -> Link:
 
 
 def test_nothing_wrong_is_good() -> None:
-    quality = judged(evidence(), CONFIG)
+    quality = judged(evidence())
     assert (quality.verdict, quality.findings) == ("good", ())
 
 
@@ -91,20 +89,20 @@ def test_lost_scans_are_told_at_the_longest_run() -> None:
 
 
 def test_each_break_is_told_with_what_bridged_it() -> None:
-    found = judged(evidence(breaks=(40, 70)), CONFIG)
+    found = judged(evidence(breaks=(40, 70)))
     assert [one.code for one in found.findings] == ["tracking-break"] * 2
     assert found.verdict == "good"
     assert found.findings[0].message == (
         "registration lost the robot before 40.000 s and started afresh, where odometry led"
     )
-    blind = judged(evidence(breaks=(40,), odometry=False), CONFIG)
+    blind = judged(evidence(breaks=(40,), odometry=False))
     assert blind.findings[0].message.endswith("where the motion before led")
 
 
 @pytest.mark.parametrize(("start", "severity"), [(95, "doubtful"), (60, "poor")])
 def test_what_a_guess_places_weighs_by_its_way(start: int, severity: Severity) -> None:
     base = evidence(breaks=(start,))
-    found = judged(replace(base, layout=replace(base.layout, loose=(start,))), CONFIG)
+    found = judged(replace(base, layout=replace(base.layout, loose=(start,))))
     loose = found.findings[0]
     assert (loose.code, loose.severity, found.verdict) == ("loose-part", severity, severity)
     assert loose.message == (
@@ -115,7 +113,7 @@ def test_what_a_guess_places_weighs_by_its_way(start: int, severity: Severity) -
 
 def test_a_loose_part_ends_at_the_next_break() -> None:
     base = evidence(breaks=(20, 25))
-    found = judged(replace(base, layout=replace(base.layout, loose=(20,))), CONFIG)
+    found = judged(replace(base, layout=replace(base.layout, loose=(20,))))
     (loose,) = (one for one in found.findings if one.code == "loose-part")
     assert loose.value == pytest.approx(4 / 99)
 
@@ -124,7 +122,7 @@ def test_a_loose_part_ends_at_the_next_break() -> None:
 def test_disagreeing_walls_weigh_by_their_share(count: int, severity: Severity) -> None:
     places = [(100.0 * k, 0.0) for k in range(count)]
     audit = Audit(compared=20, disagreements=tuple(map(disagreement, places)))
-    found = judged(replace(evidence(), audit=audit), CONFIG).findings
+    found = judged(replace(evidence(), audit=audit)).findings
     assert [(one.code, one.severity) for one in found] == [("walls-disagree", severity)] * count
     assert [one.place for one in found] == places
 
@@ -158,7 +156,7 @@ def test_what_is_beyond_the_grid_makes_a_map_doubtful() -> None:
 
 def test_the_gravest_come_first_and_the_input_is_told() -> None:
     found = replace(evidence(lost=(1,)), beyond=1, warnings=("scans without any return: 2",))
-    codes = [one.code for one in judged(found, CONFIG).findings]
+    codes = [one.code for one in judged(found).findings]
     assert codes == ["beyond-grid", "lost-scans", "input"]
 
 
@@ -196,7 +194,7 @@ def turned_odometry(share: float) -> np.ndarray:
 def test_odometry_of_another_robot_makes_a_map_doubtful(share: float, said: bool) -> None:
     base = evidence()
     way = replace(base.trajectory, odometry=turned_odometry(share))
-    found = judged(replace(base, trajectory=way), CONFIG)
+    found = judged(replace(base, trajectory=way))
     assert found.verdict == ("doubtful" if said else "good")
     if said:
         (finding,) = found.findings
@@ -222,7 +220,7 @@ def test_odometry_with_holes_is_compared_where_there_is_some() -> None:
     odometry = np.array(base.trajectory.poses)
     odometry[20:70] = np.nan
     way = replace(base.trajectory, odometry=odometry)
-    assert judged(replace(base, trajectory=way), CONFIG).findings == ()
+    assert judged(replace(base, trajectory=way)).findings == ()
 
 
 @pytest.mark.parametrize(("votes", "severity"), [(1, "doubtful"), (2, "doubtful"), (3, "note")])
@@ -260,7 +258,7 @@ def test_contradictions_all_over_the_map_make_it_doubtful() -> None:
     assert finding.message == "9.1% of the walls that two passes saw contradict each other"
     assert finding.severity == "doubtful"
     few = LayoutEvidence(choice="relaxed", standing=Standing(agree=10000, contradict=60))
-    assert judged(replace(base, layout=replace(base.layout, evidence=few)), CONFIG).findings == ()
+    assert judged(replace(base, layout=replace(base.layout, evidence=few))).findings == ()
 
 
 def test_a_layout_that_was_not_taken_makes_a_map_doubtful() -> None:

@@ -9,7 +9,6 @@ import pytest
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import Trajectory
-from specmap_cli.core.settings import QualityConfig
 from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import Layout
@@ -46,7 +45,7 @@ def found(refuted: Sequence[Link], *, odometry: bool = False) -> list[str]:
         beyond=0,
         warnings=(),
     )
-    return [finding.message for finding in rival_places(evidence, QualityConfig())]
+    return [finding.message for finding in rival_places(evidence)]
 
 
 def test_refuted_closures_that_agree_on_another_place_are_told() -> None:

@@ -16,6 +16,7 @@ from specmap_cli.registration.local_map import LocalMap
 from specmap_cli.registration.scene import Scene
 from specmap_cli.registration.sweep_view import SweepView
 from tests.casting import ranges_at
+from tests.turning import configured
 
 Setting = float | str | tuple[float, ...]
 LASER = Pose2(0.2, -0.1, 0.5)
@@ -82,7 +83,7 @@ def circle(k: int, ranges: FloatArray, odometry: Pose2 | None = None) -> Sweep:
 
 
 def run(items: Sequence[Sweep], **settings: Setting) -> tuple[FrontEnd, list[PosedScan]]:
-    front_end = FrontEnd(RegistrationConfig.model_validate(settings))
+    front_end = FrontEnd(configured(RegistrationConfig, "registration", settings))
     return front_end, [front_end.register(sweep) for sweep in items]
 
 
@@ -136,7 +137,7 @@ def scene_of(
     It looked so far all round.
     """
     assert isinstance(looked_m, float)
-    config = RegistrationConfig.model_validate(settings)
+    config = configured(RegistrationConfig, "registration", settings)
     sensor = SensorKind(in_space=False, voxel_m=config.voxel_m, range_m=config.max_range_m)
     local = LocalMap(aligner, sensor, config)
     local.insert(view_of_points(known, looked_m), np.eye(4))

@@ -15,6 +15,7 @@ from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration.judgement import Verdict, judge, needed_score
 from specmap_cli.registration.locating import Located
 from specmap_cli.registration.scene import Fit, Support
+from tests.turning import turned
 
 GUESS = Pose2(2.0, 1.0, 0.5)
 
@@ -62,10 +63,10 @@ def test_a_contradiction_must_score_well(
         assert (verdict.agrees, verdict.lost) == (False, lost)
 
 
-def test_needed_scores_are_settings() -> None:
-    config = RegistrationConfig(poor_score=0.1, sure_score=0.2, fair_score=0.3)
+def test_needed_scores_are_set() -> None:
     flags = list(itertools.product((False, True), repeat=2))
-    found = [needed_score(config, searched=s, far=f) for s, f in flags]
+    with turned("registration.locating", POOR_SCORE=0.1, SURE_SCORE=0.2, FAIR_SCORE=0.3):
+        found = [needed_score(searched=s, far=f) for s, f in flags]
     assert found == [0.1, 0.1, 0.3, 0.2]
 
 

@@ -13,6 +13,7 @@ from specmap_cli.registration import Aligner, SensorKind
 from specmap_cli.registration.kiss_icp_aligner import KissIcpAligner
 from tests.registration.drives import turned
 from tests.strategies import few
+from tests.turning import configured
 
 KERNELS_M = (0.4, 0.2, 0.1, 0.05)
 
@@ -21,7 +22,7 @@ def aligner(
     voxel_m: float = 0.2, range_m: float = 20.0, in_space: bool = True, **settings: int
 ) -> KissIcpAligner:
     sensor = SensorKind(in_space=in_space, voxel_m=voxel_m, range_m=range_m)
-    return KissIcpAligner(RegistrationConfig.model_validate(settings), sensor)
+    return KissIcpAligner(configured(RegistrationConfig, "registration", settings), sensor)
 
 
 def room(seed: int) -> FloatArray:

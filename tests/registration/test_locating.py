@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration.expected_motion import ExpectedMotion
-from specmap_cli.registration.locating import Located
+from specmap_cli.registration.locating import FAIR_SCORE, GOOD_SCORE, Located
 from specmap_cli.registration.locating import locate as located_by
 from specmap_cli.registration.prospect import (
     Prospect,
@@ -280,7 +280,7 @@ def box(turn: float) -> FloatArray:
 def test_nothing_new_in_sight_gives_up_a_place_that_agrees_for_one_that_fits_much_better() -> None:
     """Odometry missed 0.08 rad of a turn; at its place the walls of the room fit in part."""
     scene = scene_of(box(-0.08), box(0.0), ToldAligner(), looked_m=9.0)
-    assert scene.config.fair_score < scene.score(IDENTITY) < scene.config.good_score
+    assert FAIR_SCORE < scene.score(IDENTITY) < GOOD_SCORE
     located = locate(scene, np.eye(4), expecting(Pose2(0.5, 0.0, 0.0)), IDENTITY)
     assert located.support.share > 0.9
     assert located.fit.planar.theta == pytest.approx(0.08, abs=0.02)

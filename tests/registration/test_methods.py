@@ -32,11 +32,13 @@ POINT_TO_POINT = """
     from scipy.spatial import KDTree
     from scipy.spatial.transform import Rotation
 
+    from specmap_cli.registration.aligner import WINDOW_KEYFRAMES
+
 
     class TreeIcp:
         def __init__(self, config, sensor):
-            self.iterations, self.coarse_iterations = config.iterations, 5
-            self.clouds = deque(maxlen=config.window_keyframes)
+            self.iterations, self.coarse_iterations = 50, 5
+            self.clouds = deque(maxlen=WINDOW_KEYFRAMES)
             self.tree = None
 
         def insert(self, points, map_from_base):

@@ -21,6 +21,7 @@ from specmap_cli.registration.scene import Bounds, Fit
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import scene_in, scene_of, turned, view_of_points
 from tests.strategies import seeds
+from tests.turning import configured
 
 LADDER = (2.0, 1.0, 0.5, 0.25)
 
@@ -182,7 +183,8 @@ def test_another_fit_must_be_clearly_better(score: float, taken: bool) -> None:
 def test_the_local_map_keeps_the_walls_of_the_last_keyframes_only(seed: int) -> None:
     """Against a list of all keyframes and a slice of its end; rebuilt at every other one."""
     rng = np.random.default_rng(seed)
-    config = RegistrationConfig(window_keyframes=3, rebuild_keyframes=2)
+    few = {"window_keyframes": 3, "rebuild_keyframes": 2}
+    config = configured(RegistrationConfig, "registration", few)
     sensor = SensorKind(in_space=False, voxel_m=0.1, range_m=20.0)
     local, walls = LocalMap(ToldAligner(), sensor, config), []
     for x, y, turn in rng.uniform(-2, 2, (7, 3)).tolist():

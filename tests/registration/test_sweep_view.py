@@ -17,11 +17,12 @@ from specmap_cli.registration.expected_motion import MotionModel
 from specmap_cli.registration.sweep_view import SweepView, view_of
 from tests.registration.drives import circle
 from tests.strategies import seeds
+from tests.turning import configured
 
 
 def seen(sweep: Sweep, last: Pose2 | None = None, **settings: float) -> SweepView:
     """The view of a sweep after a motion."""
-    config = RegistrationConfig.model_validate(settings)
+    config = configured(RegistrationConfig, "registration", settings)
     model = MotionModel(config)
     model.expect(dataclasses.replace(sweep, stamp_ns=sweep.stamp_ns - 10**8))
     for _ in range(2 if last else 0):

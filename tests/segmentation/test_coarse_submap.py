@@ -14,10 +14,21 @@ from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.segmentation.coarse_submap import CoarseSubmap, way_driven
+from specmap_cli.segmentation.coarse_submap import (
+    PATH_MARGIN_M,
+    SPLIT_CELL_M,
+    CoarseSubmap,
+    way_driven,
+)
+from tests.turning import turn
 
-CONFIG = SegmentationConfig(split_step_m=0.25, split_step_rad=0.5)
+CONFIG = SegmentationConfig()
 GRID = GridConfig(resolution_m=0.05, footprint_m=0.2)
+
+
+@pytest.fixture(autouse=True)
+def _steps() -> None:
+    turn("segmentation", split_step_m=0.25, split_step_rad=0.5)
 
 
 def stored(poses: list[Pose2]) -> KeyframeStore:
@@ -50,7 +61,7 @@ def same(one: GridMap, other: GridMap) -> bool:
 
 
 def near_the_way(submap: CoarseSubmap, grid: GridMap) -> GridMap:
-    return grid.near(submap.poses, CONFIG.path_band_m + CONFIG.path_margin_m)
+    return grid.near(submap.poses, CONFIG.path_band_m + PATH_MARGIN_M)
 
 
 def test_keyframes_enter_the_grid_when_the_robot_moved_or_turned(drive: KeyframeStore) -> None:
@@ -60,7 +71,7 @@ def test_keyframes_enter_the_grid_when_the_robot_moved_or_turned(drive: Keyframe
     assert submap.keyframes == tuple(range(26))
     np.testing.assert_array_equal(submap.poses, drive.poses)
     mapped = [0, 2, 4, 6, 8, 10, 13, 16, 19, 22, 25]  # every 0.25 m, then every 0.6 rad
-    config = GRID.model_copy(update={"resolution_m": CONFIG.split_cell_m})
+    config = GRID.model_copy(update={"resolution_m": SPLIT_CELL_M})
     expected = integrate_keyframes(drive, mapped, drive.poses_of(mapped), config)
     assert same(submap.grid(), near_the_way(submap, expected.snapshot()))
 
@@ -78,7 +89,8 @@ def test_where_nodes_lie_anywhere_the_grid_is_whole(drive: KeyframeStore) -> Non
     far = GRID.model_copy(update={"max_range_m": 2.0})
     grids = []
     for band in (0.0, 0.5):
-        config = CONFIG.model_copy(update={"path_band_m": band, "path_margin_m": 0.25})
+        turn("segmentation", path_margin_m=0.25)
+        config = CONFIG.model_copy(update={"path_band_m": band})
         submap = CoarseSubmap(config, far, drive)
         submap.add(0)
         grids.append(submap.grid())
@@ -92,8 +104,8 @@ def test_where_nodes_lie_anywhere_the_grid_is_whole(drive: KeyframeStore) -> Non
 def test_cells_are_no_finer_than_the_working_grid_s(
     drive: KeyframeStore, cell: float, fine: float, expected: float
 ) -> None:
-    config = SegmentationConfig(split_cell_m=cell)
-    submap = CoarseSubmap(config, GridConfig(resolution_m=fine), drive)
+    turn("segmentation", split_cell_m=cell)
+    submap = CoarseSubmap(CONFIG, GridConfig(resolution_m=fine), drive)
     submap.add(0)
     assert submap.grid().resolution == expected
 
@@ -108,11 +120,12 @@ def test_a_keyframe_says_how_far_the_robot_drove_to_it(drive: KeyframeStore) -> 
     assert submap.add(11) == 0.0  # turned on the spot
 
 
-EVERYWHERE = CONFIG.model_copy(update={"path_band_m": 0.0, "split_step_m": 0.0})
-ONE_GRID = GRID.model_copy(update={"resolution_m": CONFIG.split_cell_m})
+EVERYWHERE = CONFIG.model_copy(update={"path_band_m": 0.0})
+ONE_GRID = GRID.model_copy(update={"resolution_m": SPLIT_CELL_M})
 
 
 def submap_of(drive: KeyframeStore, numbers: Iterable[int]) -> CoarseSubmap:
+    turn("segmentation", split_step_m=0.0)
     submap = CoarseSubmap(EVERYWHERE, GRID, drive)
     for number in numbers:
         submap.add(number)

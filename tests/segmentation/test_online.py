@@ -17,10 +17,11 @@ from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.split_tests import draw_test
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.segmentation.coarse_submap import CoarseSubmap, way_driven
-from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, Region
-from specmap_cli.segmentation.splitting import SplitTest, examine
+from specmap_cli.segmentation.coarse_submap import PATH_MARGIN_M, CoarseSubmap, way_driven
+from specmap_cli.segmentation.online import _TEST_METRES, Occasion, OnlineSegmenter, Region
+from specmap_cli.segmentation.splitting import _SPLIT_EIGENPAIRS, SplitTest, examine
 from tests.casting import ranges_at
+from tests.turning import turn
 
 DEFAULT = SegmentationConfig()
 PAPER = load_config(preset="paper").segmentation
@@ -166,7 +167,7 @@ def test_tests_come_by_the_way_travelled_or_by_keyframes(two_room_tour: Keyframe
     count = len(two_room_tour)
     whole = way_driven(two_room_tour, range(count))
     run(OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour, lambda t, *_: tests.append(t)), count)
-    assert len(tests) == pytest.approx(whole / DEFAULT.test_metres, abs=0.1 * whole)
+    assert len(tests) == pytest.approx(whole / _TEST_METRES, abs=0.1 * whole)
     tests.clear()
     run(OnlineSegmenter(PAPER, GridConfig(), two_room_tour, lambda t, *_: tests.append(t)), count)
     assert len(tests) == count // PAPER.test_keyframes
@@ -232,13 +233,13 @@ def test_the_outcome_of_a_test_does_not_depend_on_where_the_map_lies(
 
 def test_the_number_of_nodes_is_bounded(office: GridMap) -> None:
     poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5))
-    few = DEFAULT.model_copy(update={"split_nodes": 20})
     with record(office, poses) as store:
         submap = CoarseSubmap(DEFAULT, GridConfig(), store)
         for number in range(len(store)):
             submap.add(number)
-        assert 3 <= len(examine(submap.grid(), submap.poses, few).nodes) <= 20
         assert len(examine(submap.grid(), submap.poses, DEFAULT).nodes) > 20
+        turn("segmentation", split_nodes=20)
+        assert 3 <= len(examine(submap.grid(), submap.poses, DEFAULT).nodes) <= 20
 
 
 def test_a_map_too_small_for_a_graph_is_not_split(plan: Callable[..., GridMap]) -> None:
@@ -367,7 +368,7 @@ def test_eigenvectors_are_those_of_the_normalised_affinity(two_rooms: GridMap) -
     test = examine(*driven(two_rooms, (1.0, 1.95), (8.5, 1.95)), DEFAULT)
     assert test.eigenvalues[0] == pytest.approx(1.0)
     assert (np.diff(test.eigenvalues) <= 0.0).all()
-    assert len(test.eigenvalues) == DEFAULT.split_eigenpairs
+    assert len(test.eigenvalues) == _SPLIT_EIGENPAIRS
     assert np.linalg.norm(test.eigenvector) == pytest.approx(1.0)
     assert test.eigenvector.shape == test.near.shape == (len(test.nodes),)
 
@@ -375,7 +376,7 @@ def test_eigenvectors_are_those_of_the_normalised_affinity(two_rooms: GridMap) -
 def test_what_lies_beyond_the_band_and_its_margin_changes_nothing(two_rooms: GridMap) -> None:
     near = examine(*driven(two_rooms, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
     cells = two_rooms.cells.copy()
-    reach = DEFAULT.path_band_m + DEFAULT.path_margin_m
+    reach = DEFAULT.path_band_m + PATH_MARGIN_M
     cells[:, round((2.0 + reach) / 0.05) + 2 :] = OCCUPIED
     other = GridMap(cells, two_rooms.resolution)
     same = examine(*driven(other, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
@@ -393,8 +394,8 @@ def test_the_margin_keeps_obstacles_at_the_band_s_edge_whole(margin: float) -> N
     cells = np.full((240, 240), FREE, dtype=np.uint8)
     cells[50:69, 133:152] = OCCUPIED  # a table of 0.95 m where the window without a margin ends
     grid, poses = driven(GridMap(cells, 0.05), (3.0, 3.0), (5.6, 3.0))
-    config = DEFAULT.model_copy(update={"path_margin_m": margin})
-    nodes = examine(grid, poses, config).nodes
+    turn("segmentation", path_margin_m=margin)
+    nodes = examine(grid, poses, DEFAULT).nodes
     on_it = (np.abs(nodes - (7.12, 2.97)) < 0.47).all(axis=1)
     assert on_it.any() == (margin > 0.0)
 
@@ -413,8 +414,8 @@ def test_of_rooms_seen_and_not_entered_there_may_be_as_many_as_eigenpairs(
     everywhere = DEFAULT.model_copy(update={"path_band_m": 0.0})
     found = examine(*driven(office, *way), everywhere)
     assert found.chosen > 1
-    few = everywhere.model_copy(update={"split_eigenpairs": found.chosen})
-    assert examine(*driven(office, *way), few).eigenvalue == 0.0
+    turn("segmentation", split_eigenpairs=found.chosen)
+    assert examine(*driven(office, *way), everywhere).eigenvalue == 0.0
 
 
 def test_a_robot_that_never_moved_is_in_one_region(two_rooms: GridMap) -> None:

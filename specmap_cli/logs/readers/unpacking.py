@@ -14,6 +14,7 @@ from specmap_cli.core.shortage import reason
 from specmap_cli.logs.readers.compression import stream
 from specmap_cli.logs.readers.recording import unreadable
 
+_UNPACKED_RATIO_MAX = 500.0  # a file of 100 MB and more that swells by more is a bomb, no log
 LOOKED_AT_BYTES = 1 << 23  # of the copy, before the rest: a CARMEN log is known by less than these
 
 _COPY_BYTES = 1 << 20  # of a compressed file in memory at once
@@ -80,14 +81,18 @@ def _fill(
 
 def _refuse_swelling(copied: int, path: Path, config: LogConfig) -> None:
     if copied > config.unpacked_max_gb * _BYTES_PER_GB:
-        fault = f"{config.unpacked_max_gb:g} GB, which log.unpacked_max_gb allows"
-    elif copied > max(config.unpacked_ratio_max * path.stat().st_size, _RATIO_FROM_BYTES):
-        fault = f"{config.unpacked_ratio_max:g} times its size: see log.unpacked_ratio_max"
+        fault = (
+            f"{config.unpacked_max_gb:g} GB, which log.unpacked_max_gb allows; if it is a log, "
+            "raise the setting"
+        )
+    elif copied > max(_UNPACKED_RATIO_MAX * path.stat().st_size, _RATIO_FROM_BYTES):
+        fault = (
+            f"{_UNPACKED_RATIO_MAX:g} times its size, as no log does; if it is a log, unpack it "
+            "first"
+        )
     else:
         return
-    raise LogError(
-        f"{path}: unpacks to more than {fault}; if it is a log, raise the setting", code=TOO_LARGE
-    )
+    raise LogError(f"{path}: unpacks to more than {fault}", code=TOO_LARGE)
 
 
 def _slices(path: Path) -> Iterator[bytes]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from specmap_cli.core.geometry import Pose2, wrap_angle
-from specmap_cli.core.settings import Config, RecognitionConfig
+from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.recognition.closure.candidates import Candidate, Floors, refined
 from specmap_cli.recognition.closure.common_ground import CommonGround, common_ground
@@ -22,6 +22,7 @@ from specmap_cli.recognition.closure.kinship import likely_pairs
 from specmap_cli.recognition.closure.known_map import KnownMap, Pieces
 from specmap_cli.recognition.closure.prepared import PreparedGrid, prepared
 from specmap_cli.recognition.closure.transforms import RIVAL_M, RIVAL_RAD, TransformSearch, differ
+from specmap_cli.recognition.closure.verification import CANDIDATES
 from specmap_cli.recognition.closure.votes import Party, parties_of, votes_of
 
 _LEAST_SCORE = 0.5  # of all that both saw; halls of other buildings that touch reach more
@@ -63,12 +64,12 @@ def align(old: KnownMap, new: KnownMap, config: Config) -> Alignment:
     lie, they are matched with more.
     """
     recognition = config.recognition
-    wholes = [prepared(known.whole, recognition) for known in (old, new)]
+    wholes = [prepared(known.whole) for known in (old, new)]
     if wholes[0] is None or wholes[1] is None:
         return Alignment(old_from_new=None, reason="a map shows too few walls to match")
-    pieces = Pieces(old, recognition), Pieces(new, recognition)
-    two = _Two(pieces, (wholes[0], wholes[1]), Floors.of(old.whole, new.whole), recognition)
-    likely, others = likely_pairs(old, new, config.localization, recognition.candidates)
+    pieces = Pieces(old), Pieces(new)
+    two = _Two(pieces, (wholes[0], wholes[1]), Floors.of(old.whole, new.whole))
+    likely, others = likely_pairs(old, new, CANDIDATES)
     votes = votes_of(likely, *pieces, recognition)
     found = two.aligned(parties_of(votes))
     if found.old_from_new is None and others:
@@ -86,7 +87,6 @@ class _Two:
     pieces: tuple[Pieces, Pieces]
     wholes: tuple[PreparedGrid, PreparedGrid]
     floors: Floors
-    config: RecognitionConfig
 
     @cached_property
     def search(self) -> TransformSearch:
@@ -119,7 +119,7 @@ class _Two:
 
     def _ground(self, candidate: Candidate) -> CommonGround:
         old, new = zip(self.pieces, self.wholes, strict=True)
-        return common_ground(old, new, candidate.old_from_new, self.config)
+        return common_ground(old, new, candidate.old_from_new)
 
     def _candidates(self, parties: Sequence[Party]) -> list[Candidate]:
         """Different transforms, the best first: those of votes, and of the whole maps."""
@@ -134,7 +134,7 @@ class _Two:
         return kept
 
     def _refined(self, guess: Pose2, party: Party | None) -> Candidate:
-        return refined(*self.wholes, self.floors, guess, party, self.config)
+        return refined(*self.wholes, self.floors, guess, party)
 
 
 def _is_same(one: Candidate, other: Candidate, search: TransformSearch) -> bool:

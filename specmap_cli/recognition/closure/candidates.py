@@ -8,7 +8,6 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.sampling import evenly
-from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, GridMap
 from specmap_cli.grids.matching import ScoreField, refine
 from specmap_cli.recognition.closure.prepared import PreparedGrid
@@ -72,7 +71,6 @@ def refined(
     floors: Floors,
     guess: Pose2,
     party: Party | None,
-    config: RecognitionConfig,
 ) -> Candidate:
     """A guess that `party` made, if any, moved to where the walls of both maps fit best."""
     few = evenly(_near_walls(old, new, guess), _ROUGH_POINTS)
@@ -80,7 +78,7 @@ def refined(
     walls = _near_walls(old, new, near)
     fine = _about_their_middle(old.field.sharper(), walls, near, _FINE_STEPS, _FINE_SHIFT_M)
     around_m = _WALLS_PER_M2 * floors.common_m2(fine)
-    return Candidate(fine, min(net_walls_m(old, new, fine, config), around_m), party)
+    return Candidate(fine, min(net_walls_m(old, new, fine), around_m), party)
 
 
 def _near_walls(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> FloatArray:

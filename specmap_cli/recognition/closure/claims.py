@@ -24,7 +24,10 @@ from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import Booster, StumpBoost
 from specmap_cli.recognition.learning.growing import Growth, Question, grown
 from specmap_cli.recognition.learning.quantiser import CodeArray, Quantiser
-from specmap_cli.recognition.learning.trees import TreeBoost
+from specmap_cli.recognition.learning.trees import FEATURE_SHARE, TreeBoost
+
+_CLOSURE_SHRINKAGE = 0.5  # scale of every vote of trees while ranking
+SAMPLES_PER_SUBMAP = 60  # scans of a submap used for ranking
 
 IndexArray = NDArray[np.intp]
 
@@ -168,7 +171,7 @@ class ClaimRanker:
         About as many of a submap that was visited often as of one that was visited twice.
         """
         stays = self._submaps[submap]
-        most = _OWN_SAMPLES * self.config.samples_per_submap
+        most = _OWN_SAMPLES * SAMPLES_PER_SUBMAP
         each = max(_LEAST_ASKED, most // len(stays))
         return [evenly(scans.features, each) for scans in stays]
 
@@ -187,7 +190,7 @@ class ClaimRanker:
 
     def _own(self, stays: Sequence[_Scans]) -> _Scans:
         """The scans that a submap's classifier claims, of all its stays."""
-        return _thinned(stays, _OWN_SAMPLES * self.config.samples_per_submap)
+        return _thinned(stays, _OWN_SAMPLES * SAMPLES_PER_SUBMAP)
 
     def _pool(self, ids: Sequence[int]) -> _Pool:
         """The pool of negatives: alike many scans of every old submap, of all its stays."""
@@ -220,8 +223,8 @@ class ClaimRanker:
                 )
                 for asked in questions
             ]
-        rounds, shrinkage = config.closure_rounds, config.closure_shrinkage
-        growth = Growth(rounds, shrinkage, config.feature_share, int(self.rng.integers(2**31)))
+        rounds, shrinkage = config.closure_rounds, _CLOSURE_SHRINKAGE
+        growth = Growth(rounds, shrinkage, FEATURE_SHARE, int(self.rng.integers(2**31)))
         forests = grown(scans.codes, self._quantiser, questions, growth)
         return [TreeBoost.of(names, forest) for forest in forests]
 

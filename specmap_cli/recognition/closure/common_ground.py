@@ -14,14 +14,13 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.sampling import evenly
-from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.matching import refine
 from specmap_cli.recognition.closure.known_map import Pieces
 from specmap_cli.recognition.closure.prepared import PreparedGrid
 from specmap_cli.recognition.closure.verification import CONTRADICTION_WEIGHT, agreement
 
 # How far a submap may lie from where one rigid transform puts it: what a layout leaves open, as
-# `relaxation.closure_slack_m` does; and by how much it may be turned.
+# `CLOSURE_SLACK_M` of the layout does; and by how much it may be turned.
 _SLACK_M, _SLACK_RAD = 0.5, math.radians(3.0)
 _ODD = 0.5  # score of a submap of which a quarter, at the least, is not what the other map saw
 _POINTS, _STEPS = 300, 8  # of the match of a submap
@@ -87,11 +86,10 @@ def common_ground(
     old: tuple[Pieces, PreparedGrid],
     new: tuple[Pieces, PreparedGrid],
     old_from_new: Pose2,
-    config: RecognitionConfig,
 ) -> CommonGround:
     """Two maps, each its submaps and its whole grid, under a transform."""
-    there = _fits(new[0], old[1], old_from_new, config)
-    back = [_turned(fit) for fit in _fits(old[0], new[1], old_from_new.inverse(), config)]
+    there = _fits(new[0], old[1], old_from_new)
+    back = [_turned(fit) for fit in _fits(old[0], new[1], old_from_new.inverse())]
     sides = [_Side.of(there), _Side.of(back)]
     fits = (*there, *back)
     weights = np.array([fit.confirmed_m for fit in fits])
@@ -128,15 +126,13 @@ class _Side:
         return cls(confirmed / known, contradicted / known, confirmed, known / walls)
 
 
-def _fits(
-    of: Pieces, whole: PreparedGrid, whole_from_map: Pose2, config: RecognitionConfig
-) -> list[PieceFit]:
+def _fits(of: Pieces, whole: PreparedGrid, whole_from_map: Pose2) -> list[PieceFit]:
     """Each submap of one map against the whole grid of the other."""
     fits = []
     for i in of.known.ids:
         piece = of.of(i)
         if piece is not None:
-            fits.append(_fit(i, piece, of.known.frames[i], whole, whole_from_map, config))
+            fits.append(_fit(i, piece, of.known.frames[i], whole, whole_from_map))
     return fits
 
 
@@ -146,14 +142,13 @@ def _fit(
     frame: Pose2,
     whole: PreparedGrid,
     whole_from_map: Pose2,
-    config: RecognitionConfig,
 ) -> PieceFit:
     guess = whole_from_map @ frame
     points = evenly(piece.walls, _POINTS)
     best = refine(whole.field, points, guess, _STEPS, _SLACK_M).pose
     if abs(wrap_angle(best.theta - guess.theta)) > _SLACK_RAD:
         best = guess
-    said = agreement(whole.area, best.apply(piece.walls), config)
+    said = agreement(whole.area, best.apply(piece.walls))
     walls_m = len(piece.walls) * piece.metres_a_point
     known_m = said.known * walls_m
     middle = piece.walls.mean(axis=0)[None]

@@ -14,7 +14,13 @@ from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.matching import refine
 from specmap_cli.recognition.closure.known_map import Pieces
 from specmap_cli.recognition.closure.prepared import PreparedGrid
-from specmap_cli.recognition.closure.verification import Check, judge
+from specmap_cli.recognition.closure.verification import (
+    LEAST_OVERLAP,
+    MIN_OVERLAP,
+    MIN_WALL_M,
+    Check,
+    judge,
+)
 
 _POINTS, _STEPS, _SHIFT_M = 1000, 15, 0.5  # of a match near the transform of the maps
 _MOST_TURN_RAD = math.radians(3.0)
@@ -48,7 +54,7 @@ def joints(
     through a door match, too, but slide along their walls.
     """
     found, most = list[Joint](), dict[tuple[str, int], float]()
-    for walls_m, i, j in _shared(old, new, old_from_new, config):
+    for walls_m, i, j in _shared(old, new, old_from_new):
         ends = ("old", i), ("new", j)
         if all(walls_m <= most.get(end, 0.0) for end in ends):
             continue  # neither's best: no more can be confirmed than lies near
@@ -66,9 +72,7 @@ def _confirmed_m(joint: Joint) -> float:
     return joint.check.confirmed_m
 
 
-def _shared(
-    old: Pieces, new: Pieces, old_from_new: Pose2, config: RecognitionConfig
-) -> list[tuple[float, int, int]]:
+def _shared(old: Pieces, new: Pieces, old_from_new: Pose2) -> list[tuple[float, int, int]]:
     """Pairs of submaps, old and new, that may match, those first that may share most wall.
 
     With each the metres of the new one's walls that lie near walls of the old one.
@@ -83,7 +87,7 @@ def _shared(
             points = guess.apply(evenly(piece.walls, _POINTS))
             share = float((one.wide.at(points) > _NEAR_SCORE).mean())
             walls_m = share * len(piece.walls) * piece.metres_a_point
-            if walls_m >= config.min_wall_m:
+            if walls_m >= MIN_WALL_M:
                 found.append((walls_m, i, j))
     return sorted(found, key=lambda pair: (-pair[0], pair[2], pair[1]))
 
@@ -124,7 +128,7 @@ def _joint(
     (i, one, old_frame), (j, other, new_frame) = old, new
     guess = old_frame.inverse() @ old_from_new @ new_frame
     best = refine(one.field, evenly(other.walls, _POINTS), guess, _STEPS, _SHIFT_M).pose
-    check = judge(one, other, best, config)
+    check = judge(one, other, best)
     turn = abs(wrap_angle(best.theta - guess.theta))
     if turn > _MOST_TURN_RAD or not _matches(check, config):
         return None
@@ -142,7 +146,7 @@ def _joint(
 def _matches(check: Check, config: RecognitionConfig) -> bool:
     return (
         check.score >= config.min_score
-        and check.confirmed_m >= config.min_wall_m
-        and check.overlap >= config.min_overlap
-        and check.least_overlap >= config.least_overlap
+        and check.confirmed_m >= MIN_WALL_M
+        and check.overlap >= MIN_OVERLAP
+        and check.least_overlap >= LEAST_OVERLAP
     )

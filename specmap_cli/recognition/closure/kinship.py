@@ -12,10 +12,9 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.sampling import evenly
-from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.closure.known_map import KnownMap
 from specmap_cli.recognition.features.sets import scans_features
-from specmap_cli.recognition.features.virtual import cast_circles
+from specmap_cli.recognition.features.virtual import VIRTUAL_BEAMS, VIRTUAL_RANGE_M, cast_circles
 from specmap_cli.recognition.learning.classifiers import Recogniser
 
 _PLACES = 16  # of a submap from which scans are cast: a mean of chances to a tenth
@@ -26,15 +25,13 @@ _FAR_BEHIND = 0.1  # of the best rank: a tenth of the chance
 Pair = tuple[int, int]
 
 
-def likely_pairs(
-    old: KnownMap, new: KnownMap, config: LocalizationConfig, candidates: int
-) -> tuple[list[Pair], list[Pair]]:
+def likely_pairs(old: KnownMap, new: KnownMap, candidates: int) -> tuple[list[Pair], list[Pair]]:
     """Pairs (old submap, new submap) worth a match of their grids, the likeliest first.
 
     Of each submap the `candidates` best ranked ones of the other map. The second list is of those
     that another pair of the new submap is likelier than by far.
     """
-    ranks = _ranks(old, new, config)
+    ranks = _ranks(old, new)
     best_new = np.argsort(-ranks, axis=1, kind="stable")[:, :candidates]
     best_old = np.argsort(-ranks, axis=0, kind="stable")[:candidates]
     chosen = {(i, j) for i, row in enumerate(best_new.tolist()) for j in row}
@@ -47,12 +44,12 @@ def likely_pairs(
     return first, later
 
 
-def _ranks(old: KnownMap, new: KnownMap, config: LocalizationConfig) -> FloatArray:
+def _ranks(old: KnownMap, new: KnownMap) -> FloatArray:
     """(n_old, n_new) the product of the chances by which two submaps claim each other (eq. 5).
 
     Of a map that has no classifiers it is the chance by which the other one claims alone.
     """
-    ranks = [_claimed(new, by=old, config=config), _claimed(old, by=new, config=config)]
+    ranks = [_claimed(new, by=old), _claimed(old, by=new)]
     known = [ranks[0], None if ranks[1] is None else ranks[1].T]
     claims = [chances for chances in known if chances is not None]
     if not claims:
@@ -60,7 +57,7 @@ def _ranks(old: KnownMap, new: KnownMap, config: LocalizationConfig) -> FloatArr
     return np.asarray(np.prod(claims, axis=0))
 
 
-def _claimed(of: KnownMap, *, by: KnownMap, config: LocalizationConfig) -> FloatArray | None:
+def _claimed(of: KnownMap, *, by: KnownMap) -> FloatArray | None:
     """(n_by, n_of) mean chances by which the submaps of one map claim scans of another's.
 
     None where the one cannot be asked, or nobody knows where the robot was in the other.
@@ -70,16 +67,16 @@ def _claimed(of: KnownMap, *, by: KnownMap, config: LocalizationConfig) -> Float
         return None
     if not all(len(of.tracks.get(i, ())) for i in of.ids):
         return None
-    return _chances(asked, by.ids, _cast(of, asked.feature_set, config)).T
+    return _chances(asked, by.ids, _cast(of, asked.feature_set)).T
 
 
-def _cast(known: KnownMap, feature_set: str, config: LocalizationConfig) -> list[FloatArray]:
+def _cast(known: KnownMap, feature_set: str) -> list[FloatArray]:
     """Features (n, F) of virtual scans of every submap, by id."""
     features = []
     for i in known.ids:
         places = evenly(np.asarray(known.tracks[i])[:, :2], _PLACES)
         origins = known.frames[i].inverse().apply(places)
-        scans = cast_circles(known.grids[i], origins, config.virtual_beams, config.virtual_range_m)
+        scans = cast_circles(known.grids[i], origins, VIRTUAL_BEAMS, VIRTUAL_RANGE_M)
         features.append(np.asarray(scans_features(scans, feature_set), dtype=np.float64))
     return features
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.recognition.closure.prepared import PreparedGrid, PreparedGrids
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
@@ -37,9 +36,9 @@ class KnownMap:
 class Pieces:
     """The submaps of a map prepared for matching, those last asked for kept."""
 
-    def __init__(self, known: KnownMap, config: RecognitionConfig) -> None:
+    def __init__(self, known: KnownMap) -> None:
         self.known = known
-        self._grids = PreparedGrids(config, _PREPARED)
+        self._grids = PreparedGrids(_PREPARED)
 
     def of(self, submap: int) -> PreparedGrid | None:
         """One submap's grid in its own frame; None when it shows too little of a wall."""

@@ -18,7 +18,7 @@ from specmap_cli.core.records import Closure
 from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import PackedGrid
-from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
+from specmap_cli.recognition.closure.claims import SAMPLES_PER_SUBMAP, ClaimRanker, Claims
 from specmap_cli.recognition.closure.picking import likely_duplicates, merit, with_one_merge
 from specmap_cli.recognition.closure.prepared import PreparedGrids, cropped
 from specmap_cli.recognition.closure.stay import Stay
@@ -31,8 +31,10 @@ from specmap_cli.recognition.closure.verdict import (
     plausible,
     verdict,
 )
-from specmap_cli.recognition.closure.verification import Check, verify
+from specmap_cli.recognition.closure.verification import CANDIDATES, MIN_LEAD, Check, verify
 
+_LEFTOVERS = 2  # pairs matched a submap in search of duplicates
+_MEMBERS = 2  # visits of an old submap whose grids are matched
 _PREPARED = 8  # grids prepared for matching at a time: each takes megabytes
 _NEAR_M = 2.0  # of tracks that may be of one place: a merge's reach, and what tracking is off
 _NO_CLAIMS = Claims.alike(0.0, 0)
@@ -52,7 +54,7 @@ class LoopCloser:
         self._ranker = ClaimRanker(config, rng)
         self._claims: dict[int, dict[int, Claims]] = {}  # the best of two submaps, by both
         self._compared: set[tuple[int, int]] = set()
-        self._grids = PreparedGrids(config, _PREPARED)
+        self._grids = PreparedGrids(_PREPARED)
         self._way = UnconfirmedWay(config)
 
     def consider(self, new: Stay) -> list[Closure]:
@@ -61,7 +63,7 @@ class LoopCloser:
         Returns the pairs that were considered, best first; at most one has `merged` set, and stays
         advice until `merge` is called.
         """
-        features = evenly(new.features, self.config.samples_per_submap).astype(np.float32)
+        features = evenly(new.features, SAMPLES_PER_SUBMAP).astype(np.float32)
         new = replace(new, features=features, packed=_packed(new))
         claims = self._ranker.claims(features)
         self._remember_claims(new.number, claims)
@@ -109,10 +111,10 @@ class LoopCloser:
         expected = [place for place in self._expected(stay) if place[0] != own]
         found = [
             self._best_match(stay, old, self._best_claims(old, own), [k])
-            for old, k in expected[: self.config.candidates]
+            for old, k in expected[:CANDIDATES]
         ]
         merges = [closure for closure in found if closure is not None and closure.merged]
-        told = with_one_merge(merges, lambda c: self._moved_m(c, stay), self.config.min_lead)
+        told = with_one_merge(merges, lambda c: self._moved_m(c, stay), MIN_LEAD)
         return [closure for closure in told if closure.merged]
 
     def consider_leftovers(self, adjacency: Mapping[int, Collection[int]]) -> list[Closure]:
@@ -128,7 +130,7 @@ class LoopCloser:
         for old, new in self._leftover_pairs(adjacency):
             claims = self._best_claims(old, new)
             latest_first = range(len(self._submaps[old]))[::-1]
-            for stay in self._submaps[new][-self.config.members :]:
+            for stay in self._submaps[new][-_MEMBERS:]:
                 closure = self._best_match(stay, old, claims, latest_first)
                 if closure is not None:
                     found.append(closure)
@@ -160,7 +162,7 @@ class LoopCloser:
         taken: Counter[int] = Counter()
         chosen = []
         for old, new in pairs:
-            if taken[new] < self.config.leftovers:
+            if taken[new] < _LEFTOVERS:
                 taken[new] += 1
                 chosen.append((old, new))
         return chosen
@@ -188,17 +190,17 @@ class LoopCloser:
         """The best ranked candidates with their grids matched; the best of the merges wins."""
         ranked = sorted(claims, key=lambda i: (-claims[i].rank, i))
         closures = []
-        for old in ranked[: self.config.candidates]:
+        for old in ranked[:CANDIDATES]:
             by_stay = claims[old].by_stay
             most_claimed = sorted(range(len(by_stay)), key=lambda k: (-by_stay[k], -k))
             closure = self._best_match(new, old, claims[old], most_claimed)
             if closure is not None:
                 closures.append(closure)
-        for old, k in self._expected(new)[: self.config.candidates]:
+        for old, k in self._expected(new)[:CANDIDATES]:
             closure = self._best_match(new, old, claims[old], [k])
             if closure is not None:
                 closures.append(closure)
-        closures = with_one_merge(closures, lambda c: self._moved_m(c, new), self.config.min_lead)
+        closures = with_one_merge(closures, lambda c: self._moved_m(c, new), MIN_LEAD)
         return sorted(closures, key=lambda c: (not c.merged, not c.verified, -c.xi, c.old))
 
     def _expected(self, new: Stay) -> list[tuple[int, int]]:
@@ -223,7 +225,7 @@ class LoopCloser:
         None when all of these were compared before.
         """
         best: Closure | None = None
-        for k in list(order)[: self.config.members]:
+        for k in list(order)[:_MEMBERS]:
             stay = self._submaps[old][k]
             pair = min(stay.number, new.number), max(stay.number, new.number)
             if pair in self._compared:
@@ -255,7 +257,6 @@ class LoopCloser:
         check = verify(
             grids[0],
             grids[1],
-            self.config,
             lambda pose: plausible(old, new, pose, way_m, self.config),
         )
         found = verdict(old, new, check, way_m, self.config)

@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray
 from specmap_cli.core.sampling import evenly
-from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, NO_OBSTACLE_M, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.matching import ScoreField
 
+_MATCH_CELL_M = 0.3  # two grids are first matched on cells of about this side
+_MATCH_SIGMA_M = 0.15  # how near matched walls pull each other
+INLIER_M = 0.15  # a wall point this near a wall agrees
 _LEAST_WALL_M = 0.5  # less of it says nothing about where a grid belongs
 _MOST_POINTS = 1200  # of walls that are compared: 60 m of them on cells of 5 cm
 _WALL_BLUR_CELLS = 2.0  # the picture of walls is smoothed by this to tell their direction
@@ -92,7 +94,7 @@ class PreparedGrid:
         return self.wide.sharper()
 
 
-def prepared(grid: GridMap, config: RecognitionConfig) -> PreparedGrid | None:
+def prepared(grid: GridMap) -> PreparedGrid | None:
     """The grid prepared for matching; None when it shows too little of a wall."""
     grid = cropped(grid)
     occupied = np.argwhere(grid.occupied)
@@ -101,27 +103,26 @@ def prepared(grid: GridMap, config: RecognitionConfig) -> PreparedGrid | None:
     points = evenly(occupied, _MOST_POINTS)
     return PreparedGrid(
         grid=grid,
-        sigma_m=max(config.match_sigma_m, grid.resolution),
+        sigma_m=max(_MATCH_SIGMA_M, grid.resolution),
         walls=grid.centres_of(points),
         metres_a_point=grid.resolution * len(occupied) / len(points),
         direction=wall_direction(grid),
-        area=_known_area(grid, config.inlier_m),
-        coarse=_coarse(grid, config.match_cell_m),
+        area=_known_area(grid, INLIER_M),
+        coarse=_coarse(grid, _MATCH_CELL_M),
     )
 
 
 class PreparedGrids:
     """Grids prepared for matching by number, the `most` last used of them at a time."""
 
-    def __init__(self, config: RecognitionConfig, most: int) -> None:
-        self.config = config
+    def __init__(self, most: int) -> None:
         self.most = most
         self._grids: OrderedDict[int, PreparedGrid | None] = OrderedDict()
 
     def of(self, number: int, grid: GridMap) -> PreparedGrid | None:
         """The prepared grid of one number, which is always the same."""
         if number not in self._grids:
-            self._grids[number] = prepared(grid, self.config)
+            self._grids[number] = prepared(grid)
             if len(self._grids) > self.most:
                 self._grids.popitem(last=False)
         self._grids.move_to_end(number)

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.closure.stay import Stay
+from specmap_cli.recognition.closure.verdict import TWIN_MARGIN_M
 
 _Tie = tuple[float, float, float]  # two places along the way, and the metres that part them
 
@@ -34,7 +35,7 @@ class UnconfirmedWay:
         """
         ends = old.travelled_m, new.travelled_m
         known = old.map_from_stay is not None and new.map_from_stay is not None
-        if known and all(map(math.isfinite, ends)) and mended_m <= self.config.twin_margin_m:
+        if known and all(map(math.isfinite, ends)) and mended_m <= TWIN_MARGIN_M:
             drift = self.config.max_drift
             metres = mended_m / drift if drift > 0.0 else 0.0
             if metres < self.between(old, new):

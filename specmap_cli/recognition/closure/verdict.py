@@ -8,7 +8,18 @@ from dataclasses import dataclass
 from specmap_cli.core.geometry import Pose2, wrap_angle
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.closure.stay import Stay
-from specmap_cli.recognition.closure.verification import Check, tracks_overlap
+from specmap_cli.recognition.closure.verification import (
+    LEAST_OVERLAP,
+    MIN_LEAD,
+    MIN_OVERLAP,
+    MIN_WALL_M,
+    Check,
+    tracks_overlap,
+)
+
+_MERGE_OVERLAP = 0.4  # shared part of both tracks, for a merge
+_MERGE_REACH_M = 1.0  # tracks this close overlap
+TWIN_MARGIN_M = 0.5  # a match that mends so much more than drift explains is of twin rooms
 
 # Rooms have right angles: a wrong match is turned by a quarter or by half. Tracking is not, unless
 # it turned a little with every metre of a long way.
@@ -36,16 +47,16 @@ def verdict(
     """
     if check is None or check.score < config.min_score:
         return Verdict(False, False, "the grids do not match")
-    if check.confirmed_m < config.min_wall_m:
+    if check.confirmed_m < MIN_WALL_M:
         return Verdict(False, False, "too little wall matches")
-    if check.overlap < config.min_overlap or check.least_overlap < config.least_overlap:
+    if check.overlap < MIN_OVERLAP or check.least_overlap < LEAST_OVERLAP:
         return Verdict(False, False, "the grids overlap too little")
-    if check.lead < config.min_lead:
+    if check.lead < MIN_LEAD:
         return Verdict(False, False, "ambiguous: the grids match in more than one way")
     if not plausible(old, new, check.old_from_new, way_m, config):
         return Verdict(False, False, "ambiguous: looks the same but is too far away, a twin")
-    shared = tracks_overlap(old.track, new.track, check.old_from_new, config.merge_reach_m)
-    if shared < config.merge_overlap:
+    shared = tracks_overlap(old.track, new.track, check.old_from_new, _MERGE_REACH_M)
+    if shared < _MERGE_OVERLAP:
         return Verdict(True, False, "the grids match, the robot's tracks do not overlap")
     return Verdict(True, True, "the grids match and the tracks overlap")
 
@@ -75,7 +86,7 @@ def plausible(
     old: Stay, new: Stay, old_from_new: Pose2, way_m: float, config: RecognitionConfig
 ) -> bool:
     """Whether registration can have drifted, on a way, as far as a merge would say it has."""
-    most_m = config.twin_margin_m + config.max_drift * way_m
+    most_m = TWIN_MARGIN_M + config.max_drift * way_m
     # not to be turned round: a way of NaN says nothing
     return not (
         mended_m(old, new, old_from_new) > most_m

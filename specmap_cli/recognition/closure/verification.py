@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.sampling import evenly
-from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.matching import refine
-from specmap_cli.recognition.closure.prepared import KnownArea, PreparedGrid
+from specmap_cli.recognition.closure.prepared import INLIER_M, KnownArea, PreparedGrid
 from specmap_cli.recognition.closure.transforms import (
     RIVAL_M,
     RIVAL_RAD,
@@ -25,6 +24,15 @@ from specmap_cli.recognition.closure.transforms import (
     differ,
 )
 
+CANDIDATES = 3  # best ranked old submaps whose grids are matched
+_HOPELESS_SCORE = 0.3  # a match below this is given up
+_SURE_SCORE = 0.8  # a match above this needs no other rotation
+_CONTRADICTION_M = 0.3  # a wall point farther than this from walls, and in free space, contradicts
+_CONTRADICTION_DEPTH_M = 0.25  # free space counts this far from its edge, which noise blurs
+MIN_LEAD = 0.1  # score over the next best match, or it is ambiguous
+MIN_WALL_M = 5.0  # metres of wall that agree, cell by cell
+MIN_OVERLAP = 0.4  # shared part of the walls of one of two submaps
+LEAST_OVERLAP = 0.15  # shared part of the walls of the other one
 CONTRADICTION_WEIGHT = 2.0  # separates right from wrong transforms of fr079 without an error
 # A wall may be drawn one cell beside where it is, or two where a turned grid is laid on another.
 _INLIER_CELLS, _CONTRADICTION_CELLS = 1.0, 2.5
@@ -55,7 +63,6 @@ class Check:
 def verify(
     old: PreparedGrid,
     new: PreparedGrid,
-    config: RecognitionConfig,
     plausible: Callable[[Pose2], bool] | None = None,
 ) -> Check | None:
     """The best transform between two grids and its judgement; None when nothing overlaps.
@@ -66,21 +73,19 @@ def verify(
     nor clear, they are tried a few degrees off as well.
     """
     search = TransformSearch(old, new)
-    trials = _Trials(old, new, config, plausible)
+    trials = _Trials(old, new, plausible)
     best = _best(trials, search.best(search.few), search.centre)
-    promising = best is not None and config.hopeless_score <= best.score < config.sure_score
-    if best is not None and promising and not _clear(best, config):
+    promising = best is not None and _HOPELESS_SCORE <= best.score < _SURE_SCORE
+    if best is not None and promising and not _clear(best):
         other = _best(trials, search.best(search.many), search.centre)
         best = other if other is not None and _rank(other) > _rank(best) else best
     return best
 
 
-def judge(
-    old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2, config: RecognitionConfig
-) -> Check:
+def judge(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> Check:
     """How well two grids agree under a given transform."""
-    there = agreement(old.area, old_from_new.apply(new.walls), config)
-    back = agreement(new.area, old_from_new.inverse().apply(old.walls), config)
+    there = agreement(old.area, old_from_new.apply(new.walls))
+    back = agreement(new.area, old_from_new.inverse().apply(old.walls))
     contradicted = max(there.contradicted, back.contradicted)
     return Check(
         old_from_new=old_from_new,
@@ -91,15 +96,13 @@ def judge(
     )
 
 
-def net_walls_m(
-    old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2, config: RecognitionConfig
-) -> float:
+def net_walls_m(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> float:
     """Metres of wall that speak for a transform, less twice those against it: of what both know.
 
     A share would favour grids that hardly touch.
     """
-    there = agreement(old.area, old_from_new.apply(new.walls), config)
-    back = agreement(new.area, old_from_new.inverse().apply(old.walls), config)
+    there = agreement(old.area, old_from_new.apply(new.walls))
+    back = agreement(new.area, old_from_new.inverse().apply(old.walls))
     return min(
         said.known * len(grid.walls) * grid.metres_a_point * said.score
         for said, grid in ((there, new), (back, old))
@@ -125,10 +128,9 @@ class _Trials:
         self,
         old: PreparedGrid,
         new: PreparedGrid,
-        config: RecognitionConfig,
         plausible: Callable[[Pose2], bool] | None,
     ) -> None:
-        self.old, self.new, self.config, self.plausible = old, new, config, plausible
+        self.old, self.new, self.plausible = old, new, plausible
         self.rough = evenly(new.walls, _ROUGH_POINTS)
         self._checks: dict[tuple[Pose2, bool], Check] = {}
 
@@ -150,7 +152,7 @@ class _Trials:
             steps = _FINE_STEPS if fine else _ROUGH_STEPS
             shift_m = _FINE_SHIFT_M if fine else _ROUGH_SHIFT_M
             match = refine(self.old.field, points, guess, steps, shift_m)
-            self._checks[guess, fine] = judge(self.old, self.new, match.pose, self.config)
+            self._checks[guess, fine] = judge(self.old, self.new, match.pose)
         return self._checks[guess, fine]
 
 
@@ -162,7 +164,7 @@ def _best(trials: _Trials, guesses: Sequence[Pose2], centre: FloatArray) -> Chec
         return None
     checks = _possible(checks, trials)
     best = checks[0]
-    if best.score < trials.config.hopeless_score:
+    if best.score < _HOPELESS_SCORE:
         return best
     final = trials.finely(best.old_from_new)
     return replace(final if final.score >= best.score else best, lead=_lead(checks, centre))
@@ -176,18 +178,18 @@ def _possible(checks: list[Check], trials: _Trials) -> list[Check]:
     if trials.plausible is None:
         return checks
     possible = [check for check in checks if trials.plausible(check.old_from_new)]
-    if not possible or _rank(checks[0]) - _rank(possible[0]) >= trials.config.min_lead:
+    if not possible or _rank(checks[0]) - _rank(possible[0]) >= MIN_LEAD:
         return checks
     return possible
 
 
-def _clear(check: Check, config: RecognitionConfig) -> bool:
+def _clear(check: Check) -> bool:
     """Whether a transform leads, and each grid knows enough of the walls of the other.
 
     Then what contradicts it is a difference of the places, not an error of the direction.
     """
-    overlaps = check.overlap >= config.min_overlap and check.least_overlap >= config.least_overlap
-    return overlaps and check.lead >= config.min_lead
+    overlaps = check.overlap >= MIN_OVERLAP and check.least_overlap >= LEAST_OVERLAP
+    return overlaps and check.lead >= MIN_LEAD
 
 
 def _lead(checks: Sequence[Check], centre: FloatArray) -> float:
@@ -226,7 +228,7 @@ class Agreement:
         return self.confirmed - CONTRADICTION_WEIGHT * self.contradicted
 
 
-def agreement(area: KnownArea, points: FloatArray, config: RecognitionConfig) -> Agreement:
+def agreement(area: KnownArea, points: FloatArray) -> Agreement:
     """What an area says to points (N, 2) on walls, in its grid's frame."""
     cells = np.floor((points - area.origin) / area.resolution).astype(np.intp)
     height, width = area.known.shape
@@ -239,9 +241,9 @@ def agreement(area: KnownArea, points: FloatArray, config: RecognitionConfig) ->
     distance, depth = area.wall_distance[rows, columns], area.depth[rows, columns]
     # distances are of whole cells: no limit is finer than they can tell
     cell = area.resolution
-    inliers = int(np.count_nonzero(distance <= max(config.inlier_m, _INLIER_CELLS * cell)))
-    off = distance > max(config.contradiction_m, _CONTRADICTION_CELLS * cell)
-    contradicted = off & (depth > max(config.contradiction_depth_m, _INLIER_CELLS * cell))
+    inliers = int(np.count_nonzero(distance <= max(INLIER_M, _INLIER_CELLS * cell)))
+    off = distance > max(_CONTRADICTION_M, _CONTRADICTION_CELLS * cell)
+    contradicted = off & (depth > max(_CONTRADICTION_DEPTH_M, _INLIER_CELLS * cell))
     return Agreement(
         len(rows) / len(points),
         inliers / len(rows),

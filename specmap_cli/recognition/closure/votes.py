@@ -16,7 +16,14 @@ from specmap_cli.core.geometry import FloatArray, Pose2, nearest_motion, wrap_an
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.closure.kinship import Pair
 from specmap_cli.recognition.closure.known_map import Pieces
-from specmap_cli.recognition.closure.verification import Check, verify
+from specmap_cli.recognition.closure.verification import (
+    LEAST_OVERLAP,
+    MIN_LEAD,
+    MIN_OVERLAP,
+    MIN_WALL_M,
+    Check,
+    verify,
+)
 
 # Votes for one transform: what a match of two grids is off, and how much more for each metre
 # between their places, which an error of its direction, or a bend of a map, makes.
@@ -67,7 +74,7 @@ def votes_of(
     votes = []
     for i, j in sorted(pairs, key=lambda pair: (pair[1], pair[0])):  # few grids are kept prepared
         one, other = old.of(i), new.of(j)
-        check = None if one is None or other is None else verify(one, other, config)
+        check = None if one is None or other is None else verify(one, other)
         if check is not None and _is_sure(check, config):
             frames = old.known.frames[i], new.known.frames[j]
             votes.append(_vote((i, j), check, frames, new.known.grids[j].free_area_m2))
@@ -102,10 +109,10 @@ def _is_sure(check: Check, config: RecognitionConfig) -> bool:
     """Whether two grids match, well and in one way only."""
     return (
         check.score >= config.min_score
-        and check.confirmed_m >= config.min_wall_m
-        and check.overlap >= config.min_overlap
-        and check.least_overlap >= config.least_overlap
-        and check.lead >= config.min_lead
+        and check.confirmed_m >= MIN_WALL_M
+        and check.overlap >= MIN_OVERLAP
+        and check.least_overlap >= LEAST_OVERLAP
+        and check.lead >= MIN_LEAD
     )
 
 

@@ -15,11 +15,15 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
-from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.core.tracks import moved
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.ray_casting import cast_ranges
 
+WINDOW_M = 10.0  # path whose scans make a virtual scan
+VIRTUAL_BEAMS = 360  # bearings of a virtual scan
+VIRTUAL_RANGE_M = 20.0  # farther returns are not in a virtual scan
+_VIRTUAL_SPACING_M = 0.2  # motion between the scans in a virtual scan
+_VIRTUAL_SPACING_RAD = 0.3  # turn between the scans in a virtual scan
 _RANGE_DECIMALS = 6  # of metres: far below the noise of a laser, far above that of a sum
 _NEAREST_M = 0.05  # a return this near to the virtual laser has no bearing to speak of
 
@@ -46,12 +50,11 @@ def circle(beams: int) -> FloatArray:
 class RecentScans:
     """The scans of a window of the path, thinned, from which a virtual scan is put together.
 
-    The window is the last `config.window_m`. `filled` is the path that the scans cover as a share
+    The window is the last `WINDOW_M`. `filled` is the path that the scans cover as a share
     of it.
     """
 
-    def __init__(self, config: LocalizationConfig) -> None:
-        self.config = config
+    def __init__(self) -> None:
         self._kept: deque[tuple[float, Pose2, FloatArray]] = deque()
         self._travelled = 0.0
         self._started = 0.0
@@ -60,7 +63,7 @@ class RecentScans:
     @property
     def filled(self) -> float:
         """Share of the window that has been driven, in [0, 1]."""
-        return min(1.0, (self._travelled - self._started) / self.config.window_m)
+        return min(1.0, (self._travelled - self._started) / WINDOW_M)
 
     def clear(self) -> None:
         """Forget all scans: the next pose has nothing to do with the last one."""
@@ -70,7 +73,7 @@ class RecentScans:
 
     def add(self, scan: PosedScan) -> None:
         """Take in one registered scan."""
-        points = scan.planar.hits(self.config.virtual_range_m)
+        points = scan.planar.hits(VIRTUAL_RANGE_M)
         self.add_points(points, scan.map_from_base, scan.base_from_laser)
 
     def add_points(self, points: FloatArray, map_from_base: Pose2, base_from_laser: Pose2) -> None:
@@ -84,14 +87,14 @@ class RecentScans:
             self._travelled += (self._last.inverse() @ map_from_base).distance
         self._last = map_from_base
         before = self._kept[-1][1] if self._kept else None
-        spacing = self.config.virtual_spacing_m, self.config.virtual_spacing_rad
+        spacing = _VIRTUAL_SPACING_M, _VIRTUAL_SPACING_RAD
         return moved(before, map_from_base, *spacing)
 
     def keep(self, points: FloatArray, map_from_base: Pose2, base_from_laser: Pose2) -> None:
         """Keep the returns (N, 2) of the scan at the pose that was driven to, in its own frame."""
         placed = (map_from_base @ base_from_laser).apply(points)
         self._kept.append((self._travelled, map_from_base, placed))
-        while self._kept[0][0] < self._travelled - self.config.window_m:
+        while self._kept[0][0] < self._travelled - WINDOW_M:
             self._kept.popleft()
 
     def scan(self, stamp_ns: int, map_from_laser: Pose2, share: float = 1.0) -> PlanarScan:
@@ -99,11 +102,11 @@ class RecentScans:
 
         Of the window its last `share` in (0, 1] counts, up to the last scan that was kept.
         """
-        since = self._kept[-1][0] - share * self.config.window_m if self._kept else 0.0
+        since = self._kept[-1][0] - share * WINDOW_M if self._kept else 0.0
         placed = [points for travelled, _, points in self._kept if travelled >= since]
         points = np.vstack(placed) if placed else np.zeros((0, 2))
         seen = map_from_laser.inverse().apply(points)
-        beams, reach = self.config.virtual_beams, self.config.virtual_range_m
+        beams, reach = VIRTUAL_BEAMS, VIRTUAL_RANGE_M
         return nearest_returns(seen, beams, reach, stamp_ns)
 
 

@@ -24,6 +24,11 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import REFINE_SHIFT_M, ScoreField, refine
 from specmap_cli.recognition.learning.json_fields import number, refuse
 
+FIT_RANGE_M = 8.0  # returns matched with walls: farther ones are seen through doors
+_HELD_OUT_M = 1.0  # path before and after a view that is held out with it
+HELD_OUT_REACH_M = 1.5  # the rest of the map comes so near to a view held out, or it is a new place
+_USUAL_MISFIT = 0.1  # mean share of returns off the walls, for a map that has none
+_USUAL_MISFIT_VIEWS = 5  # weight of that mean, in views that the map held out
 _MOST_VIEWS = 60  # held out: enough for a median, and quick
 _MOST_OTHERS = 40  # keyframes that make the walls of a submap: half a metre apart in 20 m
 _MOST_POINTS = 180  # of a scan, one every other degree: what a match costs grows with them
@@ -54,7 +59,6 @@ def held_out_misfit(
     store: KeyframeStore,
     submaps: Mapping[int, Sequence[int]],
     poses: NDArray[Any],
-    config: LocalizationConfig,
 ) -> HeldOutMisfit:
     """The misfit of keyframes with the rest of their submaps; of no view where there is no rest.
 
@@ -65,9 +69,9 @@ def held_out_misfit(
     found = []
     for k in evenly(np.array(sorted(owner), dtype=np.intp), _MOST_VIEWS).tolist():
         numbers = np.asarray(submaps[owner[k]], dtype=np.intp)
-        others = numbers[np.abs(way[numbers] - way[k]) > config.held_out_m]
-        if _is_known(poses[k], poses[others], config.held_out_reach_m):
-            found.append(_misfit(store, k, evenly(others, _MOST_OTHERS), poses, config))
+        others = numbers[np.abs(way[numbers] - way[k]) > _HELD_OUT_M]
+        if _is_known(poses[k], poses[others], HELD_OUT_REACH_M):
+            found.append(_misfit(store, k, evenly(others, _MOST_OTHERS), poses))
     if not found:
         return HeldOutMisfit(0.0, 0)
     return HeldOutMisfit(round(float(np.median(found)), _DECIMALS), len(found))
@@ -94,10 +98,9 @@ def _misfit(
     held_out: int,
     others: NDArray[np.intp],
     poses: FloatArray,
-    config: LocalizationConfig,
 ) -> float:
     """The misfit of one keyframe with walls that others saw: those that its returns could meet."""
-    points = near_returns(store.scan(held_out), config.fit_range_m)
+    points = near_returns(store.scan(held_out), FIT_RANGE_M)
     if not len(points):
         return 1.0
     map_from_laser = Pose2(*poses[held_out].tolist()) @ store.base_from_laser(held_out)
@@ -115,10 +118,10 @@ def _misfit(
 def pooled(held_out: HeldOutMisfit | None, config: LocalizationConfig) -> float:
     """Mean misfit of known places: that of the map's own views, drawn to what is usual anywhere.
 
-    The fewer views were held out, the nearer it is to `usual_misfit`, which is wide. The mean is
+    The fewer views were held out, the nearer it is to `_USUAL_MISFIT`, which is wide. The mean is
     that of an exponential distribution with the median found.
     """
     views, typical = (held_out.views, held_out.typical) if held_out is not None else (0, 0.0)
-    pseudo = config.usual_misfit_views
-    mean = (views * typical / math.log(2.0) + pseudo * config.usual_misfit) / (views + pseudo)
+    pseudo = _USUAL_MISFIT_VIEWS
+    mean = (views * typical / math.log(2.0) + pseudo * _USUAL_MISFIT) / (views + pseudo)
     return max(config.least_misfit, mean)

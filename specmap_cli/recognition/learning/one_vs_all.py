@@ -18,8 +18,9 @@ from specmap_cli.recognition.learning.forest import Forest
 from specmap_cli.recognition.learning.growing import Growth, Question, grown
 from specmap_cli.recognition.learning.json_fields import mapping, refuse, text
 from specmap_cli.recognition.learning.quantiser import Quantiser
-from specmap_cli.recognition.learning.trees import TreeBoost
+from specmap_cli.recognition.learning.trees import FEATURE_SHARE, TreeBoost
 
+_SHRINKAGE = 0.5  # scale of every vote of trees
 _ID_DIGITS = 18  # of a submap's id in a file: those of 64 bits
 
 
@@ -104,7 +105,7 @@ class OneVsAll:
         self, X: FloatArray, questions: Mapping[int, Question], seed: int
     ) -> dict[int, Booster]:
         names, config = feature_names(self.feature_set), self.config
-        growth = Growth(config.rounds, config.shrinkage, config.feature_share, seed)
+        growth = Growth(config.rounds, _SHRINKAGE, FEATURE_SHARE, seed)
         quantiser = Quantiser.of(X)
         forests = grown(quantiser.codes(X), quantiser, list(questions.values()), growth)
         return {i: TreeBoost.of(names, f) for i, f in zip(questions, forests, strict=True)}

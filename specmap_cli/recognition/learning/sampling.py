@@ -15,9 +15,18 @@ from specmap_cli.core.settings import Config, LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.sets import KeyframeFeatures, scans_features
-from specmap_cli.recognition.features.virtual import RecentScans, cast_circles
+from specmap_cli.recognition.features.virtual import (
+    VIRTUAL_BEAMS,
+    VIRTUAL_RANGE_M,
+    RecentScans,
+    cast_circles,
+)
 from specmap_cli.recognition.learning.holding_out import Samples
 from specmap_cli.recognition.learning.lessons import NO_SAMPLES, of_keyframes, together
+
+# Free cells taken lie this near the track: farther, much was never seen.
+_AUGMENTATION_REACH_M = 1.5
+_AUGMENTATION_CLEARANCE_M = 0.25  # free cells taken lie this far from walls, as a robot does
 
 # Of the window: 1, 2, 5 and 10 m by default, as it has to work while it fills.
 _WINDOW_SHARES = (0.1, 0.2, 0.5, 1.0)
@@ -123,11 +132,11 @@ def cast_samples(
         if len(before.keyframes):
             samples[i] = before.rows(np.arange(min(counts[i], len(before.keyframes))))
             continue
-        drawn = _free_places(grids[i], localization.augmentation_clearance_m, counts[i], rng)
+        drawn = _free_places(grids[i], _AUGMENTATION_CLEARANCE_M, counts[i], rng)
         map_from_submap = Pose2(*poses[submaps[i][0]].tolist())
         distance, nearest = tree.query(map_from_submap.apply(drawn))
-        near = (distance < localization.augmentation_reach_m) & (owner[tracked][nearest] == i)
-        beams, reach = localization.virtual_beams, localization.virtual_range_m
+        near = (distance < _AUGMENTATION_REACH_M) & (owner[tracked][nearest] == i)
+        beams, reach = VIRTUAL_BEAMS, VIRTUAL_RANGE_M
         scans = cast_circles(grids[i], drawn[near][: counts[i]], beams, reach)
         features = scans_features(scans, localization.feature_set)
         samples[i] = Samples(features, tracked[nearest[near][: counts[i]]])
@@ -153,7 +162,7 @@ def _along_the_track(
 
     It moves over the keyframes `numbers` of a recording, in turn.
     """
-    scans = _in_windows(store, numbers, set(sampled.tolist()), poses, localization)
+    scans = _in_windows(store, numbers, set(sampled.tolist()), poses)
     return Samples(scans_features(scans, localization.feature_set), sampled)
 
 
@@ -162,15 +171,14 @@ def _in_windows(
     numbers: NDArray[np.intp],
     sampled: Collection[int],
     poses: FloatArray,
-    localization: LocalizationConfig,
 ) -> Iterator[PlanarScan]:
     """The virtual scan of each of the keyframes `sampled`."""
-    window = RecentScans(localization)
+    window = RecentScans()
     turn = 0
     for number in numbers.tolist():
         pose, mounting = Pose2(*poses[number].tolist()), store.base_from_laser(number)
         if window.moves_on(pose):
-            window.keep(store.scan(number).hits(localization.virtual_range_m), pose, mounting)
+            window.keep(store.scan(number).hits(VIRTUAL_RANGE_M), pose, mounting)
         if number in sampled:
             share = _WINDOW_SHARES[turn % len(_WINDOW_SHARES)]
             yield window.scan(0, pose @ mounting, share)

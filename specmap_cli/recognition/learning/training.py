@@ -13,9 +13,12 @@ from specmap_cli.recognition.learning.calibration import HeldOutMargins
 from specmap_cli.recognition.learning.classifiers import Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.holding_out import Pieces, Samples, held_out_margins
+from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.revisits import Revisits
 from specmap_cli.recognition.learning.sensor import Sensor
+
+_EXEMPLARS = 80  # scans kept of a submap, to tell unknown ones by
 
 
 def sensor_of(store: KeyframeStore, submaps: Mapping[int, Sequence[int]]) -> Sensor:
@@ -82,7 +85,7 @@ def _tested(
     rng: np.random.Generator,
 ) -> HeldOutMargins:
     """How the samples `asked` that lie in held-out pieces are told by all other samples."""
-    pieces = Pieces(poses, config.localization.held_out_reach_m)
+    pieces = Pieces(poses, HELD_OUT_REACH_M)
     rest = {i: pieces.rest(own) for i, own in samples.items()}
     tested = {i: pieces.tested(own) for i, own in asked.items()}
     return held_out_margins(rest, tested, feature_set, config.recognition, rng)
@@ -101,7 +104,7 @@ def train(
     """
     localization = config.localization
     classifiers = OneVsAll(feature_set, config.recognition).fit(samples, rng)
-    known = Familiarity(feature_set, localization.false_unknown, localization.exemplars)
+    known = Familiarity(feature_set, localization.false_unknown, _EXEMPLARS)
     shown = samples if looks is None else looks
     return Recogniser(classifiers, known.fit(shown) if known.can_fit(shown) else None)
 

@@ -14,6 +14,7 @@ from specmap_cli.recognition.learning.growing import Growth, Question, grown
 from specmap_cli.recognition.learning.json_fields import field, mapping, number, numbers, objects
 from specmap_cli.recognition.learning.quantiser import CodeArray, Quantiser
 
+FEATURE_SHARE = 0.1  # share of the features that are drawn for a round of trees
 _NODES = ("root", "below", "above")
 _LEAVES = 4
 

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.learning.sensor import Sensor
+
+_VIEW_SLACK_RAD = 0.0873  # a laser is refused that sees by more than this less
+_RANGE_SHARE = 0.5  # a laser is refused that sees less far than this share of the map's laser
 
 
 class BeamSampler:
@@ -20,14 +22,14 @@ class BeamSampler:
     Raises InputError when the laser seen sees less than that of the map did.
     """
 
-    def __init__(self, seen: Sensor, known: Sensor, config: LocalizationConfig) -> None:
+    def __init__(self, seen: Sensor, known: Sensor) -> None:
         self.known = known
         self.same = seen.sees_as(known)
         self.note = (
             "" if self.same else f"the log's laser ({seen}) is resampled to the map's ({known})"
         )
-        narrower = seen.field_of_view < known.field_of_view - config.view_slack_rad
-        if narrower or seen.range_max < config.range_share * known.range_max:
+        narrower = seen.field_of_view < known.field_of_view - _VIEW_SLACK_RAD
+        if narrower or seen.range_max < _RANGE_SHARE * known.range_max:
             raise InputError(
                 f"the log's laser ({seen}) sees less than the laser of the map ({known}); "
                 "build the map again with this laser"

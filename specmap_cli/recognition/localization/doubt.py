@@ -12,8 +12,13 @@ from collections.abc import Sequence
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.recognition.localization.views import INDEPENDENT_M, INDEPENDENT_RAD
 from specmap_cli.recognition.localization.walls import WallCheck
 from specmap_cli.recognition.localization.witness import Impression
+
+_STRANGE_FROM = 0.87  # from this share of the limit on, a scan speaks for unknown
+_STRANGE_GAIN = 2.0  # log likelihood for unknown, per share of the limit beyond that
+_STRANGE_MOST = 1.0  # the most of that likelihood: views that are strange come in a row
 
 
 class Doubt:
@@ -22,7 +27,7 @@ class Doubt:
     def __init__(self, walls: WallCheck, config: LocalizationConfig) -> None:
         self.walls = walls
         self.config = config
-        self._fits, self._looks = _Clue(config), _Clue(config)
+        self._fits, self._looks = _Clue(), _Clue()
 
     @property
     def of_walls(self) -> float | None:
@@ -32,7 +37,7 @@ class Doubt:
     def restart(self) -> None:
         """Forget every scan."""
         self.walls.restart()
-        self._fits, self._looks = _Clue(self.config), _Clue(self.config)
+        self._fits, self._looks = _Clue(), _Clue()
 
     def worth(
         self, posed: PosedScan, evidence: Impression, likely: Sequence[int], again: bool
@@ -53,8 +58,8 @@ class Doubt:
         """Log likelihood of unknown by what a scan looks like."""
         if evidence.strange == -math.inf:
             return None
-        most = self.config.strange_most
-        worth = self.config.strange_gain * (evidence.strange - self.config.strange_from)
+        most = _STRANGE_MOST
+        worth = _STRANGE_GAIN * (evidence.strange - _STRANGE_FROM)
         if worth > 0.0:
             # what a short window of a narrow laser has seen so far looks strange anywhere
             worth *= evidence.shown**2
@@ -64,8 +69,7 @@ class Doubt:
 class _Clue:
     """One kind of evidence: the mean of what is said in a view, by the motion since it last was."""
 
-    def __init__(self, config: LocalizationConfig) -> None:
-        self.config = config
+    def __init__(self) -> None:
         self._at: Pose2 | None = None
         self._motion = 1.0  # share of a view that says something new; what comes first does
         self._weight, self._sum, self._scans = 0.0, 0.0, 0
@@ -84,8 +88,8 @@ class _Clue:
             return
         if self._at is not None:
             step = self._at.inverse() @ posed.map_from_base
-            self._motion += step.distance / self.config.independent_m
-            self._motion += abs(step.theta) / self.config.independent_rad
+            self._motion += step.distance / INDEPENDENT_M
+            self._motion += abs(step.theta) / INDEPENDENT_RAD
         self._at = posed.map_from_base
 
     def add(self, said: float | None, instead: bool = False) -> None:

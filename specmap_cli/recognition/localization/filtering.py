@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LocalizationConfig
 
+LEAP = 0.0001  # chance to be anywhere next, by a way that was never driven
+_LEAVE = 0.0001  # chance to leave the map, or to come back
+_UNKNOWN_PRIOR = 0.5  # chance of unknown at the start
 SMALLEST = 1e-300  # keeps a probability of nought out of a logarithm or a quotient
 
 
@@ -31,7 +34,7 @@ class HiddenMarkovFilter:
     ) -> None:
         self.ids = sorted(adjacency)
         self.transition = _transitions(self.ids, adjacency, config)
-        self._first = _at_the_start(len(self.ids), config.unknown_prior)
+        self._first = _at_the_start(len(self.ids), _UNKNOWN_PRIOR)
         self._belief: FloatArray | None = None
         self._before: FloatArray | None = None  # the belief that the last update began with
 
@@ -109,11 +112,11 @@ def _transitions(
         transition[k, k] = config.stay if neighbours else 1.0
         for n in neighbours:
             transition[k, n] = (1.0 - config.stay) / len(neighbours)
-    transition[:m, :m] *= 1.0 - config.leap - config.leave
-    transition[:m, :m] += config.leap / max(1, m)
-    transition[:m, m] = config.leave
-    transition[m, :m] = config.leave / max(1, m)
-    transition[m, m] = 1.0 - (config.leave if m else 0.0)
+    transition[:m, :m] *= 1.0 - LEAP - _LEAVE
+    transition[:m, :m] += LEAP / max(1, m)
+    transition[:m, m] = _LEAVE
+    transition[m, :m] = _LEAVE / max(1, m)
+    transition[m, m] = 1.0 - (_LEAVE if m else 0.0)
     return transition
 
 

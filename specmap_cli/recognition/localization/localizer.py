@@ -13,6 +13,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.recognition.features.virtual import WINDOW_M
 from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.doubt import Doubt
@@ -27,6 +28,8 @@ from specmap_cli.recognition.localization.wall_fit import Ratio, WallFit
 from specmap_cli.recognition.localization.walls import WallCheck
 from specmap_cli.recognition.localization.witness import Impression, Witness
 
+_TRUST = 1.0  # in what scans say; 1: as sure as the map's classifiers proved to be
+_STRANGE_ALONE = 1.0  # a single scan is unknown beyond this share of the limit
 _TOGETHER = 32  # scans whose features are computed at once
 
 
@@ -74,17 +77,17 @@ class Localizer:
         self._witness = Witness(classifiers, config)
         frames = frames or {}
         around = Surroundings(grids, adjacency, frames)
-        self.tracker = MetricTracker(around.field, config, frames)
+        self.tracker = MetricTracker(around.field, frames)
         ratio = Ratio(classifiers.misfit, config)
-        fit = WallFit(grids, around, ratio, config, frames)
+        fit = WallFit(grids, around, ratio, frames)
         owners = Owners(tracks or {}, frames, grids)
         self.places = PlaceTracker(self.filter.ids, fit, owners, config)
         # Whether a view is of the map at all is told best by the walls that each submap saw itself.
-        alone = WallFit(grids, Surroundings(grids, {}, frames), ratio, config, frames)
+        alone = WallFit(grids, Surroundings(grids, {}, frames), ratio, frames)
         self.walls = WallCheck(alone, config)
         self._uses_walls = metric or config.unknown
         self._doubt = Doubt(self.walls, config)
-        self._views = ViewGrouping(config)
+        self._views = ViewGrouping()
         self._labels: list[Label] = []
         self._leads = Leads()
 
@@ -141,7 +144,7 @@ class Localizer:
 
     def leads(self) -> list[Lead | None]:
         """The place that leads at each scan so far, or that leads later and tells of it."""
-        return self._leads.looking_back(self.config.window_m)
+        return self._leads.looking_back(WINDOW_M)
 
     def _led(self, belief: FloatArray, lead: Lead | None) -> FloatArray:
         """(m + 1,) belief with what a lead says of the submap."""
@@ -156,7 +159,7 @@ class Localizer:
     def _log_likelihoods(self, posed: PosedScan, evidence: Impression, again: bool) -> FloatArray:
         """(m + 1,) log likelihoods of every submap and, last, of unknown, of the scan's view."""
         known = self._views.mean(evidence.all)
-        known = self.config.trust * self._share_of_new(known) * known
+        known = _TRUST * self._share_of_new(known) * known
         worth = -math.inf
         if self._uses_walls:
             worth = self._doubt.worth(posed, evidence, self._likely(evidence, again), again)
@@ -194,7 +197,7 @@ class Localizer:
         """Whether a scan is of no place: it fits no walls, or, if that is not known, is strange."""
         of_walls = self._doubt.of_walls
         if of_walls is None:
-            return evidence.strange > self.config.strange_alone
+            return evidence.strange > _STRANGE_ALONE
         return of_walls > 0.0
 
     def _filtered(self, label: Label, belief: FloatArray) -> Label:

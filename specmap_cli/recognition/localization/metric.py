@@ -9,11 +9,14 @@ from dataclasses import dataclass
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.sampling import evenly
-from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.matching import Match, ScoreField, Window, refine, search
 from specmap_cli.recognition.localization.estimate import Estimate, information
 from specmap_cli.recognition.localization.place import Place
 
+_FOLLOW_M = 0.4  # a pose in a submap is sought this near where motion says it is
+_FOLLOW_RAD = 0.2094  # a pose in a submap is sought turned this much at the most
+_FOLLOW_SCORE = 0.8  # from this score on, a pose to which the motion leads is not sought
+_LOST_SCORE = 0.55  # below this score the whole submap is searched
 _MOST_POINTS = 180  # one every other degree: what a match costs grows with them
 # Steps of the search: what the refinement after it mends (0.3 m at the most).
 _FOLLOW_STEP_M, _FOLLOW_STEP_RAD = 0.1, math.radians(2.0)
@@ -42,11 +45,9 @@ class MetricTracker:
     def __init__(
         self,
         field: Callable[[int], ScoreField],
-        config: LocalizationConfig,
         frames: Mapping[int, Pose2],
     ) -> None:
         self.field = field
-        self.config = config
         self.frames = frames
         self._last: tuple[Place, Estimate] | None = None
 
@@ -72,7 +73,7 @@ class MetricTracker:
             prior = Estimate.about(prior.pose, _PLACE_M, _PLACE_RAD)
         estimate = prior.corrected(match.pose, told)
         self._last = Place(submap, estimate.pose, posed.map_from_base), estimate
-        if match.score < self.config.lost_score:
+        if match.score < _LOST_SCORE:
             return None
         return Fix(submap, estimate.pose, estimate.covariance, match.score)
 
@@ -91,11 +92,11 @@ class MetricTracker:
     def _near(self, field: ScoreField, points: FloatArray, guess: Pose2) -> Match:
         """The match near a guess, which is searched for when the guess leads to none at once."""
         match = refine(field, points, guess)
-        if match.score >= self.config.follow_score:
+        if match.score >= _FOLLOW_SCORE:
             return match
         window = Window(
-            distance_m=self.config.follow_m,
-            angle_rad=self.config.follow_rad,
+            distance_m=_FOLLOW_M,
+            angle_rad=_FOLLOW_RAD,
             step_m=_FOLLOW_STEP_M,
             angle_step_rad=_FOLLOW_STEP_RAD,
         )

@@ -16,12 +16,15 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.recognition.localization.filtering import SMALLEST
+from specmap_cli.recognition.features.virtual import WINDOW_M
+from specmap_cli.recognition.localization.filtering import LEAP, SMALLEST
 from specmap_cli.recognition.localization.hypotheses import Hypothesis, bounded, worth_following
 from specmap_cli.recognition.localization.leads import Lead
 from specmap_cli.recognition.localization.owners import Owners
 from specmap_cli.recognition.localization.place import Place
+from specmap_cli.recognition.localization.views import INDEPENDENT_M, INDEPENDENT_RAD
 from specmap_cli.recognition.localization.wall_fit import Fitted, View, WallFit
+from specmap_cli.recognition.localization.walls import FIT_SEARCH_M
 
 _MOST = 8  # places followed at once: each costs a match a look
 # Power of the filter's odds: it sums views that are nearly the same, and may be sure of a mistake
@@ -74,8 +77,8 @@ class PlaceTracker:
         if self._at is not None:
             step = self._at.inverse() @ map_from_base
             self._driven_m += step.distance
-            self._new += step.distance / self.config.independent_m
-            self._new += abs(step.theta) / self.config.independent_rad
+            self._new += step.distance / INDEPENDENT_M
+            self._new += abs(step.theta) / INDEPENDENT_RAD
         self._at = map_from_base
 
     def _look(self, view: View, belief: FloatArray) -> None:
@@ -109,7 +112,7 @@ class PlaceTracker:
         No more is remembered in favour of a place than a leap away from it is unlikely.
         """
         born = [Hypothesis.born(fitted) for fitted in found if fitted.fits]
-        all_ = bounded([*known, *born], -math.log(self.config.leap))
+        all_ = bounded([*known, *born], -math.log(LEAP))
         self.hypotheses = worth_following(all_, self.fit.frames)
         chances = self._chances(belief)
         best = np.argsort(-chances, kind="stable")[:_MOST]
@@ -126,7 +129,7 @@ class PlaceTracker:
     def _is_searched(self, submap: int) -> bool:
         """Whether a submap was searched for what is seen now: the sooner again if nothing fits."""
         fits = any(each.fitted.fits for each in self.hypotheses)
-        reach_m = self.config.window_m if fits else self.config.fit_search_m
+        reach_m = WINDOW_M if fits else FIT_SEARCH_M
         return self._driven_m - self._searched.get(submap, -math.inf) < reach_m
 
     def _prior(self, belief: FloatArray) -> FloatArray:

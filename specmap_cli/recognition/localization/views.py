@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
-from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.core.tracks import moved
+
+VIEW_M = 0.05  # motion to a new view; scans of one view are averaged, not summed
+VIEW_RAD = 0.0524  # turn to a new view: a keyframe's, 3 degrees
+INDEPENDENT_M = 1.0  # motion to a view that says something new
+INDEPENDENT_RAD = 1.0  # turn to a view that says something new; a part of it counts so
 
 
 class ViewGrouping:
@@ -19,12 +23,11 @@ class ViewGrouping:
 
     `mean` of what is said of the scans of a view is what the view says, however many they are.
     `motion` is how much the view shows that the one before did not, by the motion between them: one
-    after `independent_m` or `independent_rad`, infinite for the first view of a track.
+    after `INDEPENDENT_M` or `INDEPENDENT_RAD`, infinite for the first view of a track.
     `keep` stores the evidence of the view as it is known now; `tracks` returns that of all views.
     """
 
-    def __init__(self, config: LocalizationConfig) -> None:
-        self.config = config
+    def __init__(self) -> None:
         self._at: Pose2 | None = None
         self.motion = math.inf
         self._sum: FloatArray = np.zeros(0)
@@ -40,7 +43,7 @@ class ViewGrouping:
     def begins(self, posed: PosedScan) -> bool:
         """Whether the scan is a new view, which it then is; a lost one only if it is the first."""
         first = not self._tracks[-1]
-        far = moved(self._at, posed.map_from_base, self.config.view_m, self.config.view_rad)
+        far = moved(self._at, posed.map_from_base, VIEW_M, VIEW_RAD)
         if not first and (posed.lost or not far):
             return False
         self.motion = self._motion_to(posed.map_from_base)
@@ -53,8 +56,7 @@ class ViewGrouping:
         if self._at is None:
             return math.inf
         step = self._at.inverse() @ map_from_base
-        config = self.config
-        return step.distance / config.independent_m + abs(step.theta) / config.independent_rad
+        return step.distance / INDEPENDENT_M + abs(step.theta) / INDEPENDENT_RAD
 
     def mean(self, said: NDArray[Any]) -> FloatArray:
         """The mean of what is said (k,) of the scans of this view, this one the last."""

@@ -17,11 +17,17 @@ from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.matching import Match, ScoreField, refine, search_everywhere
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit, near_returns, pooled
+from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
 from specmap_cli.recognition.localization.place import Place
 from specmap_cli.recognition.localization.sight import Sightlines
 from specmap_cli.recognition.localization.surroundings import Surroundings
 
+_FIT_MOST = 4.0  # log likelihood that walls give at the most
+_BEHIND_USUAL = 0.2  # share of a scan behind walls of its own place that moved
+_UNSEEN_WEIGHT = 0.25  # weight of returns off the walls where the map saw nothing
+# Share of returns off the walls of other places where they fit best, on average.
+_FOREIGN_MISFIT = 0.32
+_FOREIGN_MISFIT_SPREAD = 0.13  # standard deviation of that share, seen on plans and logs
 _LEAST_POINTS = 10  # fewer fit anywhere
 _OFF = 0.95  # a point that much off is a quarter of a metre from walls: behind none by noise
 # Of the search, coarse: what it finds within 0.3 m and a few degrees is mended by the refinement.
@@ -32,7 +38,7 @@ _FOREIGN_GAP, _OWN_GAP = 0.06, 0.15
 
 
 class Ratio:
-    """Log likelihood of unknown over known, by the misfit of a scan; never past `fit_most`.
+    """Log likelihood of unknown over known, by the misfit of a scan; never past `_FIT_MOST`.
 
     Misfits in known places are exponential, of the mean that the map's own views had; in other
     places, where they fit best, they are normal. What fits worse than those on average is no more
@@ -41,7 +47,6 @@ class Ratio:
 
     def __init__(self, held_out: HeldOutMisfit | None, config: LocalizationConfig) -> None:
         self.known = pooled(held_out, config)
-        self.config = config
 
     def of(self, misfit: float, gap: float = 0.0) -> float:
         """The log likelihood at a misfit in [0, 1]; it never falls with it.
@@ -50,12 +55,12 @@ class Ratio:
         several places. So a place that stands out may be the right one where the map saw little of
         what is seen there. Places that are alike say nothing: a map has such.
         """
-        foreign, spread = self.config.foreign_misfit, self.config.foreign_misfit_spread
+        foreign, spread = _FOREIGN_MISFIT, _FOREIGN_MISFIT_SPREAD
         off = (min(misfit, foreign) - foreign) / spread
         unknown = -0.5 * off**2 - math.log(spread * math.sqrt(2.0 * math.pi))
         known = -misfit / self.known - math.log(self.known)
         said = unknown - known + _by_chance(gap)
-        return min(max(said, -self.config.fit_most), self.config.fit_most)
+        return min(max(said, -_FIT_MOST), _FIT_MOST)
 
 
 def _by_chance(gap: float) -> float:
@@ -69,7 +74,7 @@ def _by_chance(gap: float) -> float:
 class View:
     """What is matched of a scan: `points` (N, 2) of all that was seen, `own` (N, 2) of it alone.
 
-    Both are in the base frame, as far as `fit_range_m`.
+    Both are in the base frame, as far as `FIT_RANGE_M`.
     """
 
     posed: PosedScan
@@ -112,14 +117,12 @@ class WallFit:
         grids: Mapping[int, GridMap],
         around: Surroundings,
         ratio: Ratio,
-        config: LocalizationConfig,
         frames: Mapping[int, Pose2] | None = None,
     ) -> None:
         self.around = around
         self.ratio = ratio
-        self.config = config
         self.frames = frames or {}
-        self._sight = Sightlines(grids, config.fit_range_m)
+        self._sight = Sightlines(grids, FIT_RANGE_M)
 
     def followed(self, view: View, before: Place, submap: int) -> Fitted | None:
         """Where a view is in a submap to which motion leads from a place; None: it is not known."""
@@ -182,11 +185,11 @@ class WallFit:
         placed = place.pose.apply(points)
         off = 1.0 - np.asarray(field.at(placed), dtype=np.float64)
         unseen = (self._sight.grids[place.submap].values_at(placed) == UNKNOWN) & (off > _OFF)
-        return 1.0 - float(np.mean(np.where(unseen, self.config.unseen_weight, 1.0) * off))
+        return 1.0 - float(np.mean(np.where(unseen, _UNSEEN_WEIGHT, 1.0) * off))
 
     def _behind(self, posed: PosedScan, place: Place) -> float:
         """Share of a scan behind walls, beyond what doors, people and moved things explain."""
-        usual = self.config.behind_usual
+        usual = _BEHIND_USUAL
         behind = self._sight.behind(place.submap, posed, place.pose) - usual
         return max(0.0, behind) / (1.0 - usual)
 

@@ -13,9 +13,14 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.core.tracks import moved
+from specmap_cli.recognition.learning.misfit import FIT_RANGE_M
 from specmap_cli.recognition.localization.place import Place
+from specmap_cli.recognition.localization.views import VIEW_M, VIEW_RAD
 from specmap_cli.recognition.localization.wall_fit import Fitted, View, WallFit
 
+FIT_SEARCH_M = 1.0  # path between searches while a scan fits no walls
+_FIT_STEP_M = 0.2  # motion between looks at walls while a scan fits where it leads
+_FIT_STEP_RAD = 0.2  # turn between looks at walls while a scan fits where it leads
 _BACK_M = 3.0  # so near to the last place that fitted, motion is asked first for the next one
 
 
@@ -53,7 +58,7 @@ class WallCheck:
         before = self._place if self._fits else None
         if before is not None and self._drives_on(before, posed.map_from_base):
             return None
-        view = self.view = View.of(posed, seen, self.config.fit_range_m)
+        view = self.view = View.of(posed, seen, FIT_RANGE_M)
         if view is None:
             return None
         if before is not None:
@@ -72,9 +77,9 @@ class WallCheck:
 
         A robot that stands still looks at every scan: people pass.
         """
-        config, before = self.config, place.map_from_base
-        left = moved(before, map_from_base, config.view_m, config.view_rad)
-        return left and not moved(before, map_from_base, config.fit_step_m, config.fit_step_rad)
+        before = place.map_from_base
+        left = moved(before, map_from_base, VIEW_M, VIEW_RAD)
+        return left and not moved(before, map_from_base, _FIT_STEP_M, _FIT_STEP_RAD)
 
     def _is_far(self, place: Place, map_from_base: Pose2) -> bool:
         """Whether the robot is farther from the last place that fitted than a few metres.
@@ -121,7 +126,7 @@ class _Patience:
 
     def __init__(self, config: LocalizationConfig) -> None:
         self.config = config
-        self._driven_m = config.fit_search_m
+        self._driven_m = FIT_SEARCH_M
         self._scans, self._wait = 0, 1
         self._at: Pose2 | None = None
         self._tried: tuple[int, ...] = ()
@@ -137,9 +142,9 @@ class _Patience:
 
     def due(self, likely: Sequence[int], at_once: bool) -> tuple[int, ...]:
         """The submaps to search now, some of the `likely` ones; none when it is not time."""
-        stands = self._driven_m < self.config.view_m
+        stands = self._driven_m < VIEW_M
         left = tuple(i for i in likely if i not in self._tried) if stands else ()
-        over = self._driven_m >= self.config.fit_search_m or self._scans >= self._wait
+        over = self._driven_m >= FIT_SEARCH_M or self._scans >= self._wait
         if not (at_once or over or (stands and self._tried and left)):
             return ()
         self.goes_on = bool(left) and not at_once and bool(self._tried)

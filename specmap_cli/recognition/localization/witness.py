@@ -43,7 +43,7 @@ class Witness:
         self.classifiers = classifiers
         self.config = config
         self._calibration = classifiers.calibration or Calibration()
-        self._recent = RecentScans(config)
+        self._recent = RecentScans()
         self._sampler: BeamSampler | None = None
 
     @property
@@ -95,7 +95,7 @@ class Witness:
     def _resampled(self, scan: PlanarScan) -> PlanarScan:
         """The scan as the laser of the map would have taken it."""
         if self._sampler is None:
-            self._sampler = BeamSampler(Sensor.of(scan), self.classifiers.sensor, self.config)
+            self._sampler = BeamSampler(Sensor.of(scan), self.classifiers.sensor)
         return self._sampler.apply(scan)
 
     def _window(self, posed: PosedScan) -> tuple[PlanarScan, float]:

@@ -19,6 +19,7 @@ from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.carmen import CarmenFile
 from specmap_cli.logs.readers.carmen_lines import flaser_angles, keyword_of, parse_line
 from specmap_cli.logs.stream import SweepStream
+from tests.turning import configured
 
 RANGES = " ".join(f"{1 + i / 100:.2f}" for i in range(178))
 
@@ -35,7 +36,7 @@ def robotlaser(stamp: float) -> str:
 
 def read(path: Path, **options: object) -> tuple[list[Sweep], SweepStream]:
     with open_log(path) as log:
-        stream = SweepStream(log, LogConfig.model_validate(options))
+        stream = SweepStream(log, configured(LogConfig, "logs", options))
         return list(stream), stream
 
 

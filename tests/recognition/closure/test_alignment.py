@@ -83,7 +83,7 @@ def test_pairs_far_behind_the_best_of_their_new_submap_come_later(
     ranks = np.array([[0.9, 0.04], [0.2, 0.5]])  # of old submaps 0 and 1, and new ones in columns
     monkeypatch.setattr(kinship, "_ranks", lambda *_: ranks)
     two = seen(random_floor(0), [0, 1], IDENTITY)
-    first, later = kinship.likely_pairs(two, two, CONFIG.localization, 2)
+    first, later = kinship.likely_pairs(two, two, 2)
     assert (first, later) == ([(0, 0), (1, 1), (1, 0)], [(0, 1)])
 
 

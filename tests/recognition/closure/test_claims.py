@@ -15,6 +15,7 @@ from specmap_cli.recognition.closure import claims as module
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import StumpBoost
+from tests.turning import altered
 
 NAMES = feature_names("table1")
 PAPER = RecognitionConfig(
@@ -107,7 +108,7 @@ def test_an_old_submap_is_never_among_the_negatives_that_judge_it(
 
 
 def test_of_a_submap_visited_often_no_more_scans_are_asked_than_of_one_visited_twice() -> None:
-    made = ranker(TREES.model_copy(update={"samples_per_submap": 40}), 2)
+    made = ranker(altered(TREES, "recognition", {"samples_per_submap": 40}), 2)
     counts = []
     for visit in range(1, 13):
         asked = made._asked(1)
@@ -192,7 +193,7 @@ def test_negatives_are_capped_and_evenly_spread(monkeypatch: pytest.MonkeyPatch)
             return super().fit(X, y)
 
     monkeypatch.setattr(module, "StumpBoost", Watched)
-    config = PAPER.model_copy(update={"closure_negatives": 30, "samples_per_submap": 10})
+    config = altered(PAPER, "recognition", {"closure_negatives": 30, "samples_per_submap": 10})
     ranker(config, 4).claims(scans_of(9))
     assert {negatives for _, negatives in sizes} == {30}
     assert {positives for positives, _ in sizes} == {20}  # twice the samples of a submap

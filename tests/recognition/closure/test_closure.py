@@ -18,6 +18,7 @@ from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
 from specmap_cli.recognition.closure.prepared import PreparedGrid
 from specmap_cli.recognition.closure.verification import Check
+from tests.turning import altered, configured
 
 QUICK = RecognitionConfig(closure_rounds=20)
 ORDER = [0, 1, 2, 3, 0, 2, 1]
@@ -108,7 +109,7 @@ def test_a_place_that_looks_new_is_compared_with_what_was_where_it_is(
         return {i: Claims.alike(float(i), 1) for i in ranker._submaps} if len(features) else {}
 
     monkeypatch.setattr(ClaimRanker, "claims", misled)
-    loop = closer(RecognitionConfig(candidates=1))
+    loop = closer(configured(RecognitionConfig, "recognition", {"candidates": 1}))
     for number, room in enumerate([0, 1, 2]):
         loop.consider(building.visit(number, room, seed=number, travelled_m=travelled_m))
     considered = loop.consider(building.visit(3, 0, seed=3, travelled_m=travelled_m))
@@ -128,7 +129,9 @@ def test_a_submap_without_a_wall_is_considered_and_refused_once(building: Any) -
 
 
 def test_leftover_duplicates_are_found_through_the_topology(building: Any) -> None:
-    loop = closer(RecognitionConfig(closure_rounds=5, candidates=1, members=1))
+    loop = closer(
+        altered(RecognitionConfig(closure_rounds=5), "recognition", {"candidates": 1, "members": 1})
+    )
     # advice is not followed: the second visit of room 0 stays a submap of its own
     for number, room in enumerate([0, 1, 2]):
         loop.consider(building.visit(number, room, seed=number))
@@ -237,9 +240,8 @@ class Oracle:
         assert isinstance(grid, GridMap)
         return number
 
-    def verify(self, old: Any, new: Any, config: RecognitionConfig, plausible: Any) -> Check:
+    def verify(self, old: Any, new: Any, plausible: Any) -> Check:
         """A match of the given score, nearly on top of each other."""
-        assert config.verify
         self.plausible[old, new] = plausible(Pose2(0.0, 0.0, 0.0))
         self.asked.append((old, new))
         score = self.scores.get((old, new), 0.1)
@@ -263,8 +265,10 @@ def considered(loop: LoopCloser, building: Any, numbers: list[int]) -> list[list
     return [loop.consider(building.visit(k, k % 4, seed=k // 4)) for k in numbers]
 
 
-# quick to rank, and any match merges
-SMALL = RecognitionConfig(closure_rounds=3, groups=1, merge_overlap=0.0)
+def small(settings: dict[str, Any]) -> RecognitionConfig:
+    """Quick to rank, and any match merges."""
+    few = RecognitionConfig(closure_rounds=3, groups=1)
+    return altered(few, "recognition", {"merge_overlap": 0.0, **settings})
 
 
 @pytest.mark.parametrize("confirmed", [True, False])
@@ -272,7 +276,7 @@ def test_a_match_where_tracking_has_it_says_that_it_has_not_drifted(
     building: Any, oracle: Oracle, confirmed: bool
 ) -> None:
     """After 100 m the robot is back in the first room: 5 m on, that is no room 6 m away."""
-    loop = closer(SMALL)
+    loop = closer(small({}))
     ways = (0.0, 100.0, 105.0)
     frames = (0.0, 0.0, 6.0)
     oracle.scores = {(0, 1): 0.9 if confirmed else 0.1, (0, 2): 0.95}
@@ -288,7 +292,7 @@ def test_a_match_where_tracking_has_it_says_that_it_has_not_drifted(
 def test_only_the_best_ranked_candidates_are_matched(
     building: Any, oracle: Oracle, candidates: int
 ) -> None:
-    loop = closer(QUICK.model_copy(update={"candidates": candidates}))
+    loop = closer(altered(QUICK, "recognition", {"candidates": candidates}))
     for number, closures in enumerate(considered(loop, building, [0, 1, 2, 3, 4])):
         assert len(closures) == min(candidates, number)
     of_last = [old for old, new in oracle.asked if new == 4]
@@ -298,7 +302,7 @@ def test_only_the_best_ranked_candidates_are_matched(
 
 
 def test_of_several_merges_the_best_match_is_left(building: Any, oracle: Oracle) -> None:
-    loop = closer(SMALL)
+    loop = closer(small({}))
     oracle.scores = {(0, 3): 0.8, (1, 3): 0.95, (2, 3): 0.9}
     closures = considered(loop, building, [0, 1, 2, 3])[-1]
     assert (closures[0].old, closures[0].merged, closures[0].verified) == (1, True, True)
@@ -312,7 +316,7 @@ def test_of_several_merges_the_best_match_is_left(building: Any, oracle: Oracle)
 def test_closures_come_with_merges_first_then_what_matches_then_by_xi(
     building: Any, oracle: Oracle
 ) -> None:
-    loop = closer(SMALL.model_copy(update={"candidates": 9, "merge_overlap": 1.1}))
+    loop = closer(small({"candidates": 9, "merge_overlap": 1.1}))
     oracle.scores = {(2, 4): 0.9}  # matches; no track can overlap enough to merge
     closures = considered(loop, building, [0, 1, 2, 3, 4])[-1]
     assert [c.verified for c in closures] == [True, False, False, False]
@@ -326,7 +330,7 @@ def test_closures_come_with_merges_first_then_what_matches_then_by_xi(
 def test_a_few_stays_of_a_submap_are_matched_and_the_best_is_told(
     building: Any, oracle: Oracle, members: int
 ) -> None:
-    loop = closer(SMALL.model_copy(update={"members": members}))
+    loop = closer(small({"members": members}))
     considered(loop, building, [0, 4, 8])
     loop.merge(0, 4)
     loop.merge(0, 8)
@@ -338,7 +342,7 @@ def test_a_few_stays_of_a_submap_are_matched_and_the_best_is_told(
 
 
 def test_of_many_stays_those_that_saw_most_are_remembered(building: Any, oracle: Oracle) -> None:
-    loop = closer(SMALL.model_copy(update={"members": 9, "stays_kept": 2}))
+    loop = closer(small({"members": 9, "stays_kept": 2}))
     whole = building.visit(4, 0)
     half = whole.grid.window(slice(0, whole.grid.cells.shape[0] // 2), slice(0, 10**6))
     considered(loop, building, [0])
@@ -356,7 +360,7 @@ def test_of_many_stays_those_that_saw_most_are_remembered(building: Any, oracle:
 def test_two_submaps_have_one_claim_on_each_other_however_many_stays_they_have(
     building: Any,
 ) -> None:
-    loop = closer(SMALL.model_copy(update={"verify": False, "stays_kept": 3}))
+    loop = closer(small({"verify": False, "stays_kept": 3}))
     considered(loop, building, [0, 1, 2])
     for number in range(4, 19):
         if number % 4 == 3:
@@ -376,7 +380,7 @@ def test_two_submaps_have_one_claim_on_each_other_however_many_stays_they_have(
 
 
 def test_the_first_merge_with_a_submap_ends_the_search_in_it(building: Any, oracle: Oracle) -> None:
-    loop = closer(SMALL.model_copy(update={"members": 9}))
+    loop = closer(small({"members": 9}))
     considered(loop, building, [0, 4, 8])
     loop.merge(0, 4)
     loop.merge(0, 8)
@@ -388,7 +392,7 @@ def test_the_first_merge_with_a_submap_ends_the_search_in_it(building: Any, orac
 
 def test_a_stay_merged_away_is_named_by_its_own_number(building: Any, oracle: Oracle) -> None:
     """Closures name stays, which keep their numbers; submaps have that of their first stay."""
-    loop = closer(SMALL.model_copy(update={"members": 9}))
+    loop = closer(small({"members": 9}))
     considered(loop, building, [0, 1, 4])
     loop.merge(4, 0)
     oracle.scores = {(4, 8): 0.9}
@@ -403,7 +407,7 @@ LINE = {0: [1], 1: [0, 2], 2: [1, 3], 3: [2]}
 
 
 def test_leftovers_are_one_or_two_edges_apart(building: Any, oracle: Oracle) -> None:
-    loop = closer(SMALL.model_copy(update={"candidates": 1, "leftovers": 9}))
+    loop = closer(small({"candidates": 1, "leftovers": 9}))
     considered(loop, building, [0, 1, 2, 3])
     before = set(oracle.asked)
     found = loop.consider_leftovers(LINE)
@@ -416,7 +420,7 @@ def test_leftovers_are_one_or_two_edges_apart(building: Any, oracle: Oracle) -> 
 def test_a_duplicate_found_ends_the_search_until_it_is_merged(
     building: Any, oracle: Oracle
 ) -> None:
-    loop = closer(SMALL.model_copy(update={"candidates": 1, "leftovers": 9}))
+    loop = closer(small({"candidates": 1, "leftovers": 9}))
     considered(loop, building, [0, 1, 2, 3])
     oracle.scores = {(a, b): 0.9 for a in range(4) for b in range(4)}
     merged = 0
@@ -435,7 +439,7 @@ def test_a_duplicate_found_ends_the_search_until_it_is_merged(
 def test_few_leftovers_of_each_submap_are_matched(
     building: Any, oracle: Oracle, leftovers: int, most: int
 ) -> None:
-    loop = closer(SMALL.model_copy(update={"candidates": 1, "leftovers": leftovers}))
+    loop = closer(small({"candidates": 1, "leftovers": leftovers}))
     considered(loop, building, [0, 1, 2, 3])
     oracle.asked.clear()
     loop.consider_leftovers({a: [b for b in range(4) if b != a] for a in range(4)})
@@ -445,7 +449,7 @@ def test_few_leftovers_of_each_submap_are_matched(
 
 
 def test_without_grids_no_leftover_is_asked(building: Any, oracle: Oracle) -> None:
-    loop = closer(SMALL.model_copy(update={"verify": False}))
+    loop = closer(small({"verify": False}))
     considered(loop, building, [0, 1, 2])
     assert loop.consider_leftovers(LINE) == []
     assert oracle.asked == []
@@ -456,13 +460,12 @@ def test_grids_are_prepared_once_and_kept_cropped(
 ) -> None:
     prepared: list[tuple[int, ...]] = []
 
-    def watched(grid: GridMap, config: RecognitionConfig) -> PreparedGrid | None:
+    def watched(grid: GridMap) -> PreparedGrid | None:
         prepared.append(grid.cells.shape)
-        assert config is loop.config
         return None
 
     monkeypatch.setattr("specmap_cli.recognition.closure.prepared.prepared", watched)
-    loop = closer(SMALL.model_copy(update={"candidates": 9}))
+    loop = closer(small({"candidates": 9}))
     stay = building.visit(0, 0)
     wide = GridMap(np.pad(stay.grid.cells, 50, constant_values=UNKNOWN), 0.05)
     loop.consider(replace(stay, packed=PackedGrid.of(wide)))
@@ -474,7 +477,7 @@ def test_grids_are_prepared_once_and_kept_cropped(
 def test_considering_changes_nothing_of_the_stay(building: Any) -> None:
     stay = building.visit(0, 0)
     copy = replace(stay, features=stay.features.copy())
-    loop = closer(SMALL.model_copy(update={"samples_per_submap": 5}))
+    loop = closer(small({"samples_per_submap": 5}))
     loop.consider(stay)
     assert (stay.features == copy.features).all()
     assert stay.packed is copy.packed

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from specmap_cli.core.geometry import wrap_angle
-from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.matching import ScoreField
 from specmap_cli.recognition.closure.prepared import (
@@ -23,8 +22,7 @@ from specmap_cli.recognition.closure.prepared import (
 )
 from specmap_cli.recognition.closure.verification import verify
 from tests.strategies import grid_maps
-
-CONFIG = RecognitionConfig()
+from tests.turning import turn
 
 
 def box(degrees: float = 0.0) -> GridMap:
@@ -39,9 +37,9 @@ def box(degrees: float = 0.0) -> GridMap:
     return GridMap(cells, 0.05, (-5.0, -5.0))
 
 
-def prepared_box(config: RecognitionConfig = CONFIG, resolution: float = 0.05) -> PreparedGrid:
+def prepared_box(resolution: float = 0.05) -> PreparedGrid:
     grid = box()
-    made = prepared(GridMap(grid.cells, resolution, grid.origin), config)
+    made = prepared(GridMap(grid.cells, resolution, grid.origin))
     assert made is not None
     return made
 
@@ -73,7 +71,7 @@ def test_a_grid_of_nothing_is_cropped_to_itself() -> None:
 def test_a_grid_with_hardly_a_wall_cannot_be_prepared(cells: int, enough: bool) -> None:
     picture = np.full((30, 30), FREE, dtype=np.uint8)
     picture[4, :cells] = OCCUPIED
-    assert (prepared(GridMap(picture, 0.05), CONFIG) is not None) is enough
+    assert (prepared(GridMap(picture, 0.05)) is not None) is enough
 
 
 def test_walls_are_thinned_evenly() -> None:
@@ -97,7 +95,7 @@ def test_distances_and_depth_are_those_of_scipy() -> None:
 def test_without_unknown_cells_depth_is_far() -> None:
     cells = np.full((40, 40), FREE, dtype=np.uint8)
     cells[20, 5:35] = OCCUPIED
-    made = prepared(GridMap(cells, 0.05), CONFIG)
+    made = prepared(GridMap(cells, 0.05))
     assert made is not None
     assert made.area.known.all()
     assert made.area.depth.max() < 2.0
@@ -109,7 +107,8 @@ def test_the_known_area_grows_by_what_an_inlier_may_be_off(inlier_m: float, marg
     cells[2:38, 2:38] = UNKNOWN
     cells[19, 2:38] = OCCUPIED
     cells[2, 2] = cells[37, 37] = FREE  # the crop keeps the rows between
-    made = prepared(GridMap(cells, 0.05), RecognitionConfig(inlier_m=inlier_m))
+    turn("recognition", inlier_m=inlier_m)
+    made = prepared(GridMap(cells, 0.05))
     assert made is not None
     middle = made.area.known[:, 15]
     assert np.flatnonzero(middle).tolist() == list(range(17 - margin, 17 + margin + 1))
@@ -150,7 +149,7 @@ def test_coarse_layers_reward_walls_on_walls_and_punish_them_in_free_space() -> 
 
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=30))
 def test_the_last_used_grids_are_kept_and_others_prepared_again(numbers: list[int]) -> None:
-    grids = PreparedGrids(CONFIG, most=3)
+    grids = PreparedGrids(most=3)
     grid = GridMap(box().cells[90:110, 30:60].copy(), 0.05)
     held: list[tuple[int, Any]] = []  # the last used one last
     for number in numbers:
@@ -163,12 +162,11 @@ def test_the_last_used_grids_are_kept_and_others_prepared_again(numbers: list[in
 def test_a_grid_that_cannot_be_prepared_is_remembered_too(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[GridMap] = []
 
-    def refuse(grid: GridMap, config: RecognitionConfig) -> None:
-        assert config is CONFIG
+    def refuse(grid: GridMap) -> None:
         asked.append(grid)
 
     monkeypatch.setattr("specmap_cli.recognition.closure.prepared.prepared", refuse)
-    grids = PreparedGrids(CONFIG, most=2)
+    grids = PreparedGrids(most=2)
     assert grids.of(1, box()) is None
     assert grids.of(1, box()) is None
     assert len(asked) == 1
@@ -184,5 +182,5 @@ def test_fields_are_made_of_the_older_grid_alone_and_once(monkeypatch: pytest.Mo
         return real(grid, sigma_m)
 
     monkeypatch.setattr(ScoreField, "from_grid", counted)
-    assert verify(old, new, CONFIG) == verify(old, new, CONFIG)
+    assert verify(old, new) == verify(old, new)
     assert [grid is old.grid for grid in asked] == [True]

@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import Pose2, wrap_angle
-from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.correlation import Target
 from specmap_cli.grids.matching import refine
 from specmap_cli.recognition.closure import verification
 from specmap_cli.recognition.closure.prepared import PreparedGrid, prepared
 from specmap_cli.recognition.closure.transforms import TransformSearch, differ
 from specmap_cli.recognition.closure.verification import verify
-
-CONFIG = RecognitionConfig()
+from tests.turning import turn
 
 
 @pytest.fixture
@@ -37,8 +35,7 @@ def correlated(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 def two(building: Any, first: int, second: int) -> tuple[PreparedGrid, PreparedGrid]:
     """Grids of a room and of another, or of the same one seen on another walk."""
     old, new = (
-        prepared(building.visit(k, room, seed=k).grid, CONFIG)
-        for k, room in enumerate((first, second))
+        prepared(building.visit(k, room, seed=k).grid) for k, room in enumerate((first, second))
     )
     assert old is not None
     assert new is not None
@@ -100,7 +97,7 @@ def test_other_directions_are_tried_when_the_first_answer_is_neither_right_nor_c
         return check
 
     monkeypatch.setattr(verification, "_best", answer)
-    assert verify(*two(building, 0, 1), CONFIG) == check
+    assert verify(*two(building, 0, 1)) == check
     assert len(tried) == passes
 
 
@@ -113,8 +110,8 @@ def test_a_guess_is_refined_once(building: Any, monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(verification, "refine", counting)
     grids = two(building, 0, 1)
-    eager = CONFIG.model_copy(update={"sure_score": 1.0, "hopeless_score": -1.0, "min_lead": 9.0})
-    assert verify(*grids, eager) is not None
+    turn("recognition", sure_score=1.0, hopeless_score=-1.0, min_lead=9.0)
+    assert verify(*grids) is not None
     assert len(guesses) >= 4  # three, the last centimetres, and others of the second pass
     assert len(set(guesses)) == len(guesses)
     assert np.isfinite([guess for guess, _ in guesses]).all()

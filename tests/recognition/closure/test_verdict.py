@@ -18,6 +18,7 @@ from specmap_cli.recognition.closure.stay import Stay
 from specmap_cli.recognition.closure.unconfirmed import UnconfirmedWay
 from specmap_cli.recognition.closure.verdict import Verdict, verdict
 from specmap_cli.recognition.closure.verification import Check
+from tests.turning import turn
 
 CONFIG = RecognitionConfig()
 SURE = Check(
@@ -134,15 +135,15 @@ def test_without_both_frames_no_twin_is_told(known: tuple[bool, bool]) -> None:
     assert told(stays[0], stays[1], SURE, CONFIG).merged
 
 
-def test_margins_are_settings() -> None:
+def test_margins_are_set() -> None:
     old = stay(0, map_from_stay=IDENTITY)
     new = stay(1, map_from_stay=Pose2(4.0, 0.0, 0.0))
     assert told(old, new, SURE, CONFIG).reason == TWIN
-    assert told(old, new, SURE, CONFIG.model_copy(update={"twin_margin_m": 4.5})).merged
-    wide = CONFIG.model_copy(update={"merge_reach_m": 2.0})
     aside = replace(SURE, old_from_new=Pose2(0.0, 1.5, 0.0))
     assert not told(stay(), stay(1), aside, CONFIG).merged
-    assert told(stay(), stay(1), aside, wide).merged
+    turn("recognition", twin_margin_m=4.5, merge_reach_m=2.0)
+    assert told(old, new, SURE, CONFIG).merged
+    assert told(stay(), stay(1), aside, CONFIG).merged
 
 
 @given(

@@ -15,15 +15,24 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, inve
 from specmap_cli.core.settings import GridConfig, RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
-from specmap_cli.recognition.closure.prepared import PreparedGrid, prepared
-from specmap_cli.recognition.closure.verification import judge, tracks_overlap, verify
+from specmap_cli.recognition.closure.prepared import INLIER_M, PreparedGrid, prepared
+from specmap_cli.recognition.closure.verification import (
+    _CONTRADICTION_DEPTH_M,
+    _CONTRADICTION_M,
+    MIN_LEAD,
+    MIN_WALL_M,
+    judge,
+    tracks_overlap,
+    verify,
+)
 from tests.strategies import few, pose_arrays, poses
+from tests.turning import turn
 
 CONFIG = RecognitionConfig()
 
 
-def ready(grid: GridMap, config: RecognitionConfig = CONFIG) -> PreparedGrid:
-    made = prepared(grid, config)
+def ready(grid: GridMap) -> PreparedGrid:
+    made = prepared(grid)
     assert made is not None
     return made
 
@@ -67,12 +76,12 @@ def moved(segments: list[tuple[float, float, float, float]], by: Pose2) -> Any:
 def test_verification_needs_no_guess(building: Any, turn: float) -> None:
     old, new = building.visit(0, 1, seed=0), building.visit(1, 1, seed=2)
     first, second = ready(old.grid), ready(new.grid)
-    check = verify(first, second, CONFIG)
+    check = verify(first, second)
     assert check is not None
     error = building.truth(1, 0, 2).inverse() @ check.old_from_new
     assert error.distance < 0.06
     assert check.score > 0.8
-    elsewhere = judge(first, second, check.old_from_new @ Pose2(0.6, 0.0, turn), CONFIG)
+    elsewhere = judge(first, second, check.old_from_new @ Pose2(0.6, 0.0, turn))
     assert elsewhere.score < check.score
 
 
@@ -82,7 +91,7 @@ def test_a_room_is_found_however_it_lies(x: float, y: float, theta: float) -> No
     """The frame of the second grid lies anywhere; its rows and columns cut the walls otherwise."""
     truth = Pose2(x, y, theta)
     first, second = ready(walls_at(ROOM)), ready(walls_at(moved(ROOM, truth)))
-    check = verify(first, second, CONFIG)
+    check = verify(first, second)
     assert check is not None
     error = truth.inverse() @ check.old_from_new
     assert error.distance < 0.08
@@ -95,7 +104,7 @@ def test_a_room_is_found_at_any_resolution(resolution: float) -> None:
     first, second = (
         ready(walls_at(segments, resolution=resolution)) for segments in (ROOM, moved(ROOM, truth))
     )
-    check = verify(first, second, CONFIG)
+    check = verify(first, second)
     assert check is not None
     error = truth.inverse() @ check.old_from_new
     assert error.distance < 0.05 + resolution
@@ -118,13 +127,13 @@ def test_every_room_is_found_in_itself_on_cells_of_any_size(
 ) -> None:
     for room in range(4):
         old, new = (driven(building, room, resolution, by) for by in (IDENTITY, frame))
-        check = verify(old, new, CONFIG)
+        check = verify(old, new)
         assert check is not None
         error = frame.inverse() @ check.old_from_new
         assert error.distance < 0.05, room
         assert abs(error.theta) < 0.03, room
         assert check.score > 0.95, room
-        assert check.confirmed_m > CONFIG.min_wall_m, room
+        assert check.confirmed_m > MIN_WALL_M, room
 
 
 @pytest.mark.parametrize("resolution", [0.05, 0.08, 0.15])
@@ -135,21 +144,21 @@ def test_a_corridor_that_fits_in_two_ways_keeps_its_rival_on_coarse_cells(
     long = [(-3.5, -1.0, 3.5, -1.0), (-3.5, 1.0, 3.5, 1.0)]
     short = [(-1.2, -1.0, 1.2, -1.0), (-1.2, 1.0, 1.2, 1.0)]
     old, new = (ready(walls_at(walls, resolution=resolution)) for walls in (long, short))
-    check = verify(old, new, CONFIG)
+    check = verify(old, new)
     assert check is not None
-    assert check.lead < CONFIG.min_lead
+    assert check.lead < MIN_LEAD
 
 
 @pytest.mark.parametrize("resolution", [0.02, 0.05, 0.12, 0.25])
 def test_confirmed_walls_are_metres_on_cells_of_any_size(resolution: float) -> None:
     """The room has 21 m of wall, in 84 to 1,050 cells."""
     room = ready(walls_at(ROOM, resolution=resolution))
-    assert judge(room, room, IDENTITY, CONFIG).confirmed_m == pytest.approx(21.0, rel=0.1)
+    assert judge(room, room, IDENTITY).confirmed_m == pytest.approx(21.0, rel=0.1)
 
 
 def test_grids_of_two_rooms_contradict_each_other(building: Any) -> None:
     first, other = ready(building.visit(0, 1).grid), ready(building.visit(1, 2).grid)
-    check = verify(first, other, CONFIG)
+    check = verify(first, other)
     assert check is not None
     assert check.score < CONFIG.min_score
 
@@ -157,31 +166,31 @@ def test_grids_of_two_rooms_contradict_each_other(building: Any) -> None:
 def test_a_corridor_that_fits_in_two_ways_has_no_lead() -> None:
     long = [(-3.5, -1.0, 3.5, -1.0), (-3.5, 1.0, 3.5, 1.0)]
     short = [(-1.2, -1.0, 1.2, -1.0), (-1.2, 1.0, 1.2, 1.0)]
-    check = verify(ready(walls_at(long)), ready(walls_at(short)), CONFIG)
+    check = verify(ready(walls_at(long)), ready(walls_at(short)))
     assert check is not None
-    assert check.lead < CONFIG.min_lead
-    room = verify(ready(walls_at(ROOM)), ready(walls_at(ROOM)), CONFIG)
+    assert check.lead < MIN_LEAD
+    room = verify(ready(walls_at(ROOM)), ready(walls_at(ROOM)))
     assert room is not None
-    assert room.lead > CONFIG.min_lead
+    assert room.lead > MIN_LEAD
 
 
 def test_a_match_below_hope_is_left_rough(building: Any) -> None:
     """Nothing is gained by the fine steps, so they are not made: its lead is not known."""
     first, other = ready(building.visit(0, 1).grid), ready(building.visit(1, 2).grid)
-    config = RecognitionConfig(hopeless_score=1.0)
-    check = verify(first, other, config)
+    turn("recognition", hopeless_score=1.0)
+    check = verify(first, other)
     assert check is not None
     assert check.lead == 0.0
 
 
 def test_the_same_grid_agrees_with_itself_wholly() -> None:
     room = ready(walls_at(ROOM, free=True))
-    check = judge(room, room, IDENTITY, CONFIG)
+    check = judge(room, room, IDENTITY)
     assert (check.score, check.overlap, check.least_overlap) == (1.0, 1.0, 1.0)
     assert check.confirmed_m == pytest.approx(0.05 * len(room.walls))
 
 
-def by_hand(old: GridMap, new: GridMap, old_from_new: Pose2, config: RecognitionConfig) -> Any:
+def by_hand(old: GridMap, new: GridMap, old_from_new: Pose2) -> Any:
     """Confirmed and contradicted share and count of the new grid's walls, by nearest cells."""
     walls = old.centres_of(np.argwhere(old.occupied))
     closed = old.centres_of(np.argwhere(old.cells != FREE))
@@ -190,10 +199,8 @@ def by_hand(old: GridMap, new: GridMap, old_from_new: Pose2, config: Recognition
     at = old.centres_of(old.cells_of(points[known]))
     distance, _ = cKDTree(walls).query(at)
     depth, _ = cKDTree(closed).query(at)
-    confirmed = distance <= config.inlier_m + 1e-6
-    contradicted = (distance > config.contradiction_m + 1e-6) & (
-        depth > config.contradiction_depth_m + 1e-6
-    )
+    confirmed = distance <= INLIER_M + 1e-6
+    contradicted = (distance > _CONTRADICTION_M + 1e-6) & (depth > _CONTRADICTION_DEPTH_M + 1e-6)
     return confirmed.mean(), contradicted.mean(), int(confirmed.sum())
 
 
@@ -201,8 +208,8 @@ def by_hand(old: GridMap, new: GridMap, old_from_new: Pose2, config: Recognition
 def test_the_judgement_counts_what_is_confirmed_and_what_is_contradicted(shift: float) -> None:
     old, new = walls_at(ROOM, free=True), walls_at(ROOM, free=True)
     there = Pose2(shift, 0.0, 0.0)
-    check = judge(ready(old), ready(new), there, CONFIG)
-    sides = by_hand(old, new, there, CONFIG), by_hand(new, old, there.inverse(), CONFIG)
+    check = judge(ready(old), ready(new), there)
+    sides = by_hand(old, new, there), by_hand(new, old, there.inverse())
     expected = min(s[0] for s in sides) - 2.0 * max(s[1] for s in sides)
     assert check.score == pytest.approx(expected, abs=0.02)  # OpenCV's distances are rounded
     assert check.confirmed_m == pytest.approx(0.05 * min(s[2] for s in sides), abs=0.25)
@@ -214,20 +221,21 @@ def test_the_judgement_counts_what_is_confirmed_and_what_is_contradicted(shift: 
 )
 def test_limits_of_the_judgement_are_settings(setting: str, value: float) -> None:
     room, there = ready(walls_at(ROOM, free=True)), Pose2(0.6, 0.2, 0.0)
-    lenient = CONFIG.model_copy(update={setting: value})
-    assert judge(room, room, there, lenient).score > judge(room, room, there, CONFIG).score
+    strict = judge(room, room, there).score
+    turn("recognition", **{setting: value})
+    assert judge(room, room, there).score > strict
 
 
 def test_grids_that_do_not_meet_have_nothing_in_common() -> None:
     room = ready(walls_at(ROOM))
-    check = judge(room, room, Pose2(50.0, 0.0, 0.0), CONFIG)
+    check = judge(room, room, Pose2(50.0, 0.0, 0.0))
     assert (check.score, check.confirmed_m, check.overlap) == (0.0, 0, 0.0)
 
 
 @given(poses)
 def test_the_judgement_is_the_same_both_ways(there: Pose2) -> None:
     first, second = ROOMS_WITH_FLOOR
-    one, other = judge(first, second, there, CONFIG), judge(second, first, there.inverse(), CONFIG)
+    one, other = judge(first, second, there), judge(second, first, there.inverse())
     assert one.score == pytest.approx(other.score)
     assert one.confirmed_m == pytest.approx(other.confirmed_m)
     assert one.overlap == other.overlap
@@ -265,17 +273,17 @@ HALL = [
 def test_of_two_ways_that_a_hall_fits_the_plausible_one_is_sure(turned: bool) -> None:
     """A rectangle fits as well when it is turned by half; tracking knows which way it stands."""
     hall = ready(walls_at(HALL))
-    blind = verify(hall, hall, CONFIG)
-    known = verify(hall, hall, CONFIG, lambda pose: (math.cos(pose.theta) < 0.0) is turned)
+    blind = verify(hall, hall)
+    known = verify(hall, hall, lambda pose: (math.cos(pose.theta) < 0.0) is turned)
     assert blind is not None
     assert known is not None
-    assert blind.lead < CONFIG.min_lead < known.lead
+    assert blind.lead < MIN_LEAD < known.lead
     assert (math.cos(known.old_from_new.theta) < 0.0) is turned
 
 
 def test_what_leads_though_it_is_not_plausible_is_told() -> None:
     """So that the reason can be said: a twin."""
     room = ready(walls_at(ROOM))
-    told = verify(room, room, CONFIG, lambda pose: math.hypot(pose.x, pose.y) > 1.0)
+    told = verify(room, room, lambda pose: math.hypot(pose.x, pose.y) > 1.0)
     assert told is not None
-    assert told == verify(room, room, CONFIG)
+    assert told == verify(room, room)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
-from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.recognition.features.virtual import (
     RecentScans,
@@ -21,6 +20,7 @@ from specmap_cli.recognition.features.virtual import (
     nearest_returns,
 )
 from tests.strategies import poses, seeds
+from tests.turning import turn
 
 WALL = np.array([[0.0, 1.0]])
 
@@ -28,7 +28,8 @@ WALL = np.array([[0.0, 1.0]])
 def recent_scans(**settings: float) -> RecentScans:
     """A window of 2 m, scans 0.2 m apart, 36 beams up to 10 m."""
     chosen = {"window_m": 2.0, "virtual_beams": 36, "virtual_range_m": 10.0} | settings
-    return RecentScans(LocalizationConfig.model_validate(chosen))
+    turn("recognition", **chosen)
+    return RecentScans()
 
 
 def drive(recent: RecentScans, metres: float, step: float = 0.25) -> Pose2:

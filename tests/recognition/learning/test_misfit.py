@@ -36,7 +36,7 @@ def stored(building: Any, poses: FloatArray, noise_m: float = 0.0) -> KeyframeSt
 def misfit_of(building: Any, noise_m: float = 0.0, step: int = 1) -> HeldOutMisfit:
     poses = building.path(0, 2)[::step]
     with stored(building, poses, noise_m) as store:
-        return held_out_misfit(store, {5: range(len(poses))}, store.poses, CONFIG)
+        return held_out_misfit(store, {5: range(len(poses))}, store.poses)
 
 
 def test_views_of_one_room_fit_the_rest_and_noise_shows(building: Any) -> None:
@@ -51,7 +51,7 @@ def test_what_was_seen_just_before_and_after_is_held_out_too(building: Any) -> N
     poses = np.zeros((12, 3)) + building.path(0, 2)[:1]
     poses[:, 0] += 0.05 * np.arange(12)
     with stored(building, poses) as store:
-        found = held_out_misfit(store, {5: range(12)}, store.poses, CONFIG)
+        found = held_out_misfit(store, {5: range(12)}, store.poses)
     assert found == HeldOutMisfit(0.0, 0)
 
 
@@ -59,7 +59,7 @@ def test_views_of_places_seen_once_are_not_held_out(building: Any) -> None:
     """Two keyframes metres apart: neither is a place that the other knows."""
     poses = building.path(0, 2)[[0, 20]]
     with stored(building, poses) as store:
-        assert held_out_misfit(store, {5: [0, 1]}, store.poses, CONFIG).views == 0
+        assert held_out_misfit(store, {5: [0, 1]}, store.poses).views == 0
 
 
 def test_near_returns_are_those_in_reach_or_the_nearer_half() -> None:

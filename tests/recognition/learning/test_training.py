@@ -32,8 +32,9 @@ from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.lessons import NO_LESSONS
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
-from specmap_cli.recognition.learning.training import sensor_of, train_raw
+from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_raw
 from specmap_cli.recognition.localization.localizer import Localizer
+from tests.turning import turn
 
 SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 are in none
 
@@ -134,7 +135,7 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
         np.random.default_rng(0),
     )
     assert learned.classifiers.to_dict() == classifiers.to_dict()
-    looks = Familiarity("table1", config.localization.false_unknown, config.localization.exemplars)
+    looks = Familiarity("table1", config.localization.false_unknown, _EXEMPLARS)
     assert learned.familiarity is not None
     assert learned.familiarity.to_dict() == looks.fit(samples).to_dict()
     known = KeyframeFeatures(store, "table1")
@@ -195,8 +196,8 @@ def test_virtual_scans_are_cast_from_free_cells_near_the_submap_s_own_track(
     store: KeyframeStore, grids: dict[int, GridMap], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cast = Cast(monkeypatch)
-    limits: dict[str, Any] = {"augmentation_clearance_m": 0.4, "augmentation_reach_m": 0.8}
-    samples_of(store, grids, augmentation=100, **limits)
+    turn("recognition", augmentation_clearance_m=0.4, augmentation_reach_m=0.8)
+    samples_of(store, grids, augmentation=100)
     assert [grid for grid, _ in cast.origins] == [grids[0], grids[2]]
     for (grid, origins), keyframes in zip(cast.origins, SUBMAPS.values(), strict=True):
         assert 0 < len(origins) <= 60
@@ -216,8 +217,8 @@ def test_cast_scans_are_dealt_out_half_alike_and_half_by_area(
     augmentation: int,
 ) -> None:
     cast = Cast(monkeypatch)
-    generous: dict[str, Any] = {"augmentation_clearance_m": 0.0, "augmentation_reach_m": 50.0}
-    found = samples_of(store, grids, augmentation=augmentation, **generous)
+    turn("recognition", augmentation_clearance_m=0.0, augmentation_reach_m=50.0)
+    found = samples_of(store, grids, augmentation=augmentation)
     areas = {i: grid.free_area_m2 for i, grid in grids.items()}
     for (_, origins), submap in zip(cast.origins, SUBMAPS, strict=True):
         share = 0.25 + 0.5 * areas[submap] / sum(areas.values())
@@ -256,10 +257,10 @@ def test_samples_are_repeatable_and_drawn_anew_for_another_seed(
 
 
 def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> None:
-    few, many = (
-        raw_of(store, settings(**chosen)).familiarity
-        for chosen in ({"exemplars": 5}, {"exemplars": 12, "false_unknown": 0.4})
-    )
+    turn("recognition", exemplars=5)
+    few = raw_of(store, settings()).familiarity
+    turn("recognition", exemplars=12)
+    many = raw_of(store, settings(false_unknown=0.4)).familiarity
     assert few is not None
     assert many is not None
     assert (len(few.exemplars_), len(many.exemplars_)) == (10, 24)

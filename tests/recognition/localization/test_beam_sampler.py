@@ -16,6 +16,7 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.learning.sensor import Sensor
 from specmap_cli.recognition.localization.beam_sampler import BeamSampler
+from tests.turning import turn
 
 CONFIG = LocalizationConfig()
 HALF = Sensor(beams=181, field_of_view=math.pi, range_max=20.0, full_circle=False)
@@ -27,18 +28,18 @@ def circle(ranges: FloatArray, range_max: float = 30.0) -> PlanarScan:
 
 
 def sampled(scan: PlanarScan, known: Sensor) -> PlanarScan:
-    return BeamSampler(Sensor.of(scan), known, CONFIG).apply(scan)
+    return BeamSampler(Sensor.of(scan), known).apply(scan)
 
 
 def test_the_same_laser_is_left_alone() -> None:
     scan = circle(np.ones(360))
-    sampler = BeamSampler(Sensor.of(scan), Sensor.of(scan), CONFIG)
+    sampler = BeamSampler(Sensor.of(scan), Sensor.of(scan))
     assert sampler.note == ""
     assert sampler.apply(scan) is scan
 
 
 def test_another_laser_is_said() -> None:
-    sampler = BeamSampler(Sensor.of(circle(np.ones(720))), HALF, CONFIG)
+    sampler = BeamSampler(Sensor.of(circle(np.ones(720))), HALF)
     assert sampler.note == (
         "the log's laser (720 beams over 360 degrees, 30 m) is resampled to the map's "
         "(181 beams over 180 degrees, 20 m)"
@@ -86,7 +87,7 @@ def test_readings_that_are_none_stay_none() -> None:
 
 def test_a_scan_without_a_beam_stays_as_it_is() -> None:
     empty = PlanarScan(0, np.zeros(0), np.zeros(0), 30.0, full_circle=True)
-    sampler = BeamSampler(Sensor.of(circle(np.ones(720))), HALF, CONFIG)
+    sampler = BeamSampler(Sensor.of(circle(np.ones(720))), HALF)
     assert sampler.apply(empty) is empty
 
 
@@ -104,19 +105,19 @@ def test_a_scan_without_a_beam_stays_as_it_is() -> None:
 )
 def test_a_laser_that_sees_less_is_refused_in_one_line(seen: Sensor, refused: bool) -> None:
     if not refused:
-        BeamSampler(seen, HALF, CONFIG)
+        BeamSampler(seen, HALF)
         return
     with pytest.raises(InputError) as error:
-        BeamSampler(seen, HALF, CONFIG)
+        BeamSampler(seen, HALF)
     assert str(error.value) == (
         f"the log's laser ({seen}) sees less than the laser of the map ({HALF}); "
         "build the map again with this laser"
     )
 
 
-def test_how_much_less_is_refused_is_a_setting() -> None:
+def test_how_much_less_is_refused_is_set() -> None:
     narrow = replace(HALF, field_of_view=math.radians(160.0), range_max=6.0)
-    lenient = LocalizationConfig(view_slack_rad=0.4, range_share=0.25)
-    assert BeamSampler(narrow, HALF, lenient).note
     with pytest.raises(InputError):
-        BeamSampler(narrow, HALF, CONFIG)
+        BeamSampler(narrow, HALF)
+    turn("recognition", view_slack_rad=0.4, range_share=0.25)
+    assert BeamSampler(narrow, HALF).note

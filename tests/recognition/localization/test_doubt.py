@@ -15,14 +15,15 @@ from specmap_cli.recognition.localization.doubt import Doubt
 from specmap_cli.recognition.localization.walls import WallCheck
 from specmap_cli.recognition.localization.witness import Impression
 from tests.recognition.localization.posed import EMPTY, at
+from tests.turning import turn
 
-CONFIG = LocalizationConfig(
-    independent_m=1.0,
-    independent_rad=2.0,
-    strange_from=1.0,
-    strange_gain=2.0,
-    strange_most=1.0,
-)
+CONFIG = LocalizationConfig()
+
+
+@pytest.fixture(autouse=True)
+def _clues() -> None:
+    turn("recognition", independent_m=1.0, independent_rad=2.0)
+    turn("recognition", strange_from=1.0, strange_gain=2.0, strange_most=1.0)
 
 
 class Saying:

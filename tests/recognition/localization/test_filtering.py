@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
+from tests.turning import configured
 
 LINE: dict[int, list[int]] = {0: [1], 1: [0, 2], 2: [1], 5: []}
 
@@ -20,7 +21,7 @@ LINE: dict[int, list[int]] = {0: [1], 1: [0, 2], 2: [1], 5: []}
 def hidden_markov(
     adjacency: Mapping[int, Collection[int]], **settings: float
 ) -> HiddenMarkovFilter:
-    return HiddenMarkovFilter(adjacency, LocalizationConfig.model_validate(settings))
+    return HiddenMarkovFilter(adjacency, configured(LocalizationConfig, "recognition", settings))
 
 
 @given(st.integers(0, 10_000), st.integers(1, 4))

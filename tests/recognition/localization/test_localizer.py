@@ -27,6 +27,7 @@ from specmap_cli.recognition.learning.lessons import NO_LESSONS
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
 from specmap_cli.recognition.localization.localizer import Localizer
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from tests.turning import turn
 
 CONFIG = load_config(
     overrides={"recognition": {"rounds": 60}, "localization": {"augmentation": 120}}
@@ -220,9 +221,8 @@ def test_the_raw_label_is_that_of_the_most_votes_on_the_single_scan(
 def test_without_virtual_scans_the_filter_hears_the_single_scans(
     trained: Trained, again: list[PosedScan]
 ) -> None:
-    every_scan = {"view_m": 0.0, "view_rad": 0.0}
-    chosen = {"unknown": False, "virtual": False} | every_scan
-    config = load_config(overrides={"localization": chosen})
+    turn("recognition", view_m=0.0, view_rad=0.0)
+    config = load_config(overrides={"localization": {"unknown": False, "virtual": False}})
     guide = localizer(trained, config)
     alone = HiddenMarkovFilter(ADJACENCY, config.localization)
     raw = trained.classifiers.raw
@@ -288,8 +288,9 @@ def test_a_lost_scan_is_labelled_but_adds_nothing_to_the_window(
 def test_when_a_single_scan_is_unknown_is_a_setting(
     trained: Trained, again: list[PosedScan], alone: float, share: float
 ) -> None:
-    config = load_config(overrides={"localization": {"strange_alone": alone, "fit_submaps": 0}})
+    config = load_config(overrides={"localization": {"fit_submaps": 0}})
     guide = localizer(trained, config)
+    turn("recognition", strange_alone=alone)
     labels = [guide.update(scan) for scan in again[:20]]
     assert np.mean([label.submap is None for label in labels]) == share
     assert all(label.runner_up is not None for label in labels)
@@ -299,8 +300,8 @@ def test_when_scans_speak_for_unknown_is_a_setting(trained: Trained, building: A
     places = building.path(2, 5)
     unknown = []
     for strange_from in (0.5, 50.0):
-        chosen = {"strange_from": strange_from, "fit_submaps": 0}
-        config = load_config(overrides={"localization": chosen})
+        turn("recognition", strange_from=strange_from)
+        config = load_config(overrides={"localization": {"fit_submaps": 0}})
         guide = localizer(trained, config)
         labels = [
             guide.update(

@@ -14,6 +14,7 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.matching import ScoreField
 from specmap_cli.recognition.localization.metric import Fix, MetricTracker
 from specmap_cli.recognition.localization.place import Place
+from tests.turning import turn
 
 CONFIG = LocalizationConfig()
 ROOMS = (1, 2)
@@ -37,9 +38,9 @@ def frames_of(building: Any) -> dict[int, Pose2]:
     return {room: Pose2(*building.path(room, 0)[0].tolist()) for room in ROOMS}
 
 
-def tracker_of(building: Any, config: LocalizationConfig = CONFIG) -> MetricTracker:
+def tracker_of(building: Any) -> MetricTracker:
     fields = {room: ScoreField.from_grid(building.visit(0, room).grid) for room in ROOMS}
-    return MetricTracker(fields.__getitem__, config, frames_of(building))
+    return MetricTracker(fields.__getitem__, frames_of(building))
 
 
 def place_of(building: Any, room: int, scan: PosedScan, off: Pose2 = IDENTITY) -> Place:
@@ -89,7 +90,7 @@ def test_the_covariance_is_large_along_what_the_walls_do_not_tell(building: Any)
     ahead = np.abs(scan.planar.bearings) < 0.3
     ranges = np.where(ahead, 1.0 / np.cos(scan.planar.bearings), np.inf)
     wall = np.column_stack([np.ones(400), np.linspace(-4.0, 4.0, 400)])
-    tracker = MetricTracker(lambda _: ScoreField.from_points(wall), CONFIG, {})
+    tracker = MetricTracker(lambda _: ScoreField.from_points(wall), {})
     seen = replace(scan, planar=replace(scan.planar, ranges=ranges), map_from_base=IDENTITY)
     fix = tracker.locate(seen, Place(0, IDENTITY, IDENTITY), 0)
     assert fix is not None
@@ -131,7 +132,8 @@ def test_after_a_restart_nothing_is_followed(building: Any) -> None:
 
 @pytest.mark.parametrize("lost_score", [0.0, 1.0])
 def test_what_fits_no_walls_has_no_pose(building: Any, lost_score: float) -> None:
-    tracker = tracker_of(building, LocalizationConfig(lost_score=lost_score))
+    turn("recognition", lost_score=lost_score)
+    tracker = tracker_of(building)
     scan = walk(building, 2)[0]
     assert (tracker.locate(scan, place_of(building, 2, scan), 2) is None) == (lost_score == 1.0)
 
@@ -147,14 +149,12 @@ def test_without_a_place_a_label_or_a_return_there_is_no_pose(building: Any) -> 
     assert tracker.locate(blind, place, 2) is None
 
 
-def test_how_far_a_pose_is_sought_is_a_setting(building: Any) -> None:
+def test_how_far_a_pose_is_sought_is_set(building: Any) -> None:
     scan = walk(building, 2)[0]
     place = place_of(building, 2, scan, Pose2(0.9, 0.0, 0.0))
-    found = [
-        tracker_of(building, LocalizationConfig(follow_m=reach, lost_score=0.0)).locate(
-            scan, place, 2
-        )
-        for reach in (0.3, 1.2)
-    ]
+    found = []
+    for reach in (0.3, 1.2):
+        turn("recognition", follow_m=reach, lost_score=0.0)
+        found.append(tracker_of(building).locate(scan, place, 2))
     near, far = (off_by(building, scan, fix).distance for fix in found)
     assert far < near

@@ -15,6 +15,7 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.ray_casting import cast_rays
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
+from specmap_cli.recognition.localization.filtering import LEAP
 from specmap_cli.recognition.localization.owners import Owners
 from specmap_cli.recognition.localization.surroundings import Surroundings
 from specmap_cli.recognition.localization.tracking import PlaceTracker
@@ -48,9 +49,7 @@ class Home:
         self.grids = {k: room(niche, k == 2) for k, niche in enumerate(niches)}
         self.walls = {k: grid.obstacle_distance() for k, grid in self.grids.items()}
         around = Surroundings(self.grids, {}, FRAMES)
-        self.fit = WallFit(
-            self.grids, around, Ratio(HeldOutMisfit(0.02, 60), CONFIG), CONFIG, FRAMES
-        )
+        self.fit = WallFit(self.grids, around, Ratio(HeldOutMisfit(0.02, 60), CONFIG), FRAMES)
 
     def tracker(self) -> PlaceTracker:
         tracks = {k: np.array([[frame.x, frame.y]]) for k, frame in FRAMES.items()}
@@ -166,7 +165,7 @@ def test_what_walls_said_is_remembered_no_longer_than_a_leap_is_unlikely() -> No
     tracker = home.tracker()
     for step in range(40):
         home.see(tracker, home.scan(2, Pose2(0.3, 0.4, 0.2 * step)))
-    assert tracker.hypotheses[0].weight == pytest.approx(-math.log(CONFIG.leap))
+    assert tracker.hypotheses[0].weight == pytest.approx(-math.log(LEAP))
 
 
 def test_a_place_goes_over_into_the_submap_of_the_keyframes_around_it() -> None:
@@ -177,7 +176,7 @@ def test_a_place_goes_over_into_the_submap_of_the_keyframes_around_it() -> None:
     grids = {0: hall, 1: moved}
     tracks = {0: np.array([[0.0, -1.0]]), 1: np.array([[0.0, 1.0]])}
     around = Surroundings(grids, {0: [1], 1: [0]}, frames)
-    fit = WallFit(grids, around, Ratio(HeldOutMisfit(0.02, 60), CONFIG), CONFIG, frames)
+    fit = WallFit(grids, around, Ratio(HeldOutMisfit(0.02, 60), CONFIG), frames)
     tracker = PlaceTracker((0, 1), fit, Owners(tracks, frames, grids), CONFIG)
     home, labels = Home(), list[int]()
     home.grids[0], home.walls[0] = hall, hall.obstacle_distance()

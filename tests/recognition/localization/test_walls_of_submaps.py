@@ -18,11 +18,19 @@ from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.matching import Match, ScoreField, search_everywhere
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit, pooled
+from specmap_cli.recognition.learning.misfit import _USUAL_MISFIT, HeldOutMisfit, pooled
 from specmap_cli.recognition.localization.place import Place
 from specmap_cli.recognition.localization.surroundings import Surroundings
-from specmap_cli.recognition.localization.wall_fit import Fitted, Ratio, WallFit
+from specmap_cli.recognition.localization.wall_fit import (
+    _FIT_MOST,
+    _FOREIGN_MISFIT,
+    _FOREIGN_MISFIT_SPREAD,
+    Fitted,
+    Ratio,
+    WallFit,
+)
 from specmap_cli.recognition.localization.walls import WallCheck
+from tests.turning import configured
 
 CONFIG = LocalizationConfig()
 
@@ -47,7 +55,8 @@ class Counted:
 
 
 def walls_of(building: Any, **settings: float) -> tuple[WallCheck, Counted]:
-    config, field = LocalizationConfig.model_validate(settings), Counted(building)
+    config = configured(LocalizationConfig, "recognition", settings)
+    field = Counted(building)
     grids = dict.fromkeys((7, 8, 9), field.grid)
     return check(grids, field, config), field
 
@@ -60,16 +69,16 @@ def check(
 ) -> WallCheck:
     around = Surroundings(grids, {}, {})
     around.field = field  # type: ignore[method-assign, assignment]
-    return WallCheck(WallFit(grids, around, Ratio(None, config), config, frames), config)
+    return WallCheck(WallFit(grids, around, Ratio(None, config), frames), config)
 
 
 @pytest.mark.parametrize("typical", [0.0, 0.06, 0.3])
 def test_the_ratio_is_that_of_scipy_s_distributions(typical: float) -> None:
     ratio = Ratio(HeldOutMisfit(typical, 60), CONFIG)
     for misfit in (0.02, 0.1, 0.2, 0.3):
-        unknown = norm.logpdf(misfit, CONFIG.foreign_misfit, CONFIG.foreign_misfit_spread)
+        unknown = norm.logpdf(misfit, _FOREIGN_MISFIT, _FOREIGN_MISFIT_SPREAD)
         expected = unknown - expon.logpdf(misfit, scale=ratio.known)
-        most = CONFIG.fit_most
+        most = _FIT_MOST
         assert ratio.of(misfit) == pytest.approx(min(max(expected, -most), most))
 
 
@@ -94,7 +103,7 @@ def test_a_place_that_stands_out_speaks_for_the_map_and_look_alikes_say_nothing(
 def test_few_views_widen_what_is_taken_for_known() -> None:
     means = [pooled(HeldOutMisfit(0.01, views), CONFIG) for views in (0, 2, 10, 60)]
     assert means == sorted(means, reverse=True)
-    assert means[0] == pooled(None, CONFIG) == CONFIG.usual_misfit
+    assert means[0] == pooled(None, CONFIG) == _USUAL_MISFIT
     assert pooled(HeldOutMisfit(0.0, 60), CONFIG) == CONFIG.least_misfit
     assert pooled(HeldOutMisfit(0.2, 60), CONFIG) == pytest.approx(0.2 / math.log(2.0), rel=0.1)
 
@@ -186,7 +195,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 def rooms_of(building: Any, frames: dict[int, Pose2] | None = None, **settings: float) -> WallCheck:
     """The walls of all rooms of the building, each a submap."""
-    config = LocalizationConfig.model_validate(settings)
+    config = configured(LocalizationConfig, "recognition", settings)
     grids = {room: building.walk(room, 0, "pairs").grid for room in range(4)}
     fields = {room: ScoreField.from_grid(grid) for room, grid in grids.items()}
     return check(grids, fields.__getitem__, config, frames)
@@ -340,7 +349,7 @@ def test_returns_where_the_map_saw_nothing_count_less(building: Any) -> None:
         cells[:, cells.shape[1] // 2 :] = UNKNOWN
         half = GridMap(cells, field.grid.resolution, field.grid.origin)
         field.walls = ScoreField.from_grid(half)
-        config = LocalizationConfig(unseen_weight=weight)
+        config = configured(LocalizationConfig, "recognition", {"unseen_weight": weight})
         walls = check({7: half}, field, config)
         pose = building.path(0, 3)[:1]
         scan = building.scans(pose)[0]

@@ -1,4 +1,4 @@
-"""Groups of options: a command takes one value for several options that belong together.
+"""What Typer lacks: groups of options, and options of several values.
 
 A group is a dataclass whose fields are the options. A command takes it as one parameter, and Typer,
 which reads the signature, finds its fields there instead::
@@ -8,16 +8,27 @@ which reads the signature, finds its fields there instead::
         quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False
 
     def info(logs: Logs, common: Common) -> None: ...  # Typer sees: logs, quiet
+
+Typer has options of several values, and options that may be repeated, but none that are both, as in
+`--rename 3 Kitchen`. Here an option whose metavar has two words takes as many values; the command
+gets them joined.
 """
 
 from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from inspect import Parameter
+from itertools import takewhile
 from typing import Any, get_type_hints
+
+from typer.core import TyperCommand
+
+from specmap_cli.core.errors import UsageError
+
+_JOINT = "\x1f"  # no shell and no keyboard gives it
 
 
 def unfolded(command: Callable[..., None]) -> Callable[..., None]:
@@ -53,3 +64,42 @@ def _fields(group: type[Any]) -> Iterator[Parameter]:
         yield Parameter(
             field.name, Parameter.KEYWORD_ONLY, default=default, annotation=hints[field.name]
         )
+
+
+class JoinedCommand(TyperCommand):
+    """A command that joins the values of such options before Typer sees them."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments."""
+        options = {option for parameter in self.params for option in parameter.opts}
+        several = {
+            option: len(metavar.split())
+            for parameter in self.params
+            for option in parameter.opts
+            if option.startswith("-") and " " in (metavar := parameter.metavar or "")
+        }
+        return super().parse_args(ctx, _joined(args, several, options))
+
+
+def values_of(option: str, joined: str, names: str) -> list[str]:
+    """The values of one use of an option; UsageError when there are not as many as `names`."""
+    values = joined.split(_JOINT)
+    if len(values) != len(names.split()):
+        raise UsageError(f"{option} {' '.join(values)}: expected {option} {names}")
+    return values
+
+
+def _joined(args: list[str], several: Mapping[str, int], options: Collection[str]) -> list[str]:
+    """The arguments, those that belong to one use of an option joined; another option ends them."""
+    joined: list[str] = []
+    rest = list(args)
+    while rest:
+        word = rest.pop(0)
+        joined.append(word)
+        if word == "--":
+            return [*joined, *rest]
+        values = list(takewhile(lambda value: value not in options, rest[: several.get(word, 0)]))
+        if values:
+            del rest[: len(values)]
+            joined.append(_JOINT.join(values))
+    return joined
