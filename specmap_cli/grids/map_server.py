@@ -142,14 +142,14 @@ def _complaint(error: ValidationError, entries: dict[str, Any]) -> str:
     key = str(first["loc"][0])
     if first["type"] == "missing":
         return f"no `{key}` entry: expected a map_server YAML"
-    return f"{key} is {_written(entries[key])!r}: expected {_MapYaml.model_fields[key].description}"
+    found, expected = entries[key], _MapYaml.model_fields[key].description
+    shown = f"{found:g}" if isinstance(found, float | int) else repr(_written(found))
+    return f"{key} is {shown}: expected {expected}"
 
 
 def _written(value: Any) -> str:
     """A value as it stands in the file, about."""
-    if isinstance(value, list):
-        return f"[{', '.join(map(_written, value))}]"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return f"[{', '.join(map(_written, value))}]" if isinstance(value, list) else str(value)
 
 
 _Metres = Annotated[float, Field(ge=-_FARTHEST_M, le=_FARTHEST_M)]
