@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 _SOURCES = ("specmap_cli", "benchmarks")
-_KINDS = {".py", ".json", ".html", ".css", ".js"}
+_KINDS = {".py", ".toml", ".json", ".html", ".css", ".js"}
 _FILES = ("constraints.txt",)
 
 
