@@ -5,11 +5,10 @@ from __future__ import annotations
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.progress import Progress
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.carrying import keyframe_rows
+from specmap_cli.layout.trajectory import keyframe_rows
 from specmap_cli.pipelines.exploration import Explored
 from specmap_cli.pipelines.laying_out import LaidOut
-from specmap_cli.quality.evidence import Evidence
-from specmap_cli.quality.holes import holes_of
+from specmap_cli.quality.evidence import Evidence, holes_of
 from specmap_cli.quality.verdict import judged
 
 

@@ -17,7 +17,7 @@ from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.motion_edges import Bridge
+from specmap_cli.layout.path_graph import Bridge
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.recognition.closure.claims import SAMPLES_PER_SUBMAP
 from specmap_cli.recognition.closure.loop_closer import LoopCloser

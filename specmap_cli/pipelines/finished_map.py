@@ -14,8 +14,7 @@ from specmap_cli.core.records import IntArray, Labels, Trajectory
 from specmap_cli.core.text import legible
 from specmap_cli.core.tracks import path_length
 from specmap_cli.drawing.overview import render_overview
-from specmap_cli.layout.g2o import write_g2o
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.result import Layout
 from specmap_cli.maps.writing import MapResult, PictureArray
 from specmap_cli.pipelines.stored_lessons import arrays_of
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
@@ -82,7 +81,7 @@ class FinishedMap:
             logs=logs,
             run=run,
             quality=self.quality,
-            pose_graph=write_g2o(self.layout),
+            pose_graph=self.layout.g2o(),
             edits=self.edits,
             overview=overview,
         )

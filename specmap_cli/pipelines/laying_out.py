@@ -8,9 +8,11 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import Closure, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.healing import Audited, healed
+from specmap_cli.layout.audit import Audited, repaired
 from specmap_cli.layout.main_direction import along_walls
-from specmap_cli.layout.relaxation import Layout, corrected, relax
+from specmap_cli.layout.relaxation import relax
+from specmap_cli.layout.result import Layout
+from specmap_cli.layout.trajectory import corrected
 from specmap_cli.pipelines.exploration import Explored
 from specmap_cli.pipelines.refutation import constraints_of, refute
 from specmap_cli.pipelines.stopwatch import Stopwatch
@@ -40,7 +42,7 @@ def lay_out(
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
         layout = along_walls(layout, store, config.relaxation)
     with clock.stage("audit"):
-        audited = healed(store, layout, explored.breaks)
-        trajectory = corrected(explored.trajectory, store, audited.layout)
+        audited = repaired(store, layout, explored.breaks)
+        trajectory = corrected(explored.trajectory, store, audited.layout.poses)
     closures = refute(explored.closures, constraints, audited.layout)
     return LaidOut(audited, trajectory, closures)

@@ -16,8 +16,8 @@ from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.motion_edges import Bridge
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.path_graph import Bridge
+from specmap_cli.layout.result import Layout
 from specmap_cli.pipelines.exploration import Regions, online_labels
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.worker import ahead

@@ -15,12 +15,11 @@ from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.carrying import carried, rows_of
-from specmap_cli.layout.dropping import gaps_of
-from specmap_cli.layout.healing import Audited, healed
-from specmap_cli.layout.joining import join_layouts, placed, without_guesses
-from specmap_cli.layout.motion_edges import Bridge
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.audit import Audited, repaired
+from specmap_cli.layout.joining import gaps_of, join_layouts, placed
+from specmap_cli.layout.path_graph import Bridge
+from specmap_cli.layout.result import Layout
+from specmap_cli.layout.trajectory import propagated, rows_of
 from specmap_cli.pipelines.joint_edits import edits_of_both, without_borders
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, thinned_of
 from specmap_cli.pipelines.refutation import constraints_of, refute
@@ -67,8 +66,10 @@ def join(
     cuts = {**_gaps(store, old, later), **breaks}
     layout = join_layouts(store, old.layout, later.layout, ties, cuts)
     layout = _in_frame_of(old.layout, layout)
-    audited = healed(store, layout, cuts)
-    layout = without_guesses(audited.layout, (*old.starts, first, *later.starts))
+    audited = repaired(store, layout, cuts)
+    starts = {*old.starts, first, *later.starts}  # no guess of tracking joined the recordings
+    parts = tuple(move for move in audited.layout.parts if move.first not in starts)
+    layout = replace(audited.layout, parts=parts)
     plain = without_borders(new)
     submaps = inherit(old, regions, plain, layout.poses, old_from_new, config)
     free = max(old.next_id, 1 + int(submaps.max(initial=-1)))
@@ -230,7 +231,7 @@ def _carried(kept: KeptMap, now: FloatArray) -> FloatArray:
     """The trajectory of a map whose keyframes lie at poses `now` (n, 3)."""
     labels = kept.labels
     rows = rows_of(kept.trajectory, labels.stamps_ns.tolist(), labels.poses)
-    return carried(kept.trajectory.poses, rows, now[: len(rows)])
+    return propagated(kept.trajectory.poses, rows, now[: len(rows)])
 
 
 def _both(

@@ -24,8 +24,7 @@ from specmap_cli.core.text import counted
 from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.audit import Audit
-from specmap_cli.layout.healing import Audited
+from specmap_cli.layout.audit import Audit, Audited
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.maps.writing import write_map

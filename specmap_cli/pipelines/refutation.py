@@ -11,8 +11,9 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_a
 from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.closure_matching import place_around, sharpened
-from specmap_cli.layout.nearby_passes import METRES_A_RADIAN
-from specmap_cli.layout.relaxation import Constraint, Layout
+from specmap_cli.layout.passes import METRES_A_RADIAN
+from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.result import Layout
 from specmap_cli.pipelines.exploration import Regions, in_own_frame
 
 _CLOSURE_SIGMA_M = 0.04  # spread of matched grids' transforms about the truth, x and y
@@ -25,7 +26,7 @@ REFUTED = "contradicts the layout"
 
 def constraints_of(
     closures: Sequence[Closure], regions: Regions, store: KeyframeStore
-) -> dict[Pair, Constraint]:
+) -> dict[Pair, Link]:
     """For each pair of merged regions, (old, new): where a keyframe lies, seen from another.
 
     Grids that match while the robot's tracks do not overlap are no evidence for the layout: that is
@@ -47,7 +48,7 @@ def constraints_of(
 
 
 def refute(
-    closures: Sequence[Closure], constraints: Mapping[Pair, Constraint], layout: Layout
+    closures: Sequence[Closure], constraints: Mapping[Pair, Link], layout: Layout
 ) -> tuple[Closure, ...]:
     """The closures, without the merges whose constraint the layout dropped."""
     dropped = {(link.source, link.target) for link in layout.dropped if link.kind == "closure"}
@@ -68,7 +69,7 @@ def _constraint(
     old_from_new: Pose2,
     store: KeyframeStore,
     information: FloatArray,
-) -> Constraint:
+) -> Link:
     """The keyframes of two regions that saw most alike, tied by the walls around them.
 
     Under the transform they are the nearest to each other, turned as little as may be.
@@ -78,11 +79,12 @@ def _constraint(
     i, j = nearest_pair(old_track, new_track)
     guess = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
     places = place_around(store, old, i), place_around(store, new, j)
-    return Constraint(
+    return Link(
         source=old[i],
         target=new[j],
         source_from_target=sharpened(*places, guess),
         information=information,
+        kind="closure",
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
-from specmap_cli.layout.healing import Audited
+from specmap_cli.layout.audit import Audited
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.pipelines.build import explore_log, refuse_empty
 from specmap_cli.pipelines.exploration import Exploration

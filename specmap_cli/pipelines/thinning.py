@@ -21,8 +21,8 @@ from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import UNKNOWN
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.redundancy import Recorded, enough_looks, last_witnesses, repeated
-from specmap_cli.layout.carrying import carried_places
-from specmap_cli.layout.dropping import gaps_of, tracked_over_gaps, without_keyframes
+from specmap_cli.layout.joining import gaps_of, tracked_over_gaps, without_keyframes
+from specmap_cli.layout.trajectory import propagated_places
 from specmap_cli.pipelines.finished_map import ways_m
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, thinned_of
 from specmap_cli.topology.borders import Border, Merge, heirs
@@ -105,8 +105,8 @@ def _unseen(old: Seen, new: Seen, poses: FloatArray) -> BoolArray:
     """
     whole, count = old.known.whole, len(old.kept.labels.poses)
     cells = np.argwhere(whole.occupied)
-    places = carried_places(whole.centres_of(cells), old.kept.labels.poses, poses[:count])
-    places = carried_places(places, poses[count:], new.kept.labels.poses)
+    places = propagated_places(whole.centres_of(cells), old.kept.labels.poses, poses[:count])
+    places = propagated_places(places, poses[count:], new.kept.labels.poses)
     known = cv2.dilate((new.known.whole.cells != UNKNOWN).astype(np.uint8), np.ones((3, 3)))
     there = new.known.whole.cells_of(places)
     inside = new.known.whole.inside(there)

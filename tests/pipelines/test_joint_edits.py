@@ -10,7 +10,7 @@ import pytest
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import Labels, Trajectory
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.result import Layout
 from specmap_cli.maps.edits import Change, Edits, ForbidEdit, MergeEdit, SplitEdit, SubmapEdit
 from specmap_cli.pipelines.joint_edits import JointEdits, edits_of_both
 from specmap_cli.pipelines.kept_map import KeptMap
