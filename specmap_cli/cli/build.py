@@ -78,7 +78,7 @@ def build(
                 logs, out, effective, overwrite=overwrite, progress=progress, explain=explain
             )
         else:
-            from specmap_cli.pipelines.likeness import build_like
+            from specmap_cli.pipelines.update import build_like
 
             report = build_like(logs, like, out, effective, overwrite=overwrite, progress=progress)
     common.show(report.as_dict(), report.lines())

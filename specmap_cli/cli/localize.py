@@ -50,8 +50,7 @@ def localize(
     specmap localize other.mcap --map map --offline --metric --json
     """
     from specmap_cli.maps.store import read_map
-    from specmap_cli.pipelines.localization_report import write_report
-    from specmap_cli.pipelines.localize import localize_log, settings_for
+    from specmap_cli.pipelines.localize import localize_log, settings_for, write_report
 
     check_files([out, plot], [*logs, *files_of_map(map_directory)], common, overwrite=overwrite)
     stored = read_map(map_directory, settings.load().limits)

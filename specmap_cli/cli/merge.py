@@ -10,7 +10,7 @@ import typer
 from specmap_cli.cli.options import Common, NewMap, Overwrite, Settings, place_of
 
 if TYPE_CHECKING:
-    from specmap_cli.pipelines.meetings import Spread
+    from specmap_cli.pipelines.overlaps import Spread
 
 Maps = Annotated[
     list[Path], typer.Argument(metavar="MAP", help="Map directories.", show_default=False)

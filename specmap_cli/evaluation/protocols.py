@@ -24,7 +24,8 @@ from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.pipelines.build import map_log
-from specmap_cli.pipelines.finished_map import FinishedMap
+from specmap_cli.pipelines.map_in_making import FinishedMap
+from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Label, Localizer
@@ -108,7 +109,8 @@ def hold_out(
     ):
         selector = HoldingOut(config.keyframes, options.chooser(), held_out)
         stream = SweepStream(log, config.log)
-        finished = map_log(stream, config, store, progress, accepts=selector.accepts)
+        session = Session(config, store, progress)
+        finished = map_log(session, stream, accepts=selector.accepts)
         if not len(held_out):
             raise NoResultError("no keyframe was held out: the log is too short for this share")
         return score_hold_out(finished, store, held_out, config)

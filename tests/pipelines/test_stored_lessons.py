@@ -14,13 +14,13 @@ from specmap_cli import build_map, read_map
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines.localize import classifiers_of
-from specmap_cli.pipelines.stored_lessons import (
+from specmap_cli.pipelines.learning import (
     arrays_of,
     comparable,
     lessons_left,
     lessons_of_stored,
 )
+from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.recognition.learning.holding_out import Samples
 from specmap_cli.recognition.learning.lessons import Lessons
 from tests.flats import QUICK

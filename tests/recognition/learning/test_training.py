@@ -11,13 +11,12 @@ import pytest
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
-from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.pipelines.learning import Learned, known_of, learn
-from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.learning import Learned, Prior, learn
+from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import (
     KeyframeFeatures,
     feature_names,
@@ -29,7 +28,6 @@ from specmap_cli.recognition.learning import sampling
 from specmap_cli.recognition.learning.beside import beside_samples
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.lessons import NO_LESSONS
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
 from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_raw
@@ -148,8 +146,8 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
 def learned(store: KeyframeStore, config: Config) -> Learned:
     """What a build learns of two submaps, with the keyframes that lie between in the former."""
     labels = np.where(np.arange(len(store)) < min(SUBMAPS[2]), 0, 2)
-    known = known_of(store, NO_LESSONS, (), config)
-    return learn(store, known, labels, store.poses, config, Silent(), Stopwatch())
+    session = Session(config, store)
+    return learn(session, labels, store.poses, Prior.of(session))
 
 
 def test_virtual_classifiers_are_left_out_when_not_wanted(store: KeyframeStore) -> None:

@@ -1,10 +1,15 @@
-"""Seconds per stage, for `run.json`."""
+"""What travels with a map in the making: its keyframes, the settings, the progress and the time."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+
+from specmap_cli.core.progress import Progress, Silent
+from specmap_cli.core.settings import Config
+from specmap_cli.grids.keyframes import KeyframeStore
 
 
 class Stopwatch:
@@ -37,3 +42,17 @@ class Stopwatch:
             name = self._running[-1]
             self.seconds[name] = self.seconds.get(name, 0.0) + now - self._since
         self._since = now
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """The settings and the keyframes of a map in the making, who is told of it, and the seconds."""
+
+    config: Config
+    store: KeyframeStore
+    progress: Progress = field(default_factory=Silent)
+    clock: Stopwatch = field(default_factory=Stopwatch)
+
+    def stage(self, name: str) -> AbstractContextManager[None]:
+        """Count the block as a stage of this name, for `run.json`."""
+        return self.clock.stage(name)
