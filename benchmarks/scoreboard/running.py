@@ -1,4 +1,4 @@
-"""Sections of the scoreboard in processes of their own: timed ones alone, others three at a time."""
+"""Sections of the scoreboard in processes of their own: timed ones alone, others three at once."""
 
 from __future__ import annotations
 
