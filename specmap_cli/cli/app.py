@@ -57,7 +57,7 @@ app = typer.Typer(
 def _show_version(wanted: bool) -> None:
     if wanted:
         from specmap_cli.cli.streams import print_text
-        from specmap_cli.core.versions import versions
+        from specmap_cli.core.process import versions
 
         print_text("".join(f"{name} {version}\n" for name, version in versions().items()))
         raise typer.Exit

@@ -20,8 +20,10 @@ from specmap_cli.core.errors import (
     InputError,
     SpecmapError,
     UsageError,
+    is_of_the_machine,
+    is_of_the_place,
+    reason,
 )
-from specmap_cli.core.shortage import is_of_the_machine, is_of_the_place, reason
 
 _YES = {"1", "true", "t", "yes", "y", "on"}  # as Typer reads a flag
 _NO_TEMPORARY = "No usable temporary directory"  # how Python's own error begins

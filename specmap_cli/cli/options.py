@@ -219,7 +219,7 @@ def telling(command: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(command)
     def run(*, common: Common, **values: Any) -> None:
-        from specmap_cli.core.retired import RetiredSetting
+        from specmap_cli.core.config import RetiredSetting
 
         def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
             if issubclass(category, RetiredSetting):

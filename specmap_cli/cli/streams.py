@@ -6,7 +6,7 @@ import os
 import sys
 from contextlib import suppress
 
-from specmap_cli.core.legible import legible
+from specmap_cli.core.text import legible
 
 JSON_VARIABLE = "SPECMAP_JSON"  # in the environment: as `--json` on the command line
 
