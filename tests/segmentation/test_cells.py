@@ -13,25 +13,16 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import BoolArray
-from specmap_cli.segmentation.clutter import (
-    furniture,
-    small_obstacles,
-    without_slits,
-    working_grid,
-)
-from specmap_cli.segmentation.flood import (
+from specmap_cli.segmentation.cells import (
     flood_labels,
     flooded_at,
     nearest_labels,
     nearest_values,
     spread_labels,
 )
-from specmap_cli.segmentation.visibility import (
-    near_pairs,
-    sample_nodes,
-    visibility_graph,
-    visible,
-)
+from specmap_cli.segmentation.furniture import furniture, small_obstacles, without_slits
+from specmap_cli.segmentation.visibility import near_pairs, sample_nodes, visibility_graph, visible
+from specmap_cli.segmentation.working_grid import working_grid
 from tests.strategies import few
 
 seeds = st.integers(0, 10_000)

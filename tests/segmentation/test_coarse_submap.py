@@ -14,12 +14,7 @@ from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.segmentation.coarse_submap import (
-    PATH_MARGIN_M,
-    SPLIT_CELL_M,
-    CoarseSubmap,
-    way_driven,
-)
+from specmap_cli.segmentation.splitting import PATH_MARGIN_M, SPLIT_CELL_M, CoarseSubmap, way_driven
 from tests.turning import turn
 
 CONFIG = SegmentationConfig()

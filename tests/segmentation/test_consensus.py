@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import OCCUPIED, GridMap
 from specmap_cli.grids.map_server import read_grid
-from specmap_cli.segmentation.consensus import consensus
+from specmap_cli.segmentation.cells import consensus
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.kmeans import LabelArray
+from specmap_cli.segmentation.visibility import LabelArray
 
 ROOT = Path(__file__).parents[2]
 seeds = st.integers(0, 10_000)

@@ -15,9 +15,10 @@ from sklearn.metrics import adjusted_rand_score
 
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.segmentation import spectral
+from specmap_cli.segmentation import graph_division
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.parts import parts_of
+from specmap_cli.segmentation.graph_division import parts_of
+from specmap_cli.segmentation.spectral import Spectrum, clusters_of
 
 IntArray = np.ndarray[Any, np.dtype[np.intp]]
 
@@ -111,13 +112,12 @@ def test_no_spectrum_has_more_nodes_than_the_setting(
     hotel: GridMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = []
-    real = spectral.clusters_of
 
-    def counted(L: Any, *rest: Any) -> spectral.Spectrum:
+    def counted(L: Any, *rest: Any) -> Spectrum:
         seen.append(L.shape[0])
-        return real(L, *rest)
+        return clusters_of(L, *rest)
 
-    monkeypatch.setattr(spectral, "clusters_of", counted)
+    monkeypatch.setattr(graph_division, "clusters_of", counted)
     segment(hotel, SegmentationConfig(part_nodes=150))
     assert max(seen) <= 150
 

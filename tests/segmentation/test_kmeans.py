@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from sklearn.cluster import KMeans
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.segmentation.kmeans import LabelArray, bisect, kmeans_unit, unit_rows
+from specmap_cli.segmentation.spectral import bisect, kmeans_unit, unit_rows
+from specmap_cli.segmentation.visibility import LabelArray
 from tests.strategies import few
 
 seeds = st.integers(0, 10_000)

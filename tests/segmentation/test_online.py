@@ -17,9 +17,15 @@ from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.split_tests import draw_test
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.segmentation.coarse_submap import PATH_MARGIN_M, CoarseSubmap, way_driven
 from specmap_cli.segmentation.online import _TEST_METRES, Occasion, OnlineSegmenter, Region
-from specmap_cli.segmentation.splitting import _SPLIT_EIGENPAIRS, SplitTest, examine
+from specmap_cli.segmentation.splitting import (
+    _SPLIT_EIGENPAIRS,
+    PATH_MARGIN_M,
+    CoarseSubmap,
+    SplitTest,
+    examine,
+    way_driven,
+)
 from tests.casting import ranges_at
 from tests.turning import turn
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.segmentation.refinement import regions_of
+from specmap_cli.segmentation.division import regions_of
 from tests.strategies import few
 
 CONFIG = SegmentationConfig()

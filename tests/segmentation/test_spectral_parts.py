@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import ArpackNoConvergence
 from sklearn.cluster import KMeans
 from sklearn.metrics import adjusted_rand_score
 
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.segmentation.affinity import (
+from specmap_cli.segmentation import spectral
+from specmap_cli.segmentation.graph_division import spectral_clusters, split_again, subgraph
+from specmap_cli.segmentation.spectral import (
+    bisect,
+    clusters_of,
     dense_normalised,
     dense_similarity,
+    eigenpairs_above,
+    kmeans_unit,
+    largest_eigenpairs,
     local_scales,
     normalised,
     similarity,
-)
-from specmap_cli.segmentation.halving import split_again, subgraph
-from specmap_cli.segmentation.kmeans import bisect, kmeans_unit
-from specmap_cli.segmentation.spectral import clusters_of, spectral_clusters
-from specmap_cli.segmentation.spectrum import (
-    eigenpairs_above,
-    largest_eigenpairs,
     two_largest,
     with_fixed_signs,
 )
@@ -391,3 +394,19 @@ def test_a_cluster_too_small_for_two_stays_whole(nodes: int) -> None:
         np.arange(2 * nodes).reshape(nodes, 2), np.zeros((0, 2), dtype=np.intp), np.zeros(0)
     )
     assert split_again(apart, np.zeros(nodes, dtype=np.int32), 0, 0.5).tolist() == [0] * nodes
+
+
+def test_what_does_not_converge_is_solved_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    dense = rng.random((200, 200))
+    matrix = sparse.csr_array(dense + dense.T)
+    usual_values, usual = largest_eigenpairs(matrix, 5)
+
+    def never_ends(*_: Any, **__: Any) -> None:
+        raise ArpackNoConvergence("No convergence", np.zeros(0), np.zeros((200, 0)))
+
+    monkeypatch.setattr(spectral, "eigsh", never_ends)
+    values, vectors = largest_eigenpairs(matrix, 5)
+    assert (np.diff(values) <= 0.0).all()
+    assert np.allclose(values, usual_values)
+    assert np.allclose(vectors, usual, atol=1e-6)
