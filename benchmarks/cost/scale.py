@@ -26,8 +26,7 @@ from benchmarks.scores import map_scores
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
 from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.ray_casting import cast_rays
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, cast_rays
 from specmap_cli.maps.store import read_map
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.room_truth import RoomTruth

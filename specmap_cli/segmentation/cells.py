@@ -17,8 +17,7 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
-from specmap_cli.grids.borders import contacts
-from specmap_cli.grids.gridmap import BoolArray
+from specmap_cli.grids.gridmap import BoolArray, contacts
 from specmap_cli.segmentation.visibility import IndexArray, LabelArray
 
 RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells

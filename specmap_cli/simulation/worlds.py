@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.ray_casting import cast_rays
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, cast_rays
 
 
 @dataclass(frozen=True, slots=True)

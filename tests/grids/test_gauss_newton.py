@@ -12,8 +12,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.grids.gauss_newton import Sample, _solved, approach, descend
-from specmap_cli.grids.score_field import SIGMA_M, ScoreField
+from specmap_cli.grids.score_field import SIGMA_M, Sample, ScoreField, _solved, approach, descend
 from tests.strategies import few, seeds
 
 small = st.floats(-0.06, 0.06)

@@ -10,14 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, wrap_angle
-from specmap_cli.grids.matching import (
-    ScoreField,
-    Window,
-    covariance,
-    refine,
-    search,
-    search_everywhere,
-)
+from specmap_cli.grids.matching import Window, covariance, refine, search, search_everywhere
+from specmap_cli.grids.score_field import ScoreField
 from tests.strategies import few, seeds
 
 WIDE = Window(distance_m=1.0, angle_rad=0.3, step_m=0.1)

@@ -13,9 +13,8 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig
-from specmap_cli.grids.evidence import SURFACE_GAP_M
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.occupancy import OccupancyGrid
+from specmap_cli.grids.occupancy import SURFACE_GAP_M, OccupancyGrid
 from tests.strategies import few, planar_scans, poses, seeds
 from tests.turning import turn
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.ray_casting import cast_ranges, cast_rays
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, cast_ranges, cast_rays
 from tests.strategies import grid_maps, seeds
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.grids.borders import contacts
+from specmap_cli.grids.gridmap import contacts
 from specmap_cli.segmentation.cells import border_widths, join_wide, local_widths
 from specmap_cli.segmentation.visibility import LabelArray
 
