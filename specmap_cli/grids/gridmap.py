@@ -158,6 +158,20 @@ def cell_distances(picture: CellArray) -> FloatArray:
     return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 
+def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float32]]:
+    """Each cell's value (H, W), or that of the nearest non-zero cell where it is zero; how far.
+
+    The distance (H, W) to that cell is in cells.
+    """
+    zero = (values == 0).astype(np.uint8)
+    away, source = cv2.distanceTransformWithLabels(
+        zero, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    of_source = np.zeros(int(source.max(initial=0)) + 1, dtype=values.dtype)
+    of_source[source[zero == 0]] = values[zero == 0]
+    return of_source[source], np.asarray(away, dtype=np.float32)
+
+
 def cast_ranges(
     distance: NDArray[Any],
     grid: GridMap,

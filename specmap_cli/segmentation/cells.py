@@ -11,13 +11,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
-from specmap_cli.grids.gridmap import BoolArray, contacts
+from specmap_cli.grids.gridmap import BoolArray, contacts, nearest_values
 from specmap_cli.segmentation.visibility import IndexArray, LabelArray
 
 RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
@@ -143,19 +142,8 @@ def spread_labels(labels: LabelArray, free: BoolArray, rings: int = RINGS) -> La
         reached[piece[grown > 0]] = True
         missing &= reached[piece]
     if missing.any():
-        grown[missing] = nearest_values(grown)[missing]
+        grown[missing] = nearest_values(grown)[0][missing]
     return grown.astype(np.int32) - 1
-
-
-def nearest_values(values: NDArray[Any]) -> NDArray[Any]:
-    """(H, W) each cell's value, or the value of the nearest non-zero cell where it is zero."""
-    zero = (values == 0).astype(np.uint8)
-    _, source = cv2.distanceTransformWithLabels(
-        zero, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    table = np.zeros(int(source.max()) + 1, dtype=values.dtype)
-    table[source[zero == 0]] = values[zero == 0]
-    return np.asarray(table[source])
 
 
 def local_widths(

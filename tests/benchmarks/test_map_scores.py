@@ -12,7 +12,7 @@ from sklearn.metrics.cluster import contingency_matrix
 
 from benchmarks.scores import MapScores, map_scores
 from specmap_cli.core.errors import InputError
-from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.worlds import RoomTruth
 
 
 def scores(rooms: list[int], labels: list[int]) -> MapScores:

@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from specmap_cli.drawing.canvas import Image
-from specmap_cli.drawing.confusion import render_confusion
 from specmap_cli.drawing.palette import PAPER, RIGHT, SHADE, paler
+from specmap_cli.drawing.predictions import render_confusion
 from tests.drawing.looking import bounds, inked, is_framed, near, of_colour
 
 LARGEST = 72  # pixels of a cell while there are few

@@ -16,15 +16,13 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Trajectory
-from specmap_cli.evaluation.classification import (
-    classification_scores,
-    score_lines,
-)
 from specmap_cli.evaluation.protocols import (
     HoldOut,
+    classification_scores,
     hold_out,
     nearest_labels,
     revisit,
+    score_lines,
 )
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.pipelines.simulate import simulate

@@ -12,12 +12,11 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import BoolArray
+from specmap_cli.grids.gridmap import BoolArray, nearest_values
 from specmap_cli.segmentation.cells import (
     flood_labels,
     flooded_at,
     nearest_labels,
-    nearest_values,
     spread_labels,
 )
 from specmap_cli.segmentation.furniture import furniture, small_obstacles, without_slits
@@ -337,7 +336,7 @@ def test_the_nearest_value_is_that_of_a_cell_no_farther_than_the_nearest(seed: i
     rng = np.random.default_rng(seed)
     values = rng.integers(0, 40, (15, 18)) * (rng.random((15, 18)) < 0.1)
     values[rng.integers(15), rng.integers(18)] = 1
-    found = nearest_values(values.astype(np.uint16))
+    found, _ = nearest_values(values.astype(np.uint16))
     spots = np.argwhere(values)
     gaps, _ = cKDTree(spots).query(np.argwhere(np.ones_like(values)))
     for (row, column), gap in zip(np.ndindex(15, 18), gaps, strict=True):

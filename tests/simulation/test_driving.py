@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.tracks import path_length, step_lengths
-from specmap_cli.simulation.driving import Drive, Limits, drive
+from specmap_cli.simulation.tours import Drive, Limits, drive
 from tests.strategies import seeds
 
 USUAL = Limits(speed_mps=0.7, turn_rate_radps=1.2, acceleration_mps2=0.5)

@@ -12,13 +12,8 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.driving import Drive, Limits, drive
-from specmap_cli.simulation.lasers import (
-    Laser,
-    OdometryErrors,
-    drifting_odometry,
-    laser_bearings,
-)
+from specmap_cli.simulation.lasers import Laser, OdometryErrors, drifting_odometry, laser_bearings
+from specmap_cli.simulation.tours import Drive, Limits, drive
 from specmap_cli.simulation.worlds import World
 
 LEFT, RIGHT, BOTTOM, TOP = 1.0, 6.0, 0.5, 4.5

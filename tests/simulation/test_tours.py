@@ -14,9 +14,8 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.room_truth import RoomTruth
 from specmap_cli.simulation.tours import plan_tour, reachable_space, shortest_order
-from specmap_cli.simulation.worlds import World
+from specmap_cli.simulation.worlds import RoomTruth, World
 from tests.strategies import seeds
 
 RADIUS, COMFORT = 0.25, 0.8
