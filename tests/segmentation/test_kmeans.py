@@ -58,16 +58,6 @@ def test_of_several_starts_the_best_wins(seed: int) -> None:
     assert cost(rows, kmeans_unit(rows, 4, [0, 7, 19])) == pytest.approx(min(single))
 
 
-@given(seeds)
-def test_no_row_would_be_better_off_in_another_cluster(seed: int) -> None:
-    rows = directions(seed)
-    labels = kmeans_unit(rows, 3, [0])
-    means = {int(k): rows[labels == k].mean(axis=0) for k in np.unique(labels)}
-    for row, label in zip(rows, labels.tolist(), strict=True):
-        nearest = min(float(((row - mean) ** 2).sum()) for mean in means.values())
-        assert float(((row - means[label]) ** 2).sum()) == pytest.approx(nearest)
-
-
 @pytest.mark.parametrize("rows", [0, 1, 2, 3])
 def test_more_clusters_than_rows_are_as_many_as_rows(rows: int) -> None:
     labels = kmeans_unit(np.eye(4)[:rows], 9, [0])
