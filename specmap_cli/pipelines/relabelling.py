@@ -14,8 +14,7 @@ from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.overview import render_overview, render_segmentation
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
-from specmap_cli.grids.map_server import write_png
-from specmap_cli.grids.pictures import read_picture
+from specmap_cli.grids.map_server import read_picture, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.schema import EditsRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap

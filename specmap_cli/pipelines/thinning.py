@@ -19,8 +19,13 @@ from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import BoolArray, IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import UNKNOWN
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.redundancy import Recorded, enough_looks, last_witnesses, repeated
+from specmap_cli.grids.keyframes import (
+    KeyframeStore,
+    Recorded,
+    enough_looks,
+    last_witnesses,
+    repeated,
+)
 from specmap_cli.layout.carrying import carried_places
 from specmap_cli.layout.dropping import gaps_of, tracked_over_gaps, without_keyframes
 from specmap_cli.pipelines.finished_map import ways_m
