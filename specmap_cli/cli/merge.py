@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, NewMap, Overwrite, Settings, place_of
+from specmap_cli.cli.options import Common, NewMap, Overwrite, Settings, cluster_of
 
 if TYPE_CHECKING:
     from specmap_cli.pipelines.meetings import Spread
@@ -71,9 +71,9 @@ def _spread(workers: int | None, scheduler: str | None) -> Spread | None:
     """Where pairs of maps are aligned; None: in this process."""
     if workers is None and scheduler is None:
         return None
-    place = place_of(workers, scheduler)
+    cluster = cluster_of(workers, scheduler)
     from functools import partial
 
-    from specmap_cli.batch.spread import spread
+    from specmap_cli.batch.workers import spread
 
-    return partial(spread, place)
+    return partial(spread, cluster)
