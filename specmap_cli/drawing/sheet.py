@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.geometry import FloatArray, step_lengths
-from specmap_cli.core.json_values import runs
 from specmap_cli.core.records import IntArray
 from specmap_cli.drawing.canvas import Canvas, fitting_height, text_width
 from specmap_cli.drawing.palette import BORDER, INK, PAPER, QUIET, SHADE, Colour
