@@ -17,8 +17,7 @@ from pathlib import Path
 
 from specmap_cli.batch.records import InputRecord, Job, Step
 from specmap_cli.batch.sources import Source, sources_of
-from specmap_cli.core.errors import SpecmapError, UsageError
-from specmap_cli.core.shortage import reason
+from specmap_cli.core.errors import SpecmapError, UsageError, reason
 
 _FORMAT = 1  # of what is hashed
 

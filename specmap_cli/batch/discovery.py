@@ -15,8 +15,7 @@ from typing import Any
 
 from specmap_cli.batch.places import path_at, reaching, store_at
 from specmap_cli.batch.steps import JOB
-from specmap_cli.core.errors import LogError, UsageError
-from specmap_cli.core.shortage import reason
+from specmap_cli.core.errors import LogError, UsageError, reason
 from specmap_cli.logs.opening import looks_like_a_log
 from specmap_cli.logs.readers.recording import Recording
 from specmap_cli.logs.readers.table import known_readers

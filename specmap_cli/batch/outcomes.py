@@ -13,7 +13,7 @@ from typing import Any
 from specmap_cli.batch.processes import Ended
 from specmap_cli.batch.records import JobRecord, Kind, Limits, Step, StepOutcome
 from specmap_cli.core.errors import BROKEN_RULE, MACHINE, MEMORY
-from specmap_cli.core.legible import legible
+from specmap_cli.core.text import legible
 
 MOST_ATTEMPTS = 2
 _RETRIED: frozenset[Kind] = frozenset({"memory", "worker", "place"})

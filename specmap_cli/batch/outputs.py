@@ -12,10 +12,8 @@ from specmap_cli.batch.index import as_html
 from specmap_cli.batch.ledger import Ledger
 from specmap_cli.batch.places import path_at, reaching, store_at
 from specmap_cli.batch.tables import as_csv, as_junit, as_markdown, as_parquet
-from specmap_cli.core.errors import UsageError
-from specmap_cli.core.files import write_together
-from specmap_cli.core.locks import lock
-from specmap_cli.core.shortage import reason
+from specmap_cli.core.errors import UsageError, reason
+from specmap_cli.core.files import lock, write_together
 
 SUMMARIES = {
     "summary.csv": as_csv,

@@ -30,7 +30,7 @@ from specmap_cli.batch.records import (
 from specmap_cli.batch.scratch import scratch_directory
 from specmap_cli.batch.work import Work, work_on
 from specmap_cli.core.errors import LogError, SpecmapError, UsageError
-from specmap_cli.core.legible import legible
+from specmap_cli.core.text import legible
 
 __all__ = ["failure", "may_retry", "run_job"]
 

@@ -12,8 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from specmap_cli.batch.places import PlaceError
-from specmap_cli.core.locks import lock
-from specmap_cli.core.shortage import reason
+from specmap_cli.core.errors import reason
+from specmap_cli.core.files import lock
 
 _NAME = "specmap-job-"
 _TRIES = 5  # to have a directory that nobody sweeps away

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from specmap_cli.batch.places import path_at, reaching, store_at
-from specmap_cli.core.errors import LogError
-from specmap_cli.core.shortage import reason
+from specmap_cli.core.errors import LogError, reason
 
 ENDS_BYTES = 1 << 16  # of a file's beginning and of its end
 _TAGS = ("ETag", "etag", "md5Hash", "content_md5", "md5", "checksum")  # of stores

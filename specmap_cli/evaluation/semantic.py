@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray, PlanarScan
 from specmap_cli.core.settings import Config
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
 from specmap_cli.evaluation.protocols import STAMP_REACH_NS
 from specmap_cli.evaluation.trajectories import associate, read_tum

@@ -20,10 +20,9 @@ from typing import IO
 import numpy as np
 
 from specmap_cli.core.files import temporary_files
-from specmap_cli.core.geometry import FloatArray, Pose2, compose
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, moved
 from specmap_cli.core.records import IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, KeyframeConfig
-from specmap_cli.core.tracks import moved
 from specmap_cli.grids.occupancy import OccupancyGrid
 
 _AT_ONCE = 32  # keyframes read and integrated in one go: bounds the memory, and fits a cache

@@ -18,9 +18,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType, TracebackType
 
-from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError
+from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError, is_of_the_place, reason
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.shortage import is_of_the_place, reason
 from specmap_cli.maps.filenames import TOPOLOGY
 from specmap_cli.maps.leftovers import held, put_right, sibling
 

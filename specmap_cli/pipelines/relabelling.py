@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import MapError
+from specmap_cli.core.errors import MapError, reason
 from specmap_cli.core.findings import UNDOUBTED, Quality
-from specmap_cli.core.shortage import reason
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.overview import render_overview, render_segmentation
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap

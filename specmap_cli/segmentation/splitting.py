@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.gridmap import BoolArray, GridMap
 from specmap_cli.segmentation.affinity import dense_normalised, dense_similarity, local_scales
 from specmap_cli.segmentation.clutter import WorkingGrid, small_obstacles, working_grid

@@ -18,8 +18,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra, shortest_path
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.tracks import travelled
+from specmap_cli.core.geometry import FloatArray, travelled
 from specmap_cli.simulation.worlds import World
 
 IndexArray = NDArray[np.intp]

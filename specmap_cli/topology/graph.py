@@ -14,11 +14,10 @@ import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.arrays import runs
+from specmap_cli.core.geometry import FloatArray, Pose2, travelled
 from specmap_cli.core.json_values import runs_of
-from specmap_cli.core.labels import runs
 from specmap_cli.core.records import Closure, IntArray
-from specmap_cli.core.tracks import travelled
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.topology.topological_map import (
     Break,

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray, compose, invert
+from specmap_cli.core.geometry import FloatArray, compose, invert, step_lengths
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.topology.graph import settle_labels
 from specmap_cli.topology.regions import NOBODY, Regions
 

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, path_length
 from specmap_cli.core.json_values import (
     Amount,
     Corners,
@@ -26,7 +26,6 @@ from specmap_cli.core.json_values import (
     titled,
 )
 from specmap_cli.core.records import Closure, Labels
-from specmap_cli.core.tracks import path_length
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.topology.borders import Border
 

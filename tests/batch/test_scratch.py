@@ -10,7 +10,7 @@ import pytest
 
 from specmap_cli.batch import scratch
 from specmap_cli.batch.scratch import scratch_directory
-from specmap_cli.core import locks
+from specmap_cli.core.files import lock
 
 
 def test_what_killed_runs_left_is_removed_and_what_lives_stays(tmp_path: Path) -> None:
@@ -27,7 +27,7 @@ def test_a_directory_that_another_run_sweeps_away_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The other run has its lock already, and removes it only later."""
-    locked = locks.lock
+    locked = lock
     refused = iter([True])
     monkeypatch.setattr(scratch, "lock", lambda one: not next(refused, False) and locked(one))
     with scratch_directory(str(tmp_path)) as directory:

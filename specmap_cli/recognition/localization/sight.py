@@ -11,9 +11,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.ray_casting import cast_rays
 
