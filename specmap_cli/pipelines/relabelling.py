@@ -20,8 +20,8 @@ from specmap_cli.maps.schema import EditsRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.tum import read_trajectory
 from specmap_cli.quality.verdict import quality_of
-from specmap_cli.topology.kinds import kind_of
 from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.shapes import kind_of
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
 
 _REWRITTEN = (filenames.TOPOLOGY, filenames.OVERVIEW, filenames.EDITS)
