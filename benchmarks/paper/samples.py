@@ -16,7 +16,7 @@ from specmap_cli.evaluation.classification import ClassificationScores, classifi
 from specmap_cli.evaluation.protocols import nearest_labels, poses_at
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.sets import scans_features
-from specmap_cli.recognition.learning.one_vs_all import OneVsAll
+from specmap_cli.recognition.learning.boosting import OneVsAll
 
 
 @dataclass(frozen=True, slots=True)
