@@ -44,7 +44,7 @@ from specmap_cli.pipelines.remaking import divided_anew
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.stored_lessons import lessons_left, lessons_of_stored
 from specmap_cli.pipelines.wishes import Wishes, with_wishes
-from specmap_cli.recognition.learning.lessons import Lessons
+from specmap_cli.recognition.learning.training_data import TrainingData
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
 
@@ -226,7 +226,7 @@ def _made_anew(
     return _Edited(finished.topology, finished.unapplied)
 
 
-def _lessons(stored: StoredMap, found: Drawn, config: Config) -> Lessons:
+def _lessons(stored: StoredMap, found: Drawn, config: Config) -> TrainingData:
     """What the classifiers learned from that holds with other borders."""
     labels = stored.labels
     now, everything = replace(labels, submaps=found.submaps), np.arange(len(labels.stamps_ns))

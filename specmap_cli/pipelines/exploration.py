@@ -19,8 +19,8 @@ from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.recognition.closure.claims import SAMPLES_PER_SUBMAP
+from specmap_cli.recognition.closure.decision import Stay
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
-from specmap_cli.recognition.closure.stay import Stay
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.segmentation.online import Observer, OnlineSegmenter, Region
 from specmap_cli.topology.graph import submap_of_regions

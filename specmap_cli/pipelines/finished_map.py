@@ -19,7 +19,7 @@ from specmap_cli.layout.relaxation import Layout
 from specmap_cli.maps.writing import MapResult, PictureArray
 from specmap_cli.pipelines.stored_lessons import arrays_of
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.learning.lessons import Lessons
+from specmap_cli.recognition.learning.training_data import TrainingData
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 
@@ -42,7 +42,7 @@ class FinishedMap:
     trajectory: Trajectory
     regions: Regions
     classifiers: ClassifierSet
-    lessons: Lessons
+    lessons: TrainingData
     layout: Layout
     counts: Mapping[str, int]
     limits: Mapping[str, int]

@@ -32,7 +32,7 @@ from specmap_cli.pipelines.laying_out import LaidOut
 from specmap_cli.pipelines.learning import divide, submap_grids, submaps_of, whole_grid
 from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.quality.verdict import LAYOUT_CODES, of_recording
-from specmap_cli.recognition.closure.known_map import KnownMap
+from specmap_cli.recognition.closure.prepared import MapToAlign
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.regions import divide as divide_cells
 from specmap_cli.topology.topological_map import BorderEdit, LogInfo, TopologicalMap, starts_of
@@ -95,7 +95,7 @@ class Seen:
 
     kept: KeptMap
     regions: Regions
-    known: KnownMap
+    known: MapToAlign
 
 
 def kept_of_stored(stored: StoredMap) -> KeptMap:
@@ -121,7 +121,7 @@ def kept_of_stored(stored: StoredMap) -> KeptMap:
 def seen_of_stored(stored: StoredMap) -> Seen:
     """A map directory as it looks. Raises MapError as `kept_of_stored` does."""
     submaps = stored.topology.submaps
-    known = KnownMap(
+    known = MapToAlign(
         whole=stored.map_grid,
         grids=stored.grids,
         frames={id_: submap.map_from_submap for id_, submap in submaps.items()},
@@ -163,7 +163,7 @@ def seen_of_log(
         next_id=1 + int(submaps.max()),
     )
     keyframes = submaps_of(submaps)
-    known = KnownMap(
+    known = MapToAlign(
         whole=whole,
         grids=submap_grids(store, keyframes, labels.poses, config),
         frames={id_: Pose2(*labels.poses[own[0]].tolist()) for id_, own in keyframes.items()},

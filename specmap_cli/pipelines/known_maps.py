@@ -11,7 +11,7 @@ from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.recognition.closure.alignment import Alignment, align
-from specmap_cli.recognition.closure.known_map import KnownMap
+from specmap_cli.recognition.closure.prepared import MapToAlign
 
 
 def align_maps(old: StoredMap, new: StoredMap, config: Config) -> Alignment:
@@ -35,11 +35,11 @@ def align_pair(pair: PairOfMaps) -> Alignment:
     return align_maps(old, new, pair.config)
 
 
-def known_map(stored: StoredMap) -> KnownMap:
+def known_map(stored: StoredMap) -> MapToAlign:
     """A stored map as the alignment needs it. Raises MapError for a damaged one."""
     submaps, labels = stored.topology.submaps, stored.labels
     learned = (stored.path / CLASSIFIERS).exists()
-    return KnownMap(
+    return MapToAlign(
         whole=stored.map_grid,
         grids=stored.grids,
         frames={i: submap.map_from_submap for i, submap in submaps.items()},

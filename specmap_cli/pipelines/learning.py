@@ -22,15 +22,17 @@ from specmap_cli.pipelines.exploration import Regions, online_labels
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures
-from specmap_cli.recognition.learning.beside import beside_samples
 from specmap_cli.recognition.learning.calibration import Calibration, HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
-from specmap_cli.recognition.learning.holding_out import Samples
-from specmap_cli.recognition.learning.lessons import NO_LESSONS, Lessons
 from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M, HeldOutMisfit, held_out_misfit
-from specmap_cli.recognition.learning.revisits import Revisits
-from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
-from specmap_cli.recognition.learning.training import sensor_of, train_raw, train_virtual
+from specmap_cli.recognition.learning.sampling import (
+    augmented_samples,
+    cast_samples,
+    raw_samples,
+    track_samples,
+)
+from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_raw, train_virtual
+from specmap_cli.recognition.learning.training_data import NO_TRAINING_DATA, Samples, TrainingData
 from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import build_topology, settle_labels, stays_of
 from specmap_cli.topology.topological_map import Break, TopologicalMap
@@ -125,7 +127,7 @@ class Learned:
 
     grids: Mapping[int, GridMap]
     classifiers: ClassifierSet
-    lessons: Lessons
+    lessons: TrainingData
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +139,7 @@ class Known:
     """
 
     features: KeyframeFeatures
-    lessons: Lessons = NO_LESSONS
+    lessons: TrainingData = NO_TRAINING_DATA
     starts: tuple[int, ...] = ()
     before: ClassifierSet | None = None
 
@@ -149,7 +151,7 @@ class Known:
 
 
 def known_of(
-    store: KeyframeStore, lessons: Lessons, starts: tuple[int, ...], config: Config
+    store: KeyframeStore, lessons: TrainingData, starts: tuple[int, ...], config: Config
 ) -> Known:
     """What is known of a map's keyframes by the lessons that hold for them, and nothing else."""
     features = KeyframeFeatures(store, config.recognition.feature_set)
@@ -196,7 +198,7 @@ def learn(
                 misfit=taught.misfit,
                 calibration=_calibrated(taught.held_out, virtual.held_out, known.before),
             )
-    lessons = Lessons.of(taught.samples, taught.beside, virtual.along, virtual.cast)
+    lessons = TrainingData.of(taught.samples, taught.beside, virtual.along, virtual.cast)
     return Learned(grids, classifiers, lessons)
 
 
@@ -251,7 +253,7 @@ def _without_grids(
             )
         )
     samples = raw_samples(store, submaps, config, known.features, known.starts)
-    beside = beside_samples(store, submaps, poses, config, rng, known.lessons.beside)
+    beside = augmented_samples(store, submaps, poses, config, rng, known.lessons.beside)
     raw, held_out = train_raw(samples, beside, poses, config, rng, revisits)
     misfit = held_out_misfit(store, submaps, poses)
     return _Taught(raw, _single(samples), _single(beside), held_out, misfit)

@@ -23,8 +23,8 @@ from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.localization_report import LocalizationReport, LocalizedScan
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.localization.leads import Lead
 from specmap_cli.recognition.localization.localizer import Localizer
+from specmap_cli.recognition.localization.places import LeadingPlace
 from specmap_cli.registration.frontend import FrontEnd
 
 _NO_CALIBRATION = (
@@ -157,7 +157,7 @@ def _matched(
 
 
 def _in_submap(
-    scan: LocalizedScan, posed: PosedScan, localizer: Localizer, lead: Lead | None
+    scan: LocalizedScan, posed: PosedScan, localizer: Localizer, lead: LeadingPlace | None
 ) -> LocalizedScan:
     """A scan with its pose in the submap that it is labelled with, where a place leads."""
     place = None if lead is None else lead.place

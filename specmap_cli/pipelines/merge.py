@@ -42,7 +42,7 @@ from specmap_cli.pipelines.run_record import OF_THE_MAP, run_record
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.stored_lessons import lessons_left, lessons_of_stored
 from specmap_cli.recognition.features.sets import check_feature_sets
-from specmap_cli.recognition.learning.lessons import Lessons
+from specmap_cli.recognition.learning.training_data import TrainingData
 from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import fences_of
 
@@ -177,7 +177,7 @@ class _Merging:
 
 def _known(
     maps: Sequence[StoredMap],
-    lessons: Sequence[Lessons],
+    lessons: Sequence[TrainingData],
     merging: _Merging,
     store: KeyframeStore,
     config: Config,
@@ -189,7 +189,7 @@ def _known(
         before, (first, _) = stored.labels, merging.firsts[number]
         everything = np.arange(len(before.stamps_ns))
         parts.append(lessons_left(own, before, joint.labels, everything, cell_m, first))
-    return known_of(store, Lessons.joined(parts), joint.starts, config)
+    return known_of(store, TrainingData.joined(parts), joint.starts, config)
 
 
 def _merged(

@@ -19,7 +19,7 @@ from specmap_cli.pipelines.map_joining import Joined
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.verdict import of_layout, quality_of
-from specmap_cli.recognition.learning.lessons import NO_LESSONS
+from specmap_cli.recognition.learning.training_data import NO_TRAINING_DATA
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import fences_of
@@ -86,7 +86,7 @@ def divided_anew(
         whole, beyond = drawn_before or whole_grid(store, kept.layout, config)
     edited = drawn(whole, kept.labels, kept.borders, kept.edits, kept.next_id)
     labels = replace(kept.labels, submaps=edited.submaps)
-    known = known or known_of(store, NO_LESSONS, kept.starts, config)
+    known = known or known_of(store, NO_TRAINING_DATA, kept.starts, config)
     learned = learn(store, known, edited.submaps, kept.layout.poses, config, progress, clock)
     with clock.stage("ways"):
         regions = divide(whole, labels, fences_of(edited.borders))

@@ -17,14 +17,18 @@ from specmap_cli.maps.features_file import KEYFRAMES_OF, KINDS
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.learning.holding_out import Samples
-from specmap_cli.recognition.learning.lessons import NO_LESSONS, NO_SAMPLES, Lessons
+from specmap_cli.recognition.learning.training_data import (
+    NO_SAMPLES,
+    NO_TRAINING_DATA,
+    Samples,
+    TrainingData,
+)
 
 _MOST = float(np.finfo(np.float16).max)
 
 
-def arrays_of(lessons: Lessons) -> dict[str, NDArray[Any]]:
-    """Lessons as the arrays of a file: in half precision, which moves few of them to another bin.
+def arrays_of(lessons: TrainingData) -> dict[str, NDArray[Any]]:
+    """Training data as arrays of a file: in half precision, which moves few of them to another bin.
 
     A column a scan: one feature of all scans after the other takes less room.
     """
@@ -37,7 +41,7 @@ def arrays_of(lessons: Lessons) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def lessons_of_stored(stored: StoredMap, config: Config) -> Lessons:
+def lessons_of_stored(stored: StoredMap, config: Config) -> TrainingData:
     """The lessons of a map directory; none where they would not be the same by these settings.
 
     Nor are there any of another version, which may find other features. Scans that were cast in
@@ -45,15 +49,15 @@ def lessons_of_stored(stored: StoredMap, config: Config) -> Lessons:
     """
     arrays = stored.features
     if arrays is None or _version(stored) != __version__ or stored.foreign_settings:
-        return NO_LESSONS
+        return NO_TRAINING_DATA
     before = stored.config
     same = before.recognition.feature_set == config.recognition.feature_set
     if not same or before.localization != config.localization:
-        return NO_LESSONS
-    found = Lessons(*(_samples(arrays, kind) for kind in KINDS))
+        return NO_TRAINING_DATA
+    found = TrainingData(*(_samples(arrays, kind) for kind in KINDS))
     sets = [config.recognition.feature_set] * 2 + [config.localization.feature_set] * 2
     if not all(map(_are_of, found.kinds, sets)):
-        return NO_LESSONS
+        return NO_TRAINING_DATA
     return found if before.grid == config.grid else replace(found, cast=NO_SAMPLES)
 
 
@@ -80,8 +84,13 @@ def comparable(
 
 
 def lessons_left(
-    lessons: Lessons, before: Labels, now: Labels, left: IntArray, apart_m: float, first: int = 0
-) -> Lessons:
+    lessons: TrainingData,
+    before: Labels,
+    now: Labels,
+    left: IntArray,
+    apart_m: float,
+    first: int = 0,
+) -> TrainingData:
     """What of the lessons of a map holds for one that it became.
 
     `left` (k,) are the keyframes of the map that are those from number `first` on of `now`. What

@@ -42,7 +42,7 @@ from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.pipelines.update_report import UpdateReport
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import KeyframeFeatures, check_feature_sets
-from specmap_cli.recognition.learning.lessons import Lessons
+from specmap_cli.recognition.learning.training_data import TrainingData
 from specmap_cli.topology.identity import border_changes
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
@@ -160,7 +160,7 @@ def _known(
     kept: KeptMap,
     fewer: Thinned,
     own: KeyframeFeatures,
-    lessons: Lessons,
+    lessons: TrainingData,
     config: Config,
 ) -> Known:
     """What is known of the map: features of the recording's `own` scans, and the map's lessons."""

@@ -15,7 +15,7 @@ from specmap_cli.layout.relaxation import Layout
 from specmap_cli.pipelines.kept_map import KeptMap, Seen
 from specmap_cli.pipelines.redivision import redivided
 from specmap_cli.pipelines.thinning import Thinned
-from specmap_cli.recognition.closure.known_map import KnownMap
+from specmap_cli.recognition.closure.prepared import MapToAlign
 from specmap_cli.topology.regions import divide
 
 CONFIG = Config()
@@ -60,7 +60,9 @@ def updated(whole: GridMap, loose: tuple[int, ...] = ()) -> tuple[KeptMap, IntAr
     rooms = (np.concatenate([first, second])[:, 0] // SIDE_M).astype(np.int64)
     before = kept(first, np.minimum(rooms[: len(first)], 1))
     old = Seen(
-        before, divide(whole, before.labels), KnownMap(whole=whole, grids={}, frames={}, tracks={})
+        before,
+        divide(whole, before.labels),
+        MapToAlign(whole=whole, grids={}, frames={}, tracks={}),
     )
     provisional = np.concatenate([before.labels.submaps, np.zeros(len(second), dtype=np.int64)])
     joint = kept(np.concatenate([first, second]), provisional, loose)

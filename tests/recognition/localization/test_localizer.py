@@ -23,7 +23,7 @@ from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.learning.lessons import NO_LESSONS
+from specmap_cli.recognition.learning.training_data import NO_TRAINING_DATA
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
 from specmap_cli.recognition.localization.localizer import Localizer
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
@@ -66,7 +66,7 @@ def train(tour: list[PosedScan], labels: np.ndarray[Any, Any], config: Config) -
         for scan in compress(tour, inside):
             store.append(scan)
         frames = {i: store.pose(own[0]) for i, own in submaps_of(labels[inside]).items()}
-        known = known_of(store, NO_LESSONS, (), config)
+        known = known_of(store, NO_TRAINING_DATA, (), config)
         found = learn(store, known, labels[inside], store.poses, config, Silent(), Stopwatch())
     return Trained(found.classifiers, found.grids, frames)
 

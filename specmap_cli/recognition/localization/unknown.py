@@ -1,11 +1,14 @@
-"""Do scans fit the walls of the map? The evidence that tells its places from all others best.
+"""What speaks for unknown: scans that fit no walls, and views that look like no place of the map.
 
 A scan is sought in the grids of the submaps that it is likely from, and followed from there by the
-robot's motion.
+robot's motion. What walls and looks say stays what it is for metres of the way. So it counts by the
+motion since it counted last, and a view of a robot that stands still counts once, by the mean of
+its scans.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from operator import attrgetter
 
@@ -13,8 +16,14 @@ from specmap_cli.core.geometry import Pose2, moved
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M
-from specmap_cli.recognition.localization.place import Place
-from specmap_cli.recognition.localization.views import VIEW_M, VIEW_RAD
+from specmap_cli.recognition.localization.classification import ClassifiedScan
+from specmap_cli.recognition.localization.filtering import (
+    INDEPENDENT_M,
+    INDEPENDENT_RAD,
+    VIEW_M,
+    VIEW_RAD,
+)
+from specmap_cli.recognition.localization.places import Place
 from specmap_cli.recognition.localization.wall_fit import Fitted, View, WallFit
 
 FIT_SEARCH_M = 1.0  # path between searches while a scan fits no walls
@@ -160,3 +169,92 @@ class _Patience:
             self._tried, self._wait = (), 1
         elif not self._left:
             self._wait *= 2
+
+
+_STRANGE_FROM = 0.87  # from this share of the limit on, a scan speaks for unknown
+_STRANGE_GAIN = 2.0  # log likelihood for unknown, per share of the limit beyond that
+_STRANGE_MOST = 1.0  # the most of that likelihood: views that are strange come in a row
+
+
+class UnknownOdds:
+    """Log likelihood of unknown over known, a view after another."""
+
+    def __init__(self, walls: WallCheck, config: LocalizationConfig) -> None:
+        self.walls = walls
+        self.config = config
+        self._fits, self._looks = _Clue(), _Clue()
+
+    @property
+    def of_walls(self) -> float | None:
+        """Log likelihood of unknown by the last scan matched with walls; None where none was."""
+        return self._fits.last
+
+    def restart(self) -> None:
+        """Forget every scan."""
+        self.walls.restart()
+        self._fits, self._looks = _Clue(), _Clue()
+
+    def worth(
+        self, posed: PosedScan, evidence: ClassifiedScan, likely: Sequence[int], again: bool
+    ) -> float:
+        """Log likelihood of the view that the scan is of; `again` when it is the last scan's view.
+
+        `likely` are the submaps, the likeliest first.
+        """
+        for clue in (self._fits, self._looks):
+            clue.see(posed, again)
+        if self.config.fit_submaps:
+            said = self.walls.unknown(posed, evidence.seen, likely)
+            self._fits.add(said, instead=self.walls.found)
+        self._looks.add(self._strange(evidence))
+        return self._fits.worth + self._looks.worth
+
+    def _strange(self, evidence: ClassifiedScan) -> float | None:
+        """Log likelihood of unknown by what a scan looks like."""
+        if evidence.strange == -math.inf:
+            return None
+        most = _STRANGE_MOST
+        worth = _STRANGE_GAIN * (evidence.strange - _STRANGE_FROM)
+        if worth > 0.0:
+            # what a short window of a narrow laser has seen so far looks strange anywhere
+            worth *= evidence.shown**2
+        return min(max(worth, -most), most)
+
+
+class _Clue:
+    """One kind of evidence: the mean of what is said in a view, by the motion since it last was."""
+
+    def __init__(self) -> None:
+        self._at: Pose2 | None = None
+        self._motion = 1.0  # share of a view that says something new; what comes first does
+        self._weight, self._sum, self._scans = 0.0, 0.0, 0
+        self.last: float | None = None
+
+    @property
+    def worth(self) -> float:
+        """What the view says so far; nothing as long as nothing was said of it."""
+        return self._weight * self._sum / self._scans if self._scans else 0.0
+
+    def see(self, posed: PosedScan, again: bool) -> None:
+        """Take in where a scan was taken, and whether in the last view."""
+        if not again:
+            self._weight, self._sum, self._scans = 0.0, 0.0, 0
+        if posed.lost:
+            return
+        if self._at is not None:
+            step = self._at.inverse() @ posed.map_from_base
+            self._motion += step.distance / INDEPENDENT_M
+            self._motion += abs(step.theta) / INDEPENDENT_RAD
+        self._at = posed.map_from_base
+
+    def add(self, said: float | None, instead: bool = False) -> None:
+        """Take in what is said of a scan, if anything is; `instead` of what was of its view."""
+        if said is None:
+            return
+        if not self._scans:
+            self._weight, self._motion = min(1.0, self._motion), 0.0
+        self.last = said
+        if instead:
+            self._sum, self._scans = 0.0, 0
+        self._sum += said
+        self._scans += 1
