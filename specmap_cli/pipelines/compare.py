@@ -13,10 +13,10 @@ from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import NOT_ALIGNED, NoResultError
 from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.core.json_values import point, transform
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, encodable, to_json
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.drawing.comparison import render_comparison
 from specmap_cli.grids.bent import Anchor, BentMotion
 from specmap_cli.grids.map_server import write_png
@@ -38,8 +38,7 @@ from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.overlaps import align_maps
 from specmap_cli.recognition.closure.alignment import Alignment
-from specmap_cli.topology.blocked import Crossing
-from specmap_cli.topology.differences import Differences, PlacedThing, differences
+from specmap_cli.topology.differences import Crossing, Differences, PlacedThing, differences
 from specmap_cli.topology.identity import Identity
 from specmap_cli.topology.topological_map import default_name, driven_m, starts_of
 

@@ -16,14 +16,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
-from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.errors import MapError, UsageError, reason
 from specmap_cli.core.json_values import Record
+from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.core.settings import Config
-from specmap_cli.core.shortage import reason
-from specmap_cli.core.threads import one_blas_thread
-from specmap_cli.core.versions import versions
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.overview import render_overview, render_segmentation
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
@@ -53,8 +51,8 @@ from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_in_making import FinishedMap, laid_out_of_stored, quality_of_stored
 from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.session import Session
-from specmap_cli.topology.kinds import kind_of
 from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.shapes import kind_of
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
 
 # What no border changes: copied, so that nothing is rounded again.

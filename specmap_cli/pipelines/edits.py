@@ -29,12 +29,16 @@ from specmap_cli.maps.edits import (
     said_in,
 )
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.topology.borders import Border, Split
-from specmap_cli.topology.detours import with_detours
-from specmap_cli.topology.forbidding import Forbidden, Shut, shut_by, with_shut
+from specmap_cli.topology.navigation import Forbidden, Shut, shut_by, with_detours, with_shut
 from specmap_cli.topology.redrawing import redrawn
 from specmap_cli.topology.regions import Regions
-from specmap_cli.topology.topological_map import Said, TopologicalMap, default_name
+from specmap_cli.topology.topological_map import (
+    BorderEdit,
+    Said,
+    Split,
+    TopologicalMap,
+    default_name,
+)
 
 _REQUESTED = replace(EDITS, error=UsageError, advice=": see `specmap edit --help`")
 
@@ -122,7 +126,7 @@ class Drawn:
     """
 
     submaps: IntArray
-    borders: tuple[Border, ...]
+    borders: tuple[BorderEdit, ...]
     next_id: int
     edits: Edits
     skipped: Mapping[int, str] = field(default_factory=dict)
@@ -162,7 +166,7 @@ def _saying(edits: Edits) -> Edits:
 
 
 def drawn(
-    whole: GridMap, labels: Labels, borders: Sequence[Border], edits: Edits, next_id: int
+    whole: GridMap, labels: Labels, borders: Sequence[BorderEdit], edits: Edits, next_id: int
 ) -> Drawn:
     """The keyframes with the borders that the edits ask for, instead of those that they have."""
     places = [n for n, change in enumerate(edits.changes) if not isinstance(change, ForbidEdit)]
@@ -210,7 +214,7 @@ def tell_unapplied(unapplied: Sequence[str], progress: Progress) -> None:
         progress.note(f"{filenames.EDITS}: not applied: {line}")
 
 
-def _with_id(change: Change, made: Border | None) -> Change:
+def _with_id(change: Change, made: BorderEdit | None) -> Change:
     """A change; a split that was made has the id of the new submap."""
     if isinstance(change, SplitEdit) and isinstance(made, Split):
         return SplitEdit(split=change.split, line=change.line, new=made.new)
@@ -235,7 +239,7 @@ def _forbidden(
 
 
 def _forbidden_in(
-    edits: Edits, borders: Sequence[Border], skipped: Mapping[int, str]
+    edits: Edits, borders: Sequence[BorderEdit], skipped: Mapping[int, str]
 ) -> Iterator[tuple[int, Forbidden]]:
     """What is forbidden, with the borders that were made after it was said."""
     made = 0

@@ -9,18 +9,17 @@ from itertools import pairwise
 
 import numpy as np
 
+from specmap_cli.core.arrays import Neighbours, evenly, neighbours
 from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.core.labels import Neighbours, neighbours
 from specmap_cli.core.records import Closure, IntArray, PosedScan, Trajectory
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.pipelines.map_in_making import Explored
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.closure.claims import SAMPLES_PER_SUBMAP
+from specmap_cli.recognition.closure.decision import Stay
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
-from specmap_cli.recognition.closure.stay import Stay
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.segmentation.online import Observer, OnlineSegmenter, Region
 from specmap_cli.topology.graph import submap_of_regions

@@ -35,8 +35,8 @@ from specmap_cli.maps.edits import (
 from specmap_cli.pipelines.laying_out import constraints_of, refute
 from specmap_cli.pipelines.map_in_making import LaidOut, thinned_of
 from specmap_cli.pipelines.session import Session
-from specmap_cli.recognition.closure.joints import Joint
-from specmap_cli.topology.inheritance import Heritage, inherited
+from specmap_cli.recognition.closure.common_ground import Joint
+from specmap_cli.topology.graph import Heritage, inherited
 from specmap_cli.topology.redrawing import undone
 from specmap_cli.topology.topological_map import LogInfo, starts_of
 

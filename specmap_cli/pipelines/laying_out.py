@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from specmap_cli.core.arrays import order_of_appearance
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
-from specmap_cli.core.labels import order_of_appearance
 from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap

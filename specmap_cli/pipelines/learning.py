@@ -21,15 +21,22 @@ from specmap_cli.pipelines.map_in_making import submaps_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
-from specmap_cli.recognition.learning.beside import beside_samples
 from specmap_cli.recognition.learning.calibration import Calibration, HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
-from specmap_cli.recognition.learning.holding_out import Samples
-from specmap_cli.recognition.learning.lessons import NO_LESSONS, NO_SAMPLES, Lessons
 from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M, HeldOutMisfit, held_out_misfit
-from specmap_cli.recognition.learning.revisits import Revisits
-from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
-from specmap_cli.recognition.learning.training import sensor_of, train_raw, train_virtual
+from specmap_cli.recognition.learning.sampling import (
+    augmented_samples,
+    cast_samples,
+    raw_samples,
+    track_samples,
+)
+from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_raw, train_virtual
+from specmap_cli.recognition.learning.training_data import (
+    NO_SAMPLES,
+    NO_TRAINING_DATA,
+    Samples,
+    TrainingData,
+)
 
 _MOST = float(np.finfo(np.float16).max)
 
@@ -46,7 +53,7 @@ class Learned:
 
     grids: Mapping[int, GridMap]
     classifiers: ClassifierSet
-    lessons: Lessons
+    lessons: TrainingData
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +64,11 @@ class Prior:
     """
 
     features: KeyframeFeatures
-    lessons: Lessons = NO_LESSONS
+    lessons: TrainingData = NO_TRAINING_DATA
     classifiers: ClassifierSet | None = None
 
     @classmethod
-    def of(cls, session: Session, lessons: Lessons = NO_LESSONS) -> Prior:
+    def of(cls, session: Session, lessons: TrainingData = NO_TRAINING_DATA) -> Prior:
         """What the lessons that hold for the keyframes of a session tell, and nothing else."""
         features = KeyframeFeatures(session.store, session.config.recognition.feature_set)
         return cls(features.knowing(lessons.raw.keyframes, lessons.raw.features), lessons)
@@ -111,7 +118,7 @@ def learn(
                 misfit=taught.misfit,
                 calibration=_calibrated(taught.held_out, of_virtual, prior.classifiers),
             )
-    return Learned(grids, classifiers, Lessons.of(taught.samples, taught.beside, along, cast))
+    return Learned(grids, classifiers, TrainingData.of(taught.samples, taught.beside, along, cast))
 
 
 def submap_grids(
@@ -166,7 +173,7 @@ def _without_grids(
             track_samples(store, submaps, poses, config.localization, lessons.along, starts)
         )
     samples = raw_samples(store, submaps, config, prior.features, starts)
-    beside = beside_samples(store, submaps, poses, config, rng, lessons.beside)
+    beside = augmented_samples(store, submaps, poses, config, rng, lessons.beside)
     raw, held_out = train_raw(samples, beside, poses, config, rng, revisits)
     misfit = held_out_misfit(store, submaps, poses)
     return _Taught(raw, _single(samples), _single(beside), held_out, misfit)
@@ -179,7 +186,7 @@ def _single(samples: OfSubmaps) -> OfSubmaps:
     }
 
 
-def arrays_of(lessons: Lessons) -> dict[str, NDArray[Any]]:
+def arrays_of(lessons: TrainingData) -> dict[str, NDArray[Any]]:
     """Lessons as the arrays of a file: in half precision, which moves few of them to another bin.
 
     A column a scan: one feature of all scans after the other takes less room.
@@ -193,7 +200,7 @@ def arrays_of(lessons: Lessons) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def lessons_of_stored(stored: StoredMap, config: Config) -> Lessons:
+def lessons_of_stored(stored: StoredMap, config: Config) -> TrainingData:
     """The lessons of a map directory; none where they would not be the same by these settings.
 
     Nor are there any of another version, which may find other features. Scans that were cast in
@@ -201,15 +208,15 @@ def lessons_of_stored(stored: StoredMap, config: Config) -> Lessons:
     """
     arrays = stored.features
     if arrays is None or _version(stored) != __version__ or stored.foreign_settings:
-        return NO_LESSONS
+        return NO_TRAINING_DATA
     before = stored.config
     same = before.recognition.feature_set == config.recognition.feature_set
     if not same or before.localization != config.localization:
-        return NO_LESSONS
-    found = Lessons(*(_samples(arrays, kind) for kind in KINDS))
+        return NO_TRAINING_DATA
+    found = TrainingData(*(_samples(arrays, kind) for kind in KINDS))
     sets = [config.recognition.feature_set] * 2 + [config.localization.feature_set] * 2
     if not all(map(_are_of, found.kinds, sets)):
-        return NO_LESSONS
+        return NO_TRAINING_DATA
     return found if before.grid == config.grid else replace(found, cast=NO_SAMPLES)
 
 
@@ -236,8 +243,13 @@ def comparable(
 
 
 def lessons_left(
-    lessons: Lessons, before: Labels, now: Labels, left: IntArray, apart_m: float, first: int = 0
-) -> Lessons:
+    lessons: TrainingData,
+    before: Labels,
+    now: Labels,
+    left: IntArray,
+    apart_m: float,
+    first: int = 0,
+) -> TrainingData:
     """What of the lessons of a map holds for one that it became.
 
     `left` (k,) are the keyframes of the map that are those from number `first` on of `now`. What

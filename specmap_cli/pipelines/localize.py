@@ -13,18 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
+from specmap_cli.core.arrays import neighbours
 from specmap_cli.core.config import SETTINGS, load_config, with_overrides
 from specmap_cli.core.errors import SETTING, LogError, MapError, UsageError
 from specmap_cli.core.files import write_together
-from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.labels import neighbours
+from specmap_cli.core.geometry import FloatArray, Pose2, step_lengths
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP, PosedScan
 from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import counted, legible, stamp_text
-from specmap_cli.core.threads import one_blas_thread
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
@@ -32,9 +31,9 @@ from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.localization.leads import Lead
 from specmap_cli.recognition.localization.localizer import Label, Localizer
 from specmap_cli.recognition.localization.metric import Fix
+from specmap_cli.recognition.localization.places import LeadingPlace
 from specmap_cli.registration.frontend import FrontEnd
 from specmap_cli.topology.topological_map import default_name
 
@@ -168,7 +167,7 @@ def _matched(
 
 
 def _in_submap(
-    scan: LocalizedScan, posed: PosedScan, localizer: Localizer, lead: Lead | None
+    scan: LocalizedScan, posed: PosedScan, localizer: Localizer, lead: LeadingPlace | None
 ) -> LocalizedScan:
     """A scan with its pose in the submap that it is labelled with, where a place leads."""
     place = None if lead is None else lead.place

@@ -17,9 +17,9 @@ import numpy as np
 
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
+from specmap_cli.core.geometry import path_length
 from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.text import counted, legible
-from specmap_cli.core.tracks import path_length
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.carrying import rows_of
@@ -36,10 +36,15 @@ from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.verdict import LAYOUT_CODES, of_layout, quality_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.learning.lessons import Lessons
-from specmap_cli.topology.borders import Border, fences_of
+from specmap_cli.recognition.learning.training_data import TrainingData
 from specmap_cli.topology.regions import Regions, divide
-from specmap_cli.topology.topological_map import LogInfo, TopologicalMap, starts_of
+from specmap_cli.topology.topological_map import (
+    BorderEdit,
+    LogInfo,
+    TopologicalMap,
+    fences_of,
+    starts_of,
+)
 
 Breaks = Mapping[int, Bridge | None]
 _NOT_AUDITED = Audit(compared=0, disagreements=())
@@ -95,7 +100,7 @@ class LaidOut:
     edits: Edits = field(default_factory=Edits)
     edits_text: str = ""
     lost: tuple[str, ...] = ()
-    borders: tuple[Border, ...] = ()
+    borders: tuple[BorderEdit, ...] = ()
 
     def __len__(self) -> int:
         """How many keyframes it has."""
@@ -169,7 +174,7 @@ class FinishedMap:
     laid: LaidOut
     topology: TopologicalMap
     classifiers: ClassifierSet
-    lessons: Lessons
+    lessons: TrainingData
     quality: Quality
     unapplied: tuple[str, ...] = ()
 

@@ -17,11 +17,11 @@ import numpy as np
 from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import InputError, UsageError
 from specmap_cli.core.geometry import Pose2, nearest_motion
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, opened_map
@@ -42,7 +42,7 @@ from specmap_cli.pipelines.overlaps import (
 from specmap_cli.pipelines.reports import OF_THE_MAP, MergeReport, run_record
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import check_feature_sets
-from specmap_cli.recognition.learning.lessons import Lessons
+from specmap_cli.recognition.learning.training_data import TrainingData
 
 
 @one_blas_thread()
@@ -182,14 +182,14 @@ class _Merging:
             int(id_): int(np.bincount(now[own == id_]).argmax()) for id_ in np.unique(own[own >= 0])
         }
 
-    def lessons(self, of_maps: Sequence[Lessons]) -> Lessons:
+    def lessons(self, of_maps: Sequence[TrainingData]) -> TrainingData:
         """What the classifiers of the maps learned from, as it holds for all of them."""
         cell_m, now = self.session.config.grid.resolution_m, self.joint.labels
         found = []
         for number, (part, own) in enumerate(zip(self.parts, of_maps, strict=True)):
             first, _ = self._firsts[number]
             found.append(lessons_left(own, part.labels, now, np.arange(len(part)), cell_m, first))
-        return Lessons.joined(found)
+        return TrainingData.joined(found)
 
     def _joined(self, parent: int | None, child: int) -> LaidOut:
         """One map more, laid into `parent`, which is in already, or beside all."""

@@ -10,8 +10,8 @@ from pathlib import Path
 import networkx as nx
 
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.settings import Config
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.learning import submap_grids
@@ -19,7 +19,7 @@ from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.pipelines.map_in_making import LaidOut, submaps_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.closure.alignment import Alignment, align
-from specmap_cli.recognition.closure.known_map import KnownMap
+from specmap_cli.recognition.closure.prepared import MapToAlign
 
 Overlaps = Mapping[tuple[int, int], Alignment]  # of maps i < j: where j lies in i
 
@@ -37,13 +37,13 @@ class PairOfMaps:
 Spread = Callable[[Callable[[PairOfMaps], Alignment], Sequence[PairOfMaps]], Iterable[Alignment]]
 
 
-def known_map(stored: StoredMap, *, learned: bool = True) -> KnownMap:
+def known_map(stored: StoredMap, *, learned: bool = True) -> MapToAlign:
     """A stored map as the alignment takes it, with its classifiers where it has `learned`.
 
     Raises MapError for a damaged map.
     """
     submaps, labels = stored.topology.submaps, stored.labels
-    return KnownMap(
+    return MapToAlign(
         whole=stored.map_grid,
         grids=stored.grids,
         frames={i: submap.map_from_submap for i, submap in submaps.items()},
@@ -52,12 +52,12 @@ def known_map(stored: StoredMap, *, learned: bool = True) -> KnownMap:
     )
 
 
-def known_map_of(session: Session, laid: LaidOut) -> KnownMap:
+def known_map_of(session: Session, laid: LaidOut) -> MapToAlign:
     """A recording that was laid out by itself as the alignment takes it: without classifiers."""
     submaps, poses = submaps_of(laid.labels.submaps), laid.labels.poses
     with session.stage("grids"):
         grids = submap_grids(session, submaps, poses, silent=True)
-    return KnownMap(
+    return MapToAlign(
         whole=laid.whole,
         grids=grids,
         frames={id_: Pose2(*poses[own[0]].tolist()) for id_, own in submaps.items()},
@@ -82,7 +82,7 @@ def align_pair(pair: PairOfMaps) -> Alignment:
 
 
 def overlaps_of(
-    maps: Sequence[StoredMap], known: Sequence[KnownMap], config: Config, spread: Spread | None
+    maps: Sequence[StoredMap], known: Sequence[MapToAlign], config: Config, spread: Spread | None
 ) -> Overlaps:
     """The pairs of maps that can be aligned: here, or wherever `spread` has it done."""
     pairs = list(combinations(range(len(maps)), 2))

@@ -6,20 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps, lines_of
 from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
+from specmap_cli.recognition.learning.boosting import feature_shares
 from specmap_cli.recognition.learning.classifiers import Recogniser
-from specmap_cli.recognition.learning.looks import feature_shares
 from specmap_cli.report.evidence import Changes, Evidence, Learned, Likeness, Look, SplitLook
 from specmap_cli.report.page import render
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter

@@ -9,16 +9,15 @@ from typing import Any
 
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.memory import peak_memory_mb
+from specmap_cli.core.process import peak_memory_mb, versions
 from specmap_cli.core.text import counted
-from specmap_cli.core.versions import versions
 from specmap_cli.logs.selection import Selection
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, in_words
 from specmap_cli.pipelines.map_in_making import FinishedMap
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.closure.alignment import Alignment
-from specmap_cli.topology.border_changes import BorderChange
+from specmap_cli.topology.identity import BorderChange
 from specmap_cli.topology.regions import NOBODY
 
 SCHEMA_VERSION = 1  # of run.json: schemas/run.schema.json

@@ -11,20 +11,16 @@ import numpy as np
 from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, legible
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.drawing.overview import render_segmentation
 from specmap_cli.drawing.split_tests import draw_segmentation
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import read_grid, write_png
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_segmentation
-from specmap_cli.segmentation.floorplan import (
-    FloorplanResult,
-    segment_floorplan,
-    submap_grid,
-)
+from specmap_cli.segmentation.division import FloorplanResult, segment_floorplan, submap_grid
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, Submap, TopologicalMap

@@ -18,10 +18,10 @@ import numpy as np
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.errors import NOT_ALIGNED, InputError, NoResultError
 from specmap_cli.core.geometry import Pose2, compose
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.joining import placed
 from specmap_cli.logs import open_log
@@ -47,11 +47,11 @@ from specmap_cli.pipelines.reports import BuildReport, UpdateReport, run_record
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, align
-from specmap_cli.recognition.closure.known_map import KnownMap
+from specmap_cli.recognition.closure.prepared import MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.refinement import regions_of
-from specmap_cli.topology.border_changes import border_changes
-from specmap_cli.topology.inheritance import inherited
+from specmap_cli.topology.graph import inherited
+from specmap_cli.topology.identity import border_changes
 from specmap_cli.topology.redrawing import carried
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
@@ -190,7 +190,7 @@ def build_like(
     return BuildReport(out=target, run=run, quality=finished.quality, unapplied=finished.unapplied)
 
 
-def _aligned(session: Session, old: KnownMap, new: KnownMap) -> Alignment:
+def _aligned(session: Session, old: MapToAlign, new: MapToAlign) -> Alignment:
     """Where the recording lies in the map."""
     session.progress.start("aligning", None)
     with session.stage("alignment"):

@@ -6,7 +6,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.grids.observability import observability
+from specmap_cli.grids.matching import observability
 from specmap_cli.registration.reliance import direction_of
 
 # Information along a direction, beside the most in any. Noise of the ranges turns the normals of

@@ -10,8 +10,8 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.grids.gauss_newton import approach
 from specmap_cli.grids.matching import Window, search
+from specmap_cli.grids.score_field import approach
 from specmap_cli.registration.local_map import LocalMap
 from specmap_cli.registration.sweep_view import SweepView
 

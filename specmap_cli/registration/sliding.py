@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from specmap_cli.core.geometry import Pose2, product
-from specmap_cli.grids.observability import weakest_direction
+from specmap_cli.grids.matching import weakest_direction
 from specmap_cli.registration.prospect import BEYOND_DOUBT
 from specmap_cli.registration.scene import Fit, Scene
 

@@ -40,7 +40,7 @@ from specmap_cli.pipelines.map_in_making import Explored, FinishedMap
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.registration.frontend import FrontEnd
-from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.worlds import RoomTruth
 from tests.flats import QUICK, Explained
 
 Tour = list[tuple[Sweep, Pose2]]

@@ -25,11 +25,15 @@ from specmap_cli.recognition.features.sets import (
 )
 from specmap_cli.recognition.features.virtual import cast_circles
 from specmap_cli.recognition.learning import sampling
-from specmap_cli.recognition.learning.beside import beside_samples
+from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.one_vs_all import OneVsAll
-from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
+from specmap_cli.recognition.learning.sampling import (
+    augmented_samples,
+    cast_samples,
+    raw_samples,
+    track_samples,
+)
 from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_raw
 from specmap_cli.recognition.localization.localizer import Localizer
 from tests.turning import turn
@@ -126,7 +130,7 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
         i: scans_features([store.scan(k) for k in keyframes], "table1")
         for i, keyframes in SUBMAPS.items()
     }
-    beside = beside_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
+    beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
     assert all(len(own.keyframes) for own in beside.values())
     classifiers = OneVsAll("table1", config.recognition).fit(
         {i: np.vstack([X, beside[i].features]) for i, X in samples.items()},
@@ -176,7 +180,7 @@ class Cast:
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
     """What raw scans teach."""
     samples = raw_samples(store, SUBMAPS, config)
-    beside = beside_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
+    beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
     return train_raw(samples, beside, store.poses, config, np.random.default_rng(0))[0]
 
 
