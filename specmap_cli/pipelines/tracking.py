@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.core.text import counted
-from specmap_cli.logs.repeats import Repeats
+from specmap_cli.logs.planar import Repeats
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.registration.frontend import FrontEnd
