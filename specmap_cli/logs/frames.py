@@ -190,10 +190,9 @@ def _asked_base(tree: TransformTree, laser_frame: str, config: LogConfig) -> Pla
     if _any_joined(tree, [base], laser_frame):
         return _placement(tree, base, laser_frame)
     above = sorted({laser_frame, *tree.ancestors(laser_frame)})
-    raise UsageError(
-        f"--base-frame {base}: no transform joins it to the laser's frame {laser_frame!r}; "
-        f"choose from {', '.join(above)}"
-    )
+    where, hint = f"--base-frame {base}", f"choose from {', '.join(above)}"
+    none = f"no transform joins it to the laser's frame {laser_frame!r}"
+    raise UsageError(f"{where}: {none}; {hint}", where=where, hint=hint)
 
 
 def _placement(tree: TransformTree, base: str, laser_frame: str) -> Placement:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import stat
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
@@ -14,6 +14,7 @@ from specmap_cli.core.arguments import Paths, instance_of, paths_of
 from specmap_cli.core.errors import LOG_DAMAGED, LOG_MISSING, PACKAGE, LogError, UsageError
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.text import legible
 from specmap_cli.logs.readers.carmen import CarmenFile
 from specmap_cli.logs.readers.compression import compression_of, unpacked
 from specmap_cli.logs.readers.mcap import McapFile
@@ -25,6 +26,7 @@ from specmap_cli.logs.readers.recording import (
     contents_of,
     is_text,
     merge_in_time,
+    refused,
     unreadable,
 )
 from specmap_cli.logs.readers.rosbag1 import Rosbag1File
@@ -173,9 +175,8 @@ def _checked(name: str, reader: object) -> type[Recording]:
 
 
 def _unfit(name: str, fault: str) -> UsageError:
-    return UsageError(
-        f"the reader {name!r} of {GROUP} {fault}; mend or remove its package", code=PACKAGE
-    )
+    hint = "mend or remove its package"
+    return UsageError(f"the reader {name!r} of {GROUP} {fault}; {hint}", code=PACKAGE, hint=hint)
 
 
 HEAD_BYTES = 4096  # one page: longer than the magic of any format, short enough to read of any file
@@ -195,12 +196,14 @@ def is_directory(path: Path) -> bool:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise LogError(f"{path}: no such file or directory", code=LOG_MISSING) from None
+        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
     except OSError as error:
         raise unreadable(path, error) from None
     if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
         kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "no file")
-        raise LogError(f"{path}: is {kind}; a log must be a file or a directory: copy it to one")
+        found = f"is {kind}; a log must be a file or a directory: "
+        hint = "copy it to one"
+        raise LogError(f"{path}: {found}{hint}", where=str(path), hint=hint)
     return stat.S_ISDIR(mode)
 
 
@@ -210,7 +213,7 @@ def head_of(path: Path) -> bytes:
         with path.open("rb") as file:
             return file.read(HEAD_BYTES)
     except FileNotFoundError:
-        raise LogError(f"{path}: no such file or directory", code=LOG_MISSING) from None
+        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
     except OSError as error:
         raise unreadable(path, error) from None
 
@@ -222,14 +225,15 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
     """Open one recording, or several files of it, as one log in time order.
 
     A path is a file, or a directory whose recordings are taken together. The readers are those of
-    `logs.readers.table`; `config` bounds what they unpack. Raises LogError for a path that is
-    missing, empty, no recording or given twice, and when nothing in it can be read; TypeError for
-    what is no path or no `LogConfig`.
+    `known_readers`; `config` bounds what they unpack. Raises LogError for a path that is missing,
+    empty, no recording or given twice, and when nothing in it can be read; TypeError for what is
+    no path or no `LogConfig`.
     """
     given = paths_of(paths, "paths")
     settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
     if not given:
-        raise LogError("no log given; name a file or a directory")
+        hint = "name a file or a directory"
+        raise LogError(f"no log given; {hint}", hint=hint)
     readers = known_readers()
     with ExitStack() as held:
         recordings: list[Recording] = []
@@ -247,16 +251,19 @@ def _refuse_repetition(recordings: Sequence[Recording]) -> None:
     for recording in recordings:
         place = recording.path.resolve()
         if place in seen:
-            raise LogError(f"{recording.path}: given twice; name each file of a recording once")
+            hint = "name each file of a recording once"
+            raise refused(recording.path, "given twice", hint)
         seen.add(place)
 
 
 def _refuse_rubble(recordings: Sequence[Recording]) -> None:
     """A damaged log of which no message is left cannot be used."""
     messages = sum(recording.contents.messages for recording in recordings)
-    damage = [line for recording in recordings for line in recording.damage]
-    if damage and not messages:
-        raise LogError(f"{damage[0]}; no message can be read", code=LOG_DAMAGED)
+    damaged = next((recording for recording in recordings if recording.damage), None)
+    if damaged is not None and not messages:
+        where = legible(str(damaged.path))
+        fault = f"{damaged.damage[0]}; no message can be read"
+        raise LogError(fault, code=LOG_DAMAGED, where=where)
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
@@ -271,8 +278,8 @@ def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
         raise unreadable(path, error) from None
     found = [file for file in visible if looks_like_a_log(file, readers)]
     if not found:
-        expected = format_names(readers.values())
-        raise LogError(f"{path}: no recording in this directory; expected {expected}")
+        expected = f"expected {format_names(readers.values())}"
+        raise refused(path, "no recording in this directory", expected)
     yield from found
 
 
@@ -288,25 +295,31 @@ def _opened(path: Path, readers: _Readers, config: LogConfig, held: ExitStack) -
     if compression is None:
         return _read(path, path, readers, config, held)
 
-    inside = f"(inside {compression} compression)"
-
     def look(file: Path) -> None:
         if compression_of(head_of(file)) is not None:
-            raise LogError(f"{path}: compressed twice; unpack it first")
-        try:
+            raise refused(path, "compressed twice", "unpack it first")
+        with _told_of(compression):
             _reader_of(file, path, readers)
-        except LogError as error:
-            raise LogError(f"{error} {inside}", code=error.code) from None
 
     copy = unpacked(path, compression, config, look, held)
     look(copy.file)
-    try:
+    with _told_of(compression):
         recording = _read(copy.file, path, readers, config, held)
-    except LogError as error:
-        raise LogError(f"{error} {inside}", code=error.code) from None
     if copy.lost is not None:
         recording.report(copy.lost)
     return recording
+
+
+@contextmanager
+def _told_of(compression: str) -> Iterator[None]:
+    """Errors say that they are about what is inside a compressed file."""
+    inside = f"(inside {compression} compression)"
+    try:
+        yield
+    except LogError as error:
+        hint = error.hint and f"{error.hint} {inside}"
+        where = error.where
+        raise LogError(f"{error} {inside}", code=error.code, where=where, hint=hint) from None
 
 
 def _read(
@@ -324,16 +337,15 @@ def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
     if reader is not None:
         return reader
     if any(known.magic.startswith(head) for known in readers.values()):
-        raise LogError(
-            f"{path}: cut off after {len(head)} bytes; no message can be read", code=LOG_DAMAGED
-        )
+        cut = f"cut off after {len(head)} bytes; no message can be read"
+        raise refused(path, cut, code=LOG_DAMAGED)
     kind = "a text file" if b"\x00" not in head and is_text(head) else "of an unknown format"
-    expected = format_names(readers.values())
-    raise LogError(f"{path}: {kind}, not a recording; expected {expected}")
+    expected = f"expected {format_names(readers.values())}"
+    raise refused(path, f"{kind}, not a recording", expected)
 
 
 def _head(file: Path, path: Path) -> bytes:
     head = head_of(file)
     if not head:
-        raise LogError(f"{path}: the file is empty", code=LOG_DAMAGED)
+        raise refused(path, "the file is empty", code=LOG_DAMAGED)
     return head

@@ -102,7 +102,7 @@ def select(log: Log, config: LogConfig) -> Selection:
     topic = choose_scan_topic(log, config.scan_topic)
     scans = first_scans(log, topic)
     sensors = tuple(sensors_of(scans))
-    sensor = choose_sensor(f"{log.name}: {topic.name}", sensors, config)
+    sensor = choose_sensor(log.name, topic.name, sensors, config)
     scans = [scan for scan in scans if sensor.made(scan)]
     in_space = sensor.is_cloud and not is_flat(log, topic, sensor)
     odometry_topic = choose_odometry_topic(log, config.odom_topic) if config.use_odometry else None

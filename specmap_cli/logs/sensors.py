@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from specmap_cli.core.errors import CHOICE, LogError, UsageError
+from specmap_cli.core.errors import CHOICE, UsageError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
 from specmap_cli.logs.clouds import cloud_points
@@ -33,7 +33,7 @@ from specmap_cli.logs.messages import (
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import LEVEL, ScanLeveller, covers_circle, increment
 from specmap_cli.logs.readers.encoding import ODOMETRY, SCAN_TYPES, TF_MESSAGE
-from specmap_cli.logs.readers.recording import TopicInfo
+from specmap_cli.logs.readers.recording import TopicInfo, refused
 
 
 def static_topics(topics: Iterable[TopicInfo]) -> list[str]:
@@ -53,11 +53,8 @@ def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
         return _asked(log, found, asked, "--scan-topic", "scans")
     if not found:
         there = ", ".join(f"{t.name} ({t.type})" for t in log.topics()) or "no messages at all"
-        raise LogError(
-            legible(
-                f"{log.name}: no LaserScan, MultiEchoLaserScan or PointCloud2 in it; it has {there}"
-            )
-        )
+        none = f"no LaserScan, MultiEchoLaserScan or PointCloud2 in it; it has {there}"
+        raise refused(legible(log.name), legible(none))
     return _only(log, found, "--scan-topic", "scans")
 
 
@@ -72,8 +69,8 @@ def choose_odometry_topic(log: Log, asked: str | None) -> TopicInfo | None:
 def _only(log: Log, found: list[TopicInfo], option: str, what: str) -> TopicInfo:
     if len(found) > 1:
         choices = " or ".join(f"`{option} {t.name}` ({_describe(t)})" for t in found)
-        several = f"{log.name}: {len(found)} topics carry {what}: choose {choices}"
-        raise UsageError(legible(several), code=CHOICE)
+        several, hint = f"{len(found)} topics carry {what}", f"choose {choices}"
+        raise _unclear(log.name, several, hint, code=CHOICE)
     return found[0]
 
 
@@ -82,8 +79,14 @@ def _asked(log: Log, found: list[TopicInfo], asked: str, option: str, what: str)
         if topic.name.lstrip("/") == asked.lstrip("/"):
             return topic
     choices = ", ".join(f"{t.name} ({_describe(t)})" for t in found) or "none"
-    none = f"{log.name}: {option} {asked}: no {what} on such a topic"
-    raise UsageError(legible(f"{none}; topics with {what}: {choices}"))
+    none = f"{option} {asked}: no {what} on such a topic"
+    raise _unclear(log.name, f"{none}; topics with {what}: {choices}")
+
+
+def _unclear(log: str, found: str, hint: str = "", code: str | None = None) -> UsageError:
+    """The error of options that choose nothing in a log, or too little."""
+    where, said = legible(log), legible(f"{log}: {found}: {hint}" if hint else f"{log}: {found}")
+    return UsageError(said, code=code, where=where, hint=legible(hint) or None)
 
 
 def _describe(topic: TopicInfo) -> str:
@@ -151,8 +154,8 @@ class SeveralSensorsError(UsageError):
 
     code = CHOICE
 
-    def __init__(self, message: str, best: str) -> None:
-        super().__init__(message)
+    def __init__(self, found: str, hint: str, where: str, best: str) -> None:
+        super().__init__(f"{found}: {hint}", where=where, hint=hint)
         self.best = best
 
 
@@ -218,10 +221,12 @@ def _has_rival(
     return False
 
 
-def choose_sensor(where: str, sensors: Sequence[ScanSensor], config: LogConfig) -> ScanSensor:
+def choose_sensor(
+    log: str, topic: str, sensors: Sequence[ScanSensor], config: LogConfig
+) -> ScanSensor:
     """The sensor that the settings name, or the only one with more than a small share of the scans.
 
-    `where` names log and topic. Raises UsageError with the sensors ready to paste.
+    `log` and `topic` are names. Raises UsageError with the sensors ready to paste.
     """
     total, asked = sum(sensor.count for sensor in sensors), config.scan_frame
     if asked is not None:
@@ -230,16 +235,16 @@ def choose_sensor(where: str, sensors: Sequence[ScanSensor], config: LogConfig) 
         if chosen is not None:
             return chosen
         known = ", ".join(_told(sensor, total) for sensor in sensors)
-        nothing = f"{where}: --scan-frame {asked}: no scans of such a sensor; there are {known}"
-        raise UsageError(legible(nothing))
+        nothing = f"--scan-frame {asked}: no scans of such a sensor; there are {known}"
+        raise _unclear(log, f"{topic}: {nothing}")
     often = [s for s in sensors if s.count >= _SENSOR_SHARE * total]
     candidates = often or list(sensors)
     if len(candidates) == 1:
         return candidates[0]
     best = max(candidates, key=lambda sensor: sensor.count)
     choices = " or ".join(f"`--scan-frame {_told(s, total, '`')}" for s in candidates)
-    several = f"{where}: {len(candidates)} sensors on one topic: choose {choices}"
-    raise SeveralSensorsError(legible(several), best.name)
+    several = legible(f"{log}: {topic}: {len(candidates)} sensors on one topic")
+    raise SeveralSensorsError(several, legible(f"choose {choices}"), legible(log), best.name)
 
 
 def _told(sensor: ScanSensor, total: int, end: str = "") -> str:
@@ -275,8 +280,8 @@ def first_scans(log: Log, topic: TopicInfo) -> list[FirstScan]:
         if not found and tried >= TRIED_MESSAGES:
             break
     if not found:
-        where = f"{log.name}: {topic.name}"
-        raise LogError(legible(f"{where}: no usable scan: {reason}"))
+        none = f"{topic.name}: no usable scan: {reason}"
+        raise refused(legible(log.name), legible(none))
     return found
 
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
 from specmap_cli.core.arguments import Paths, path_of, paths_of
-from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, LogError, UsageError
+from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError
 from specmap_cli.core.files import partial_of, remove_leftovers
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.locks import lock
@@ -43,7 +43,7 @@ from specmap_cli.logs.readers.encoding import (
     scan_cdr,
     transform_cdr,
 )
-from specmap_cli.logs.readers.recording import TopicInfo
+from specmap_cli.logs.readers.recording import TopicInfo, refused
 
 CHUNK_BYTES = 512 * 1024  # what a reader holds in memory at once; compresses well from here on
 TF_STATIC = "/tf_static"
@@ -71,7 +71,8 @@ class LogWriter:
     def __init__(self, path: Path | str) -> None:
         self.path = path_of(path, "path")
         if self.path.is_dir():
-            raise UsageError(f"{self.path}: is a directory; name the MCAP file to write")
+            place, hint = str(self.path), "name the MCAP file to write"
+            raise UsageError(f"{place}: is a directory; {hint}", where=place, hint=hint)
         self._part = partial_of(self.path)
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
@@ -203,9 +204,8 @@ class LogWriter:
         return file
 
     def _unwritable(self, error: OSError) -> UsageError:
-        return UsageError(
-            f"{self.path}: cannot write: {reason(error, 'choose another place')}", code=OUTPUT
-        )
+        place, why = str(self.path), reason(error, "choose another place")
+        return UsageError(f"{place}: cannot write: {why}", code=OUTPUT, where=place)
 
     def _channel(self, topic: str, msgtype: str) -> int:
         key = (topic, msgtype)
@@ -263,15 +263,15 @@ def convert(
     """
     given, target = paths_of(paths, "paths"), path_of(out, "out")
     if target.exists() and not overwrite:
-        raise UsageError(
-            f"{target}: exists already; use --overwrite to replace it", code=OUTPUT_EXISTS
-        )
+        place, hint = str(target), "use --overwrite to replace it"
+        message = f"{place}: exists already; {hint}"
+        raise UsageError(message, code=OUTPUT_EXISTS, where=place, hint=hint)
     with open_log(given, config) as log:
         topics = log.topics()
         if not any(_is_wanted(topic) for topic in topics):
             there = ", ".join(f"{t.name} ({t.type})" for t in topics) or "no messages at all"
-            nothing = f"{log.name}: no scans, odometry or transforms; it has {there}"
-            raise LogError(legible(nothing))
+            nothing = f"no scans, odometry or transforms; it has {there}"
+            raise refused(legible(log.name), legible(nothing))
         return Conversion(
             path=target,
             written=_written(log, target, progress or Silent()),

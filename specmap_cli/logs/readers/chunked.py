@@ -1,8 +1,9 @@
 """Files that are a sequence of records holding compressed chunks of messages: MCAP, ROS 1 bags.
 
-With a usable index the chunks are merged by their start times and messages inside a chunk are
-sorted by log time. Without one (a recorder that was killed, a truncated or damaged file) the
-records are walked from the start, and the readable part of the last chunk is kept.
+An intact file has an index: its chunks are merged by their start times, and messages inside a chunk
+are sorted by log time. A file without a usable one (a recorder that was killed, a truncated or
+damaged file) is salvaged: its records are walked from the start, and the readable part of the last
+chunk is kept.
 
 What is read of a chunk is compared with what is listed of it, and what is read of a topic with
 what the index lists of the topic: nothing is lost without a word.
@@ -75,18 +76,6 @@ class ChunkRef:
     counts: Mapping[int, int] = field(default_factory=dict)
 
 
-class OpenedChunk(NamedTuple):
-    """The records inside a chunk; `sound` says that the head of its own record is."""
-
-    unpacked: Unpacked
-    sound: bool = True
-
-    @property
-    def well(self) -> bool:
-        """Whether everything is there."""
-        return self.sound and self.unpacked.complete
-
-
 class Listing(NamedTuple):
     """What stands behind a chunk: its messages by channel, and on demand their times and places."""
 
@@ -99,14 +88,6 @@ class Listing(NamedTuple):
 
 
 NOTHING_LISTED = Listing({}, list)
-
-
-def expected_counts(*sources: Mapping[int, int]) -> Counter[int]:
-    """The messages of each channel; where sources differ, as one is damaged, the larger number."""
-    counts: Counter[int] = Counter()
-    for source in sources:
-        counts |= Counter(source)
-    return counts
 
 
 def by_topic(counts: Mapping[int, int], channels: Mapping[int, Channel]) -> Counter[str]:
@@ -170,8 +151,12 @@ class ChunkedFile(Recording):
         """The summary and the channels, or None when it is missing or damaged."""
 
     @abstractmethod
-    def _open_chunk(self, ref: ChunkRef) -> OpenedChunk:
-        """The records inside a chunk."""
+    def _salvaged(self) -> Iterator[Entry]:
+        """All entries from the first record on; damage is reported and ends or skips."""
+
+    @abstractmethod
+    def _open_chunk(self, ref: ChunkRef) -> Unpacked:
+        """The records inside a chunk; complete when its own record is sound, too."""
 
     @abstractmethod
     def _listing(self, ref: ChunkRef) -> Listing:
@@ -179,21 +164,18 @@ class ChunkedFile(Recording):
 
     @abstractmethod
     def _spots(self, records: bytes, listing: Listing) -> tuple[list[Spot], bool]:
-        """The whole messages of known channels in the records of a chunk; whether all are whole.
+        """The whole messages of known channels among records; whether all records are whole.
 
         Behind a record that is not whole, reading goes on where the listing has the next one.
         """
-
-    @abstractmethod
-    def _walk(self) -> Iterator[Entry]:
-        """All entries from the first record on; damage is reported and ends or skips."""
 
     @cached_property
     def contents(self) -> Contents:
         """From the index, or by one pass over a file without."""
         if self._index is not None:
             return self._index.contents
-        return survey((*self.channels[entry.channel][:2], entry.time_ns) for entry in self._walk())
+        entries = self._salvaged()
+        return survey((*self.channels[entry.channel][:2], entry.time_ns) for entry in entries)
 
     @property
     def chunk_max(self) -> int:
@@ -203,7 +185,9 @@ class ChunkedFile(Recording):
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics`, in time order with an index and as written without."""
         if self._index is None:
-            yield from self._select(self._walk(), topics)
+            for entry in self._salvaged():
+                if topics is None or self.channels[entry.channel].topic in topics:
+                    yield from self._message(*entry)
             return
         found: Counter[str] = Counter()
         for message in self._merged(self._index, topics):
@@ -277,9 +261,7 @@ class ChunkedFile(Recording):
 
     def read_chunk(self, ref: ChunkRef) -> Iterator[Entry]:
         """The entries of a chunk as written; damage is reported, not raised."""
-        records, spots = self._read_spots(ref)
-        for time_ns, channel, start, end in spots:
-            yield Entry(time_ns, channel, records[start:end])
+        return entries_at(*self._read_spots(ref))
 
     def _chunk_messages(self, ref: ChunkRef, topics: Collection[str] | None) -> Iterator[Message]:
         """The messages of a chunk on `topics` in time order."""
@@ -287,60 +269,46 @@ class ChunkedFile(Recording):
         if topics is not None:
             spots = [spot for spot in spots if self.channels[spot[1]].topic in topics]
         spots.sort(key=itemgetter(0))
-        for time_ns, channel, start, end in spots:
-            message = self._message(time_ns, channel, records[start:end])
-            if message is not None:
-                yield message
+        for entry in entries_at(records, spots):
+            yield from self._message(*entry)
 
     def _read_spots(self, ref: ChunkRef) -> tuple[bytes, list[Spot]]:
+        """The records of a chunk and where its messages stand in them; what is lost is reported."""
         chunk, listing = self._open_chunk(ref), self._listing(ref)
-        spots, whole = self._spots(chunk.unpacked.data, listing)
-        expected = expected_counts(ref.counts, listing.counts)
+        spots, whole = self._spots(chunk.data, listing)
+        expected = Counter(ref.counts) | Counter(listing.counts)  # one may be damaged: the larger
         missing = expected - Counter(map(itemgetter(1), spots))
-        cut = self._index is None and ref.offset + ref.length > self.size  # which the walk says
-        if not cut and (missing or not (whole and chunk.well)):
-            self._tell(ref, chunk, listing, (expected, missing))
-        return chunk.unpacked.data, spots
+        cut = self._index is None and ref.offset + ref.length > self.size  # which is told elsewhere
+        if not cut and (missing or not (whole and chunk.complete)):
+            fault = "beyond log.chunk_max_mb" if chunk.beyond else "damaged"
+            self._tell(ref, fault, _span(ref, listing), expected, missing)
+        return chunk.data, spots
 
     def _tell(
         self,
         ref: ChunkRef,
-        chunk: OpenedChunk,
-        listing: Listing,
-        numbers: tuple[Counter[int], Counter[int]],
+        fault: str,
+        span: str,
+        expected: Mapping[int, int],
+        missing: Mapping[int, int],
     ) -> None:
         """Say what is lost of a chunk: the messages `expected` in it, and those `missing`."""
-        what = f"chunk at byte {ref.offset} is damaged"
-        if chunk.unpacked.beyond:
-            what = f"chunk at byte {ref.offset} is beyond log.chunk_max_mb"
-        expected, missing = (by_topic(counts, self.channels) for counts in numbers)
-        span = _span(ref, listing)
-        if missing:
-            lost = lost_text(missing, expected)
-            self.report(f"{what}: {lost}{span and f', {span},'} are lost", missing)
-        elif expected:
-            self.report(f"{what}, but all of its {expected.total():,} messages are found")
+        what = f"chunk at byte {ref.offset} is {fault}"
+        there, lost = by_topic(expected, self.channels), by_topic(missing, self.channels)
+        if lost:
+            self.report(f"{what}: {lost_text(lost, there)}{span and f', {span},'} are lost", lost)
+        elif there:
+            self.report(f"{what}, but all of its {there.total():,} messages are found")
         else:
             messages = f"messages {span}" if span else "some of its messages"
             self.report(f"{what}: {messages} are lost")
 
     def tell_unreachable(self, ref: ChunkRef) -> None:
         """Say what is lost of a chunk that is not where the index has it."""
-        closed = OpenedChunk(Unpacked(b"", complete=False))
-        counts = expected_counts(ref.counts)
-        self._tell(ref, closed, NOTHING_LISTED, (counts, counts))
+        self._tell(ref, "damaged", _span(ref, NOTHING_LISTED), ref.counts, ref.counts)
 
-    def _select(
-        self, entries: Iterable[Entry], topics: Collection[str] | None
-    ) -> Iterator[Message]:
-        for entry in entries:
-            if topics is None or self.channels[entry.channel].topic in topics:
-                message = self._message(*entry)
-                if message is not None:
-                    yield message
-
-    def _message(self, time_ns: int, number: int, data: bytes) -> Message | None:
-        """A message in ROS 2 CDR; None, and reported, for one that does not fit its type."""
+    def _message(self, time_ns: int, number: int, data: bytes) -> Iterator[Message]:
+        """A message in ROS 2 CDR; one that does not fit its type is reported and left out."""
         topic, type_name, ros1 = self.channels[number]
         if ros1 and type_name in SUPPORTED_TYPES:
             try:
@@ -351,8 +319,14 @@ class ChunkedFile(Recording):
                     f"{type_name}; left out",
                     {topic: 1},
                 )
-                return None
-        return Message(topic, type_name, time_ns, data)
+                return
+        yield Message(topic, type_name, time_ns, data)
+
+
+def entries_at(records: bytes, spots: Iterable[Spot]) -> Iterator[Entry]:
+    """The messages at some places of records."""
+    for time_ns, channel, start, end in spots:
+        yield Entry(time_ns, channel, records[start:end])
 
 
 def _span(ref: ChunkRef, listing: Listing) -> str:

@@ -19,10 +19,10 @@ from typing import IO, Any, NamedTuple
 import lz4.frame
 import zstandard
 
-from specmap_cli.core.errors import TOO_LARGE, LogError
+from specmap_cli.core.errors import TOO_LARGE
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.shortage import reason
-from specmap_cli.logs.readers.recording import unreadable
+from specmap_cli.logs.readers.recording import refused, unreadable
 
 _SLICE_BYTES = 1 << 16  # compressed bytes taken at once
 _PIECE_BYTES = 1 << 20  # unpacked bytes asked for at once
@@ -220,10 +220,9 @@ def unpacked(
         copy = held.enter_context(temporary)
         lost = _fill(copy, path, compression, config, look)
     except OSError as error:
-        raise LogError(
-            f"{path}: cannot unpack into the temporary directory: "
-            f"{reason(error, 'set TMPDIR to another one')}"
-        ) from None
+        why = reason(error, "set TMPDIR to another one")
+        found = f"cannot unpack into the temporary directory: {why}"
+        raise refused(path, found) from None
     return Copy(Path(copy.name), lost)
 
 
@@ -254,18 +253,14 @@ def _fill(
 
 def _refuse_swelling(copied: int, path: Path, config: LogConfig) -> None:
     if copied > config.unpacked_max_gb * _BYTES_PER_GB:
-        fault = (
-            f"{config.unpacked_max_gb:g} GB, which log.unpacked_max_gb allows; if it is a log, "
-            "raise the setting"
-        )
+        bound = f"{config.unpacked_max_gb:g} GB, which log.unpacked_max_gb allows"
+        hint = "if it is a log, raise the setting"
     elif copied > max(_UNPACKED_RATIO_MAX * path.stat().st_size, _RATIO_FROM_BYTES):
-        fault = (
-            f"{_UNPACKED_RATIO_MAX:g} times its size, as no log does; if it is a log, unpack it "
-            "first"
-        )
+        bound = f"{_UNPACKED_RATIO_MAX:g} times its size, as no log does"
+        hint = "if it is a log, unpack it first"
     else:
         return
-    raise LogError(f"{path}: unpacks to more than {fault}", code=TOO_LARGE)
+    raise refused(path, f"unpacks to more than {bound}", hint, code=TOO_LARGE)
 
 
 def _slices(path: Path) -> Iterator[bytes]:

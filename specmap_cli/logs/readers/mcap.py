@@ -9,7 +9,8 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -22,15 +23,16 @@ from mcap.records import ChunkIndex, Footer, Schema, Statistics
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.readers.chunked import (
     MAX_SPOTS,
+    NOTHING_LISTED,
     Channel,
     ChunkedFile,
     ChunkRef,
     Entry,
     Index,
     Listing,
-    OpenedChunk,
     Spot,
     by_topic,
+    entries_at,
 )
 from specmap_cli.logs.readers.compression import Unpacked, decompress
 from specmap_cli.logs.readers.encoding import normalized_type
@@ -82,11 +84,6 @@ def counts_in(statistics: bytes) -> dict[int, int]:
         return {}
     counts: dict[int, int] = told.channel_message_counts
     return counts if sum(counts.values()) == told.message_count else {}
-
-
-def seen_bytes(opcode: int) -> int:
-    """How many bytes of the body `fits` has to see."""
-    return _BODY_MAX_SEEN if opcode in (ATTACHMENT, METADATA) else CHUNK_HEAD.size
 
 
 def fits(opcode: int, length: int, first: bool, body: bytes) -> bool:
@@ -155,14 +152,29 @@ class McapFile(ChunkedFile):
                     self._define(opcode, body)
         except BAD_BODY:
             return None
-        if statistics is None or not agree(statistics, chunks, self.channels):
+        counts = statistics.channel_message_counts if statistics is not None else {}
+        if (
+            statistics is None
+            or not chunks
+            or len({chunk.chunk_start_offset for chunk in chunks}) != statistics.chunk_count
+            or sum(counts.values()) != statistics.message_count
+            or not counts.keys() <= self.channels.keys()
+        ):
             return None
-        contents = self.contents_of(
-            statistics.channel_message_counts,
-            statistics.message_start_time,
-            statistics.message_end_time,
+        times = statistics.message_start_time, statistics.message_end_time
+        chunks.sort(key=lambda chunk: (chunk.message_start_time, chunk.chunk_start_offset))
+        refs = tuple(
+            ChunkRef(
+                offset=chunk.chunk_start_offset,
+                length=chunk.chunk_length,
+                size=chunk.uncompressed_size,
+                start_ns=chunk.message_start_time,
+                end_ns=chunk.message_end_time,
+                channels=frozenset(chunk.message_index_offsets) or None,
+            )
+            for chunk in chunks
         )
-        return Index(contents, chunk_refs(chunks), checked=bool(footer.summary_crc))
+        return Index(self.contents_of(counts, *times), refs, checked=bool(footer.summary_crc))
 
     def _footer(self) -> Footer | None:
         """The footer when the file ends in one that names a sound summary."""
@@ -179,17 +191,18 @@ class McapFile(ChunkedFile):
                 return None
         return footer
 
-    def _open_chunk(self, ref: ChunkRef) -> OpenedChunk:
+    def _open_chunk(self, ref: ChunkRef) -> Unpacked:
         if ref.length > self.chunk_max + CHUNK_HEAD.size + RECORD_HEAD.size:
-            return OpenedChunk(Unpacked(b"", complete=False, beyond=True))
+            return Unpacked(b"", complete=False, beyond=True)
         record = self.read_at(ref.offset, ref.length)
-        sound = record.startswith(RECORD_HEAD.pack(CHUNK, max(ref.length - RECORD_HEAD.size, 0)))
-        return OpenedChunk(records_of(record[RECORD_HEAD.size :], self.chunk_max), sound)
+        head = RECORD_HEAD.pack(CHUNK, max(ref.length - RECORD_HEAD.size, 0))
+        found = records_of(record[RECORD_HEAD.size :], self.chunk_max)
+        return found._replace(complete=found.complete and record.startswith(head))
 
     def _listing(self, ref: ChunkRef) -> Listing:
         return listing_at(ref.offset + ref.length, self.read_at, self.chunk_max)
 
-    def _walk(self) -> Iterator[Entry]:
+    def _salvaged(self) -> Iterator[Entry]:
         found: Counter[int] = Counter()
         for entry in self._data():
             found[entry.channel] += 1
@@ -259,7 +272,8 @@ class McapFile(ChunkedFile):
 
     def _is_of_data(self, opcode: int, ref: ChunkRef) -> bool:
         """Whether the record at a place is built as records among the data are."""
-        body = self.read_at(ref.offset + RECORD_HEAD.size, seen_bytes(opcode))
+        seen = _BODY_MAX_SEEN if opcode in (ATTACHMENT, METADATA) else CHUNK_HEAD.size
+        body = self.read_at(ref.offset + RECORD_HEAD.size, seen)
         return fits(opcode, ref.length - RECORD_HEAD.size, ref.offset == len(MAGIC), body)
 
     def _passes_over(self, opcode: int, ref: ChunkRef) -> bool:
@@ -296,29 +310,21 @@ class McapFile(ChunkedFile):
     def _held(self, opcode: int, ref: ChunkRef) -> Iterator[Entry]:
         """The messages of a record met on the walk, or of the readable part of a chunk."""
         if opcode == CHUNK:
-            times = CHUNK_HEAD.unpack(
-                self.read_at(ref.offset + RECORD_HEAD.size, CHUNK_HEAD.size).ljust(CHUNK_HEAD.size)
-            )
-            start_ns, end_ns = times[:2]
-            yield from self.read_chunk(
-                ChunkRef(offset=ref.offset, length=ref.length, start_ns=start_ns, end_ns=end_ns)
-            )
+            head = self.read_at(ref.offset + RECORD_HEAD.size, CHUNK_HEAD.size)
+            start_ns, end_ns = CHUNK_HEAD.unpack(head.ljust(CHUNK_HEAD.size))[:2]
+            yield from self.read_chunk(replace(ref, start_ns=start_ns, end_ns=end_ns))
         elif opcode in (SCHEMA, CHANNEL, MESSAGE) and ref.offset + ref.length <= self.size:
-            yield from self._single(opcode, ref)
+            yield from self._single(ref)
 
-    def _single(self, opcode: int, ref: ChunkRef) -> Iterator[Entry]:
+    def _single(self, ref: ChunkRef) -> Iterator[Entry]:
         """A message outside any chunk, or a definition; one of an unknown channel is reported."""
         if ref.length > self.chunk_max:
             self.report(f"the record at byte {ref.offset} is beyond log.chunk_max_mb: it is lost")
             return
-        body = self.read_at(ref.offset + RECORD_HEAD.size, ref.length - RECORD_HEAD.size)
-        sound = opcode == MESSAGE or self._define(opcode, body)
-        if opcode == MESSAGE:
-            channel, _, time_ns, _ = MESSAGE_HEAD.unpack_from(body)
-            sound = channel in self.channels
-            if sound:
-                yield Entry(time_ns, channel, body[MESSAGE_HEAD.size :])
-        if not sound:
+        record = self.read_at(ref.offset, ref.length)
+        spots, whole = self._spots(record, NOTHING_LISTED)
+        yield from entries_at(record, spots)
+        if not whole:
             self.report(f"the record at byte {ref.offset} is damaged: what it holds is lost")
 
     def _spots(self, records: bytes, listing: Listing) -> tuple[list[Spot], bool]:
@@ -365,32 +371,6 @@ class McapFile(ChunkedFile):
 
 # Up to so many bytes from an offset on: offset, length.
 ReadAt = Callable[[int, int], bytes]
-
-
-def chunk_refs(chunks: Iterable[ChunkIndex]) -> tuple[ChunkRef, ...]:
-    """What the index says of the chunks, by start."""
-    return tuple(
-        ChunkRef(
-            offset=chunk.chunk_start_offset,
-            length=chunk.chunk_length,
-            size=chunk.uncompressed_size,
-            start_ns=chunk.message_start_time,
-            end_ns=chunk.message_end_time,
-            channels=frozenset(chunk.message_index_offsets) or None,
-        )
-        for chunk in sorted(chunks, key=lambda c: (c.message_start_time, c.chunk_start_offset))
-    )
-
-
-def agree(statistics: Statistics, chunks: Sequence[ChunkIndex], channels: Collection[int]) -> bool:
-    """Whether the parts of a summary fit one another."""
-    counts = statistics.channel_message_counts
-    return (
-        bool(chunks)
-        and len({chunk.chunk_start_offset for chunk in chunks}) == statistics.chunk_count
-        and sum(counts.values()) == statistics.message_count
-        and set(counts) <= set(channels)
-    )
 
 
 def listing_at(position: int, read_at: ReadAt, limit: int) -> Listing:

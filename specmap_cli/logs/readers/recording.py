@@ -208,9 +208,15 @@ def time_text(time_ns: int) -> str:
     return f"{time_ns / 1e9:.3f} s"
 
 
+def refused(where: Path | str, found: str, hint: str = "", code: str | None = None) -> LogError:
+    """The error of a recording that cannot be used: where, what was found there, what to do."""
+    message = f"{where}: {found}; {hint}" if hint else f"{where}: {found}"
+    return LogError(message, code=code, where=str(where), hint=hint or None)
+
+
 def unreadable(path: Path, error: OSError) -> LogError:
     """The error for a file the system refuses to read."""
-    return LogError(f"{path}: cannot read: {reason(error)}")
+    return refused(path, f"cannot read: {reason(error)}")
 
 
 def merge_in_time(

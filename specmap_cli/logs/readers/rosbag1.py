@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.readers.chunked import (
     MAX_SPOTS,
@@ -26,11 +25,12 @@ from specmap_cli.logs.readers.chunked import (
     Entry,
     Index,
     Listing,
-    OpenedChunk,
     Spot,
+    entries_at,
 )
 from specmap_cli.logs.readers.compression import Unpacked, decompress
 from specmap_cli.logs.readers.encoding import NS_PER_S, normalized_type
+from specmap_cli.logs.readers.recording import refused
 
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
 INDEX_ENTRY = struct.Struct("<III")  # of an index record: seconds, nanoseconds, place in the chunk
@@ -142,8 +142,8 @@ class Rosbag1File(ChunkedFile):
         line = self.read_at(0, 32).split(b"\n")[0]
         if line != b"#ROSBAG V2.0":
             version = line.removeprefix(MAGIC).decode("ascii", errors="replace")
-            message = f"{self.path}: bag format {version[:8]} is not supported"
-            raise LogError(f"{message}; bring it to 2.0 with `rosbag fix`")
+            found = f"bag format {version[:8]} is not supported"
+            raise refused(self.path, found, "bring it to 2.0 with `rosbag fix`")
         self._first = len(line) + 1
         try:
             header = self._record(self._first)
@@ -213,17 +213,17 @@ class Rosbag1File(ChunkedFile):
                 return before
         return None
 
-    def _open_chunk(self, ref: ChunkRef) -> OpenedChunk:
+    def _open_chunk(self, ref: ChunkRef) -> Unpacked:
         """The records inside a chunk."""
         record = self._record(ref.offset)
         if record.length > self.chunk_max:
-            return OpenedChunk(Unpacked(b"", complete=False, beyond=True))
+            return Unpacked(b"", complete=False, beyond=True)
         data = self.read_at(record.start, record.length)
         compression = record.fields.get(b"compression", b"").decode("ascii", errors="replace")
         size = int.from_bytes(record.fields.get(b"size", b""), "little")
         found = decompress(data, compression, self.chunk_max, size)
         complete = found.complete and len(found.data) == size and len(data) == record.length
-        return OpenedChunk(found._replace(complete=complete), record.sound)
+        return found._replace(complete=complete and record.sound)
 
     def _listing(self, ref: ChunkRef) -> Listing:
         counts: Counter[int] = Counter()
@@ -252,7 +252,7 @@ class Rosbag1File(ChunkedFile):
             ]
         return sorted(entries)
 
-    def _walk(self) -> Iterator[Entry]:
+    def _salvaged(self) -> Iterator[Entry]:
         offset, last = self._first, 0
         while offset < self.size or offset == self._first:
             record = self._record_or_none(offset)
@@ -276,8 +276,7 @@ class Rosbag1File(ChunkedFile):
         if record.opcode in (MESSAGE, CONNECTION) and whole:
             data = self.read_at(offset, min(record.end - offset, self.chunk_max))
             spots, whole = self._spots(data, NOTHING_LISTED)
-            for time_ns, number, start, end in spots:
-                yield Entry(time_ns, number, data[start:end])
+            yield from entries_at(data, spots)
         if not whole and record.end <= self.size:  # of a cut the walk tells
             self.report(f"record at byte {offset} is damaged: what it holds is lost")
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeGuard
 from urllib.parse import quote
 
-from specmap_cli.core.errors import LOG_DAMAGED, LogError
+from specmap_cli.core.errors import LOG_DAMAGED
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
@@ -28,6 +28,7 @@ from specmap_cli.logs.readers.recording import (
     Recording,
     contents_of,
     lost_text,
+    refused,
     survey,
     time_text,
 )
@@ -86,7 +87,7 @@ class Rosbag2File(Recording):
         try:
             self._db = sqlite3.connect(location, uri=True)
         except sqlite3.Error as error:
-            raise LogError(f"{self.path}: cannot read: {error}") from None
+            raise refused(self.path, f"cannot read: {error}") from None
         try:
             self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, self._message_max)
             self._db.execute("PRAGMA writable_schema = ON")  # lets a cut-off file be read at all
@@ -100,9 +101,8 @@ class Rosbag2File(Recording):
             self._sorted = self._time_index is not None
         except sqlite3.Error as error:
             self._db.close()
-            raise LogError(
-                f"{self.path}: no readable rosbag2 file: {error}", code=LOG_DAMAGED
-            ) from None
+            fault = f"no readable rosbag2 file: {error}"
+            raise refused(self.path, fault, code=LOG_DAMAGED) from None
 
     def _find_time_index(self) -> str | None:
         """The name of an index by which messages come in time order without sorting them all."""

@@ -12,7 +12,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.chunked import ChunkRef, OpenedChunk
+from specmap_cli.logs.readers.chunked import ChunkRef
+from specmap_cli.logs.readers.compression import Unpacked
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message, TopicInfo
 
@@ -299,7 +300,7 @@ def test_only_chunks_of_the_wanted_topics_are_read(
     read: list[int] = []
     opened = McapFile._open_chunk
 
-    def spy(file: McapFile, ref: ChunkRef) -> OpenedChunk:
+    def spy(file: McapFile, ref: ChunkRef) -> Unpacked:
         read.append(ref.offset)
         return opened(file, ref)
 
