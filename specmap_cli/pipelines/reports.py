@@ -66,12 +66,12 @@ def _selected(selection: Selection) -> dict[str, Any]:
     """Which topics and frames were read."""
     mounting = Pose2.from_matrix(selection.base_from_laser)
     return {
-        "scan_topic": selection.scan_topic,
-        "scan_type": selection.scan_type,
+        "scan_topic": selection.topic.name,
+        "scan_type": selection.topic.type,
         "odometry": selection.odometry,
         "odom_topics": list(selection.odom_topics),
         "base_frame": selection.base_frame,
-        "laser_frame": selection.laser_frame,
+        "laser_frame": selection.sensor.frame,
         "base_from_laser": [round(value, 6) for value in mounting],
         "height_band_m": selection.band_m,
     }
