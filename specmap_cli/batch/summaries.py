@@ -16,9 +16,8 @@ from specmap_cli.batch.records import JobRecord
 from specmap_cli.batch.steps import LOG_TEXT, MAP, REPORT
 from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.core.text import counted
-from specmap_cli.report import words
-from specmap_cli.report.colours import tones
-from specmap_cli.report.pouring import page_parts, poured
+from specmap_cli.report.html import html_page, lasting
+from specmap_cli.report.svg import tones
 
 INDEX = "index.html"
 WAITING = "waiting"
@@ -26,7 +25,6 @@ _MOST = 20  # rows of a table that a person reads
 _PACKAGE = "specmap_cli.batch"
 _SCRIPTS = ("core.js", "tables.js", "batch.js")
 _STYLES = ("page.css", "parts.css", "batch.css", "print.css")
-_FILTERS = ("lasting", "percent", "figure")
 _KM = 1000.0
 _OVERVIEW = f"{MAP}/overview.png"
 # Heads of the table of the page: their words, and how the column is sorted.
@@ -197,7 +195,7 @@ def _totals(rows: Sequence[Row]) -> list[str]:
     verdicts = Counter(row["verdict"] for row in rows if row["verdict"] is not None)
     said = [
         f"{total(rows, 'scans'):,.0f} scans over {total(rows, 'path_m'):,.0f} m in "
-        f"{words.lasting(total(rows, 'wall_s'))} of work"
+        f"{lasting(total(rows, 'wall_s'))} of work"
     ]
     if verdicts:
         said.append("maps: " + ", ".join(f"{verdicts[one]:,} {one}" for one in sorted(verdicts)))
@@ -254,10 +252,8 @@ def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
         "facts": _facts(rows),
         "tones": tones([]),
         "data": {},
-        **page_parts(_PACKAGE, _SCRIPTS, _STYLES),
     }
-    filters = {name: getattr(words, name) for name in _FILTERS}
-    return poured(_PACKAGE, "batch.html", context, filters).encode()
+    return html_page(_PACKAGE, "batch.html", context, _STYLES, _SCRIPTS).encode()
 
 
 def _entry(row: Row, record: JobRecord | None) -> _Entry:
@@ -278,7 +274,7 @@ def _facts(rows: Sequence[Row]) -> list[tuple[str, str]]:
         ("doubtful or poor", f"{sum(row['verdict'] in ('doubtful', 'poor') for row in rows):,}"),
         ("scans", f"{total(rows, 'scans'):,.0f}"),
         ("driven", _distance(total(rows, "path_m"))),
-        ("of work", words.lasting(total(rows, "wall_s"))),
+        ("of work", lasting(total(rows, "wall_s"))),
     ]
 
 

@@ -7,7 +7,7 @@ robots spent in them.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,15 +17,13 @@ from specmap_cli.core.text import counted
 from specmap_cli.history.record import BuildingRecord, HistoryRecord, RoomRecord, room_name
 from specmap_cli.history.tables import names_of, words_of
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.report import layers, words
-from specmap_cli.report.colours import tones
-from specmap_cli.report.frame import Frame
-from specmap_cli.report.ground import Ground
-from specmap_cli.report.pouring import page_parts, poured
+from specmap_cli.report import layers
+from specmap_cli.report.html import html_page, shown
+from specmap_cli.report.layers import DrawnMap
+from specmap_cli.report.svg import Frame, tones
 
 MOST_DAYS = 31  # columns of the table of a building: the last ones
 _PACKAGE = "specmap_cli.history"
-_FILTERS: Mapping[str, Callable[..., str]] = {"figure": words.figure, "moment": words.moment}
 _STYLES = ("page.css", "parts.css", "history.css", "print.css")
 
 
@@ -67,18 +65,17 @@ def render_history(record: HistoryRecord, plans: Sequence[StoredMap], folder: Pa
         "record": record,
         "sections": sections,
         "tones": tones(()),
-        **page_parts(_PACKAGE, (), _STYLES),
     }
-    return poured(_PACKAGE, "history.html", context, _FILTERS)
+    return html_page(_PACKAGE, "history.html", context, _STYLES)
 
 
 def _section(building: BuildingRecord, stored: StoredMap, folder: Path) -> dict[str, Any]:
-    names = {number: words.shown(name) for number, name in names_of(building).items()}
+    names = {number: shown(name) for number, name in names_of(building).items()}
     days = building.days[-MOST_DAYS:]
     longest = max((stay.minutes for day in days for stay in day.rooms), default=0.0)
     return {
         "building": building,
-        "title": words.shown(building.name),
+        "title": shown(building.name),
         "names": names,
         "days": days,
         "days_before": len(building.days) - len(days),
@@ -95,30 +92,30 @@ def _section(building: BuildingRecord, stored: StoredMap, folder: Path) -> dict[
 
 
 def _plan(building: BuildingRecord, stored: StoredMap) -> Plan:
-    ground = Ground(stored)
+    map_ = DrawnMap(stored)
     first = building.maps[0].number
     rooms = {room.submap: room for room in building.rooms if room.map == first}
     longest = max((room.minutes for room in rooms.values()), default=0.0)
     return Plan(
-        ground.frame,
-        layers.walls(ground.regions, ground.frame),
-        layers.unreached(ground.regions, ground.frame),
+        map_.frame,
+        layers.walls(map_.regions, map_.frame),
+        layers.unreached(map_.regions, map_.frame),
         tuple(
             PlannedRoom(
-                words.shown(rooms[region.id].name),
+                shown(rooms[region.id].name),
                 _sign(rooms[region.id]),
                 region.outline,
                 region.badge,
                 _shade(rooms[region.id].minutes, longest),
             )
-            for region in layers.regions_of(ground)
+            for region in layers.regions_of(map_)
             if region.id in rooms
         ),
     )
 
 
 def _sign(room: RoomRecord) -> str:
-    return str(room.number) if room.name == room_name(room.number) else words.shown(room.name)
+    return str(room.number) if room.name == room_name(room.number) else shown(room.name)
 
 
 def _shade(minutes: float, longest: float) -> int:

@@ -11,7 +11,7 @@ from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.pipelines.comparison_report import lines_of
 from specmap_cli.pipelines.map_evidence import evidence_of
-from specmap_cli.report.evidence import Changes
+from specmap_cli.report.changes import Changes
 from specmap_cli.report.page import render
 
 

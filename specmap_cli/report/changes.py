@@ -11,12 +11,24 @@ from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.comparison import ComparisonRecord, DoorRecord, ThingRecord
-from specmap_cli.report.evidence import Changes
-from specmap_cli.report.frame import Frame, path_data
-from specmap_cli.report.ground import Ground
-from specmap_cli.report.tracing import outlines
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.report.layers import DrawnMap
+from specmap_cli.report.svg import Frame, outlines, path_data
 
 _LEAST_DOOR_CM = 40.0  # of the mark of a way that was closed or opened
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Changes:
+    """What differs from an older map of the building, as a record and in words.
+
+    `new_from_old` places the old map in the one that the report is about.
+    """
+
+    old: StoredMap
+    record: ComparisonRecord
+    lines: tuple[str, ...]
+    new_from_old: BentMotion
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +57,9 @@ class OldMap:
     identical: bool
 
 
-def old_map(changes: Changes, ground: Ground) -> OldMap:
+def old_map(changes: Changes, map_: DrawnMap) -> OldMap:
     """The older map and what differs."""
-    old, record, frame = Ground(changes.old), changes.record, ground.frame
+    old, record, frame = DrawnMap(changes.old), changes.record, map_.frame
     lost = [*record.submaps.gone, *record.submaps.unseen]
     return OldMap(
         name=changes.old.path.resolve().name,

@@ -1,21 +1,34 @@
-"""What the page says of the whole map: its figures, its verdict, and how it was made."""
+"""What the page says: figures and verdict of the whole map, how it was made, and each submap."""
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from specmap_cli.core.findings import Finding, Verdict
-from specmap_cli.core.settings import Config
-from specmap_cli.core.text import counted
-from specmap_cli.maps import filenames
-from specmap_cli.report.frame import Frame
-from specmap_cli.report.ground import Ground
-from specmap_cli.report.track import Track
-from specmap_cli.report.words import lasting
-from specmap_cli.topology.topological_map import driven_m
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
+from specmap_cli.core.findings import Finding, Verdict
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.settings import Config
+from specmap_cli.core.text import counted, seconds
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
+from specmap_cli.grids.map_server import png_bytes
+from specmap_cli.maps import filenames
+from specmap_cli.maps.schema import NodeRecord
+from specmap_cli.report.evidence import Learned
+from specmap_cli.report.html import lasting
+from specmap_cli.report.layers import DrawnMap
+from specmap_cli.report.track import Track
+from specmap_cli.topology.topological_map import Door, default_name, driven_m
+
+_THUMBNAIL = 240  # pixels of the longer side, at most
+_AROUND_M = 0.7  # shown round the outline of a submap
+_GREYS = np.zeros(256, dtype=np.uint8)
+_GREYS[[FREE, UNKNOWN]] = 255, 214
 _VERDICTS: Mapping[Verdict, str] = {
     "good": "nothing was found that speaks against the map",
     "doubtful": "something is wrong, or cannot be known: see the findings before you use the map",
@@ -53,38 +66,37 @@ class Run:
     warnings: tuple[str, ...] = ()
 
 
-def verdict_of(ground: Ground) -> tuple[str, str]:
+def verdict_of(map_: DrawnMap) -> tuple[str, str]:
     """The verdict in a word and in a sentence."""
-    quality = ground.stored.record.graph.quality
+    quality = map_.stored.record.graph.quality
     if quality is None:
         return "not judged", "nobody checked this map against itself"
     return quality.verdict, _VERDICTS[quality.verdict]
 
 
-def findings_of(ground: Ground) -> list[FoundAt]:
+def findings_of(map_: DrawnMap) -> list[FoundAt]:
     """All findings, the gravest first."""
-    quality = ground.stored.record.graph.quality
+    quality = map_.stored.record.graph.quality
     if quality is None:
         return []
     ranked = sorted(
         quality.findings, key=lambda one: ("poor", "doubtful", "note").index(one.severity)
     )
-    return [FoundAt(k, each, _place(each, ground.frame)) for k, each in enumerate(ranked, start=1)]
+    return [
+        FoundAt(number, each, None if each.place is None else map_.frame.place(each.place))
+        for number, each in enumerate(ranked, start=1)
+    ]
 
 
-def _place(finding: Finding, frame: Frame) -> tuple[int, int] | None:
-    return None if finding.place is None else frame.place(finding.place)
-
-
-def headline(ground: Ground) -> str:
+def headline(map_: DrawnMap) -> str:
     """The recordings that the map was made of."""
-    first, *others = [log.name for log in ground.stored.record.graph.logs]
+    first, *others = [log.name for log in map_.stored.record.graph.logs]
     return f"{first} and {counted(len(others), 'more recording')}" if others else first
 
 
-def facts_of(ground: Ground, track: Track) -> list[Fact]:
+def facts_of(map_: DrawnMap, track: Track) -> list[Fact]:
     """The figures at the top of the page."""
-    record = ground.stored.record
+    record = map_.stored.record
     doors, closures = record.graph.doors, record.graph.closures
     driven = sum(door.driven for door in doors)
     found = [
@@ -93,11 +105,11 @@ def facts_of(ground: Ground, track: Track) -> list[Fact]:
         Fact(f"{len(doors):,}", "", _plural(len(doors), "door") + _driven(driven, len(doors))),
     ]
     if track.known:
-        way = driven_m(ground.stored.logs, ground.labels)
+        way = driven_m(map_.stored.logs, map_.labels)
         found.append(Fact(f"{way:,.0f}", "m", f"driven in {lasting(track.duration_s)}"))
         merged = sum(closure.merged for closure in closures)
         found.append(Fact(f"{merged:,}", "", _plural(merged, "revisit") + " recognised"))
-        lost = len(ground.lost)
+        lost = len(map_.lost)
         scans = sum(log.scans for log in record.graph.logs)
         found.append(Fact(f"{lost:,}", "", f"of {scans:,} scans lost"))
     return found
@@ -113,9 +125,9 @@ def _driven(driven: int, doors: int) -> str:
     return ", all driven through" if driven == doors else f", {driven:,} driven through"
 
 
-def run_of(ground: Ground) -> Run:
+def run_of(map_: DrawnMap) -> Run:
     """How the map was made."""
-    stored = ground.stored
+    stored = map_.stored
     if not (stored.path / filenames.RUN).exists():
         return Run()
     run = stored.run
@@ -167,3 +179,92 @@ def _changed(config: Config) -> Iterator[tuple[str, str, str]]:
         for key, value in values.items():
             if value != usual[section][key]:
                 yield f"{section}.{key}", str(value), str(usual[section][key])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sheet:
+    """All that is told of one submap; `doors` and open borders to `open_to` are its neighbours.
+
+    `visits` are start and length in seconds. `thumbnail` is a PNG as a data URL.
+    """
+
+    node: NodeRecord
+    named: bool
+    doors: tuple[Door, ...]
+    open_to: tuple[int, ...]
+    visits: tuple[tuple[float, float], ...]
+    thumbnail: str
+    thumbnail_size: tuple[int, int]
+    learned: Learned
+
+    @property
+    def stayed_s(self) -> float:
+        """Seconds that the robot spent there."""
+        return sum(length for _, length in self.visits)
+
+    @property
+    def sides_m(self) -> tuple[float, float]:
+        """The sides of the smallest upright box round its outline."""
+        if not self.node.polygon:
+            return 0.0, 0.0
+        width, height = np.ptp(np.array(self.node.polygon), axis=0).tolist()
+        return width, height
+
+
+def sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[Sheet]:
+    """The sheets of all submaps, by id."""
+    return [
+        _sheet(node, map_, learned.get(id_, Learned())) for id_, node in sorted(map_.nodes.items())
+    ]
+
+
+def _sheet(node: NodeRecord, map_: DrawnMap, learned: Learned) -> Sheet:
+    thumbnail, size = _thumbnail(_close_up(map_.stored.grid(node.id), node))
+    return Sheet(
+        node=node,
+        named=node.name != default_name(node.id),
+        doors=tuple(door for door in map_.stored.record.graph.doors if node.id in door.between),
+        open_to=_open_to(node.id, map_),
+        visits=tuple(
+            (seconds(visit.start_ns), seconds(visit.end_ns) - seconds(visit.start_ns))
+            for visit in node.visits
+        ),
+        thumbnail=thumbnail,
+        thumbnail_size=size,
+        learned=learned,
+    )
+
+
+def _open_to(submap: int, map_: DrawnMap) -> tuple[int, ...]:
+    """The neighbours that no door leads to."""
+    ends = [
+        (edge.source, edge.target)
+        for edge in map_.stored.record.edges
+        if submap in (edge.source, edge.target) and not edge.doors
+    ]
+    return tuple(sorted(b if a == submap else a for a, b in ends))
+
+
+def _close_up(grid: GridMap, node: NodeRecord) -> GridMap:
+    """The part of a submap's grid round its outline: it shows far more, seen through doors."""
+    if not node.polygon:
+        return grid
+    frame = Pose2(node.x, node.y, node.theta)
+    part = grid.near(frame.inverse().apply(np.array(node.polygon)), _AROUND_M)
+    return part if part.cells.size else grid
+
+
+def _thumbnail(grid: GridMap) -> tuple[str, tuple[int, int]]:
+    """The grid of a submap, cropped to what is known, as a data URL, and its width and height."""
+    known = np.argwhere(grid.cells != UNKNOWN)
+    if not len(known):
+        return "", (0, 0)
+    (low, left), (high, right) = known.min(axis=0), known.max(axis=0) + 1
+    picture: NDArray[Any] = _GREYS[grid.cells[low:high, left:right][::-1]]
+    scale = min(1.0, _THUMBNAIL / max(picture.shape))
+    if scale < 1.0:
+        size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    picture = picture & 0xF0  # sixteen greys: a third of the bytes
+    data = base64.b64encode(png_bytes(picture)).decode("ascii")
+    return f"data:image/png;base64,{data}", (picture.shape[1], picture.shape[0])

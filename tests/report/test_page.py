@@ -19,10 +19,10 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.report.evidence import Changes, Evidence
+from specmap_cli.report.changes import Changes
+from specmap_cli.report.evidence import MOST_TESTS, Evidence
 from specmap_cli.report.layers import MOST_REFUSED
 from specmap_cli.report.page import render
-from specmap_cli.report.spectra import MOST_TESTS
 from tests.report.conftest import HOSTILE
 
 LAYERS = {"regions", "walls", "badges", "doors", "ways", "track", "findings", "accepted", "refused"}
