@@ -14,7 +14,6 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.text import encodable, to_json
 from specmap_cli.core.threads import one_blas_thread
-from specmap_cli.history.page import render_history
 from specmap_cli.history.record import (
     SCHEMA_VERSION,
     BuildingRecord,
@@ -23,7 +22,7 @@ from specmap_cli.history.record import (
     LeftOutRecord,
     MapRecord,
 )
-from specmap_cli.history.tables import TABLES, lines_of
+from specmap_cli.history.views import TABLES, lines_of, render_history
 from specmap_cli.history.visits import days_of, zone_of
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory

@@ -12,8 +12,7 @@ import jsonschema
 import pytest
 
 from specmap_cli.checking.figures import figures_against, figures_of
-from specmap_cli.checking.record import CheckRecord
-from specmap_cli.checking.reports import junit, lines_of, markdown
+from specmap_cli.checking.record import CheckRecord, junit, lines_of, markdown
 from specmap_cli.checking.rules import Rules, judged, read_rules
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.maps.comparison import ComparisonRecord
