@@ -9,7 +9,7 @@ import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import quote
 
 from specmap_cli.batch.records import JobRecord
@@ -223,30 +223,13 @@ def _shown(row: Row, column: str) -> str:
     return "" if value is None else f"{value:,}" if isinstance(value, int | float) else value
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    """A row of the page: what is known of a job, and where its files are; None: there is none."""
-
-    row: Row
-    picture: str | None
-    report: str | None
-    log: str | None
-    folder: str | None
-
-    @property
-    def result(self) -> str:
-        """The verdict on the map of a job that is done, else its state."""
-        state = str(self.row["state"])
-        return str(self.row["verdict"] or state) if state == "done" else state
-
-
 def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
     """The page; links go to the folders beside it."""
     entries = [_entry(row, records.get(str(row["name"]))) for row in rows]
     context = {
         "title": headline(rows),
         "entries": entries,
-        "results": sorted({entry.result for entry in entries}),
+        "results": sorted({entry["result"] for entry in entries}),
         "heads": _HEADS,
         "kinds": kinds_of(rows),
         "facts": _facts(rows),
@@ -256,13 +239,23 @@ def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
     return html_page(_PACKAGE, "batch.html", context, _STYLES, _SCRIPTS).encode()
 
 
-def _entry(row: Row, record: JobRecord | None) -> _Entry:
-    files = set() if record is None else set(record.files)
+def _entry(row: Row, record: JobRecord | None) -> dict[str, Any]:
+    """A row of the page: what is known of a job, and where its files are; None: there is none."""
+    files = {} if record is None else record.files
     base = quote(str(row["name"]), safe="")
-    found = {name: f"{base}/{quote(name)}" for name in (_OVERVIEW, REPORT, LOG_TEXT)}
-    picture, report, log = (link if name in files else None for name, link in found.items())
+
+    def link(name: str) -> str | None:
+        return f"{base}/{quote(name)}" if name in files else None
+
     has_map = any(name.startswith(f"{MAP}/") for name in files)
-    return _Entry(row, picture, report, log, f"{base}/{MAP}/" if has_map else None)
+    return {
+        "row": row,
+        "result": row["verdict"] or row["state"] if row["state"] == "done" else row["state"],
+        "picture": link(_OVERVIEW),
+        "report": link(REPORT),
+        "log": link(LOG_TEXT),
+        "folder": f"{base}/{MAP}/" if has_map else None,
+    }
 
 
 def _facts(rows: Sequence[Row]) -> list[tuple[str, str]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -27,7 +26,7 @@ from specmap_cli.maps.store import StoredMap
 from specmap_cli.report import layers
 from specmap_cli.report.html import html_page, shown
 from specmap_cli.report.layers import DrawnMap
-from specmap_cli.report.svg import Frame, tones
+from specmap_cli.report.svg import tones
 
 MOST_DAYS = 31  # columns of the table of a building: the last ones
 _PACKAGE = "specmap_cli.history"
@@ -45,56 +44,42 @@ _UNITS: Mapping[str, str] = {"door-closed": "m wide", "door-opened": "m wide"}
 
 def visits_csv(record: HistoryRecord) -> str:
     """A line a building, day and room that was visited."""
-    head = ("building", "day", "room", "name", "visits", "minutes")
     return csv_text(
-        head,
-        (
+        ("building", "day", "room", "name", "visits", "minutes"),
+        [
             (building.name, day.day, stay.room, names[stay.room], stay.visits, stay.minutes)
             for building in record.buildings
             for names in (names_of(building),)
             for day in building.days
             for stay in day.rooms
-        ),
+        ],
     )
 
 
 def days_csv(record: HistoryRecord) -> str:
     """A line a building and day."""
-    head = ("building", "day", "recordings", "driven_m", "minutes", "rooms")
     return csv_text(
-        head,
-        (
+        ("building", "day", "recordings", "driven_m", "minutes", "rooms"),
+        [
             (building.name, day.day, day.recordings, day.driven_m, day.minutes, len(day.rooms))
             for building in record.buildings
             for day in building.days
-        ),
+        ],
     )
 
 
 def changes_csv(record: HistoryRecord) -> str:
     """A line a change."""
+    rows: list[tuple[Any, ...]] = []
+    for building in record.buildings:
+        names, maps = names_of(building), {one.number: one.map for one in building.maps}
+        for one in building.changes:
+            rooms = ", ".join(names[room] for room in one.rooms)
+            when, place = (one.since, one.day), (one.x, one.y, one.size)
+            both = maps[one.map], maps[one.before]
+            rows.append((building.name, *when, one.kind, rooms, *place, *both))
     head = ("building", "since", "day", "kind", "rooms", "x", "y", "size", "map", "before")
-    return csv_text(
-        head,
-        (
-            (
-                building.name,
-                change.since,
-                change.day,
-                change.kind,
-                ", ".join(names[room] for room in change.rooms),
-                change.x,
-                change.y,
-                change.size,
-                maps[change.map],
-                maps[change.before],
-            )
-            for building in record.buildings
-            for names in (names_of(building),)
-            for maps in ({map_.number: map_.map for map_ in building.maps},)
-            for change in building.changes
-        ),
-    )
+    return csv_text(head, rows)
 
 
 TABLES: Mapping[str, Callable[[HistoryRecord], str]] = {
@@ -153,30 +138,6 @@ def words_of(change: ChangeRecord, names: Mapping[int, str]) -> str:
     return f"{_WORDS[change.kind]}{place}{size}{at} (since {change.since})"
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """The first map of a building: path data, and the rooms with what share of time each had."""
-
-    frame: Frame
-    walls: str
-    floor: str
-    rooms: tuple[PlannedRoom, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class PlannedRoom:
-    """A room in the plan: its floor, where its sign stands, and how dark it is, in percent.
-
-    The sign is the name that a person gave, or the number alone: rooms may be small.
-    """
-
-    name: str
-    sign: str
-    outline: str
-    badge: tuple[int, int]
-    shade: int
-
-
 def render_history(record: HistoryRecord, plans: Sequence[StoredMap], folder: Path) -> str:
     """The page as text; `plans` are the first maps of the buildings, `folder` is where it lies.
 
@@ -217,31 +178,32 @@ def _section(building: BuildingRecord, stored: StoredMap, folder: Path) -> dict[
     }
 
 
-def _plan(building: BuildingRecord, stored: StoredMap) -> Plan:
+def _plan(building: BuildingRecord, stored: StoredMap) -> dict[str, Any]:
+    """The first map of a building: path data, and the rooms with what share of time each had.
+
+    The sign of a room is the name that a person gave, or the number alone: rooms may be small.
+    """
     map_ = DrawnMap(stored)
-    first = building.maps[0].number
-    rooms = {room.submap: room for room in building.rooms if room.map == first}
+    rooms = {room.submap: room for room in building.rooms if room.map == building.maps[0].number}
     longest = max((room.minutes for room in rooms.values()), default=0.0)
-    return Plan(
-        map_.frame,
-        layers.walls(map_.regions, map_.frame),
-        layers.unreached(map_.regions, map_.frame),
-        tuple(
-            PlannedRoom(
-                shown(rooms[region.id].name),
-                _sign(rooms[region.id]),
-                region.outline,
-                region.badge,
-                _shade(rooms[region.id].minutes, longest),
-            )
-            for region in layers.regions_of(map_)
-            if region.id in rooms
-        ),
-    )
-
-
-def _sign(room: RoomRecord) -> str:
-    return str(room.number) if room.name == room_name(room.number) else shown(room.name)
+    drawn = [(region, rooms[region.id]) for region in layers.regions_of(map_) if region.id in rooms]
+    return {
+        "frame": map_.frame,
+        "walls": layers.walls(map_.regions, map_.frame),
+        "floor": layers.unreached(map_.regions, map_.frame),
+        "rooms": [
+            {
+                "name": shown(room.name),
+                "sign": str(room.number)
+                if room.name == room_name(room.number)
+                else shown(room.name),
+                "outline": region.outline,
+                "badge": region.badge,
+                "shade": _shade(room.minutes, longest),
+            }
+            for region, room in drawn
+        ],
+    }
 
 
 def _shade(minutes: float, longest: float) -> int:
@@ -249,15 +211,12 @@ def _shade(minutes: float, longest: float) -> int:
     return 0 if not longest else 12 + round(68 * (minutes / longest) ** 0.5)
 
 
-def _link(map_: Path, folder: Path) -> Mapping[str, str | None]:
+def _link(map_: Path, folder: Path) -> dict[str, str | None]:
     """Where a map lies from the page, and its report where a batch made one."""
     report = map_.parent / "report.html"
     of_a_job = map_.name == "map" and (map_.parent / "job.json").exists() and report.exists()
+    links = {"map": map_, "report": report if of_a_job else None}
     return {
-        "map": _relative(map_, folder),
-        "report": _relative(report, folder) if of_a_job else None,
+        name: quote(os.path.relpath(path, folder.resolve())) if path else None
+        for name, path in links.items()
     }
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return quote(os.path.relpath(path, folder.resolve()))

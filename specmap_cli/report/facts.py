@@ -36,36 +36,6 @@ _VERDICTS: Mapping[Verdict, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Fact:
-    """A figure with its unit, and what it counts."""
-
-    value: str
-    unit: str
-    what: str
-
-
-@dataclass(frozen=True, slots=True)
-class FoundAt:
-    """A finding, numbered as on the map; `place` in the drawing where it has one."""
-
-    number: int
-    record: Finding
-    place: tuple[int, int] | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
-    """How the map was made, as run.json has it; empty parts for a map without that file."""
-
-    selection: tuple[tuple[str, str], ...] = ()
-    settings: tuple[tuple[str, str, str], ...] = ()
-    counts: tuple[tuple[str, str], ...] = ()
-    seconds: tuple[tuple[str, float], ...] = ()
-    versions: tuple[tuple[str, str], ...] = ()
-    warnings: tuple[str, ...] = ()
-
-
 def verdict_of(map_: DrawnMap) -> tuple[str, str]:
     """The verdict in a word and in a sentence."""
     quality = map_.stored.record.graph.quality
@@ -74,18 +44,11 @@ def verdict_of(map_: DrawnMap) -> tuple[str, str]:
     return quality.verdict, _VERDICTS[quality.verdict]
 
 
-def findings_of(map_: DrawnMap) -> list[FoundAt]:
+def findings_of(map_: DrawnMap) -> list[Finding]:
     """All findings, the gravest first."""
     quality = map_.stored.record.graph.quality
-    if quality is None:
-        return []
-    ranked = sorted(
-        quality.findings, key=lambda one: ("poor", "doubtful", "note").index(one.severity)
-    )
-    return [
-        FoundAt(number, each, None if each.place is None else map_.frame.place(each.place))
-        for number, each in enumerate(ranked, start=1)
-    ]
+    found = () if quality is None else quality.findings
+    return sorted(found, key=lambda one: ("poor", "doubtful", "note").index(one.severity))
 
 
 def headline(map_: DrawnMap) -> str:
@@ -94,24 +57,24 @@ def headline(map_: DrawnMap) -> str:
     return f"{first} and {counted(len(others), 'more recording')}" if others else first
 
 
-def facts_of(map_: DrawnMap, track: Track) -> list[Fact]:
-    """The figures at the top of the page."""
+def facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
+    """The figures at the top of the page, each with its unit and what it counts."""
     record = map_.stored.record
     doors, closures = record.graph.doors, record.graph.closures
     driven = sum(door.driven for door in doors)
     found = [
-        Fact(f"{len(record.nodes):,}", "", _plural(len(record.nodes), "submap")),
-        Fact(f"{sum(node.area_m2 for node in record.nodes):,.0f}", "m²", "free space"),
-        Fact(f"{len(doors):,}", "", _plural(len(doors), "door") + _driven(driven, len(doors))),
+        (f"{len(record.nodes):,}", "", _plural(len(record.nodes), "submap")),
+        (f"{sum(node.area_m2 for node in record.nodes):,.0f}", "m²", "free space"),
+        (f"{len(doors):,}", "", _plural(len(doors), "door") + _driven(driven, len(doors))),
     ]
     if track.known:
         way = driven_m(map_.stored.logs, map_.labels)
-        found.append(Fact(f"{way:,.0f}", "m", f"driven in {lasting(track.duration_s)}"))
+        found.append((f"{way:,.0f}", "m", f"driven in {lasting(track.duration_s)}"))
         merged = sum(closure.merged for closure in closures)
-        found.append(Fact(f"{merged:,}", "", _plural(merged, "revisit") + " recognised"))
+        found.append((f"{merged:,}", "", _plural(merged, "revisit") + " recognised"))
         lost = len(map_.lost)
         scans = sum(log.scans for log in record.graph.logs)
-        found.append(Fact(f"{lost:,}", "", f"of {scans:,} scans lost"))
+        found.append((f"{lost:,}", "", f"of {scans:,} scans lost"))
     return found
 
 
@@ -125,23 +88,23 @@ def _driven(driven: int, doors: int) -> str:
     return ", all driven through" if driven == doors else f", {driven:,} driven through"
 
 
-def run_of(map_: DrawnMap) -> Run:
-    """How the map was made."""
+def run_of(map_: DrawnMap) -> dict[str, Any]:
+    """How the map was made, by parts; they are empty for a map without run.json."""
     stored = map_.stored
-    if not (stored.path / filenames.RUN).exists():
-        return Run()
-    run = stored.run
+    known = (stored.path / filenames.RUN).exists()
+    run = stored.run if known else {}
     seconds = [
         (key, float(value)) for key, value in _dict(run, "seconds").items() if _is_number(value)
     ]
-    return Run(
-        selection=_pairs(_dict(run, "selection")),
-        settings=tuple(_changed(stored.config)),
-        counts=tuple((key, f"{count:,}") for key, count in stored.counts.items() if count),
-        seconds=tuple(sorted(seconds, key=lambda one: -one[1])),
-        versions=_pairs(_dict(run, "versions")),
-        warnings=_texts(run.get("warnings")),
-    )
+    counts = stored.counts if known else {}
+    return {
+        "selection": _pairs(_dict(run, "selection")),
+        "settings": list(_changed(stored.config)) if known else [],
+        "counts": [(key, f"{count:,}") for key, count in counts.items() if count],
+        "seconds": sorted(seconds, key=lambda one: -one[1]),
+        "versions": _pairs(_dict(run, "versions")),
+        "warnings": _texts(run.get("warnings")),
+    }
 
 
 def _dict(run: Mapping[str, Any], key: str) -> Mapping[str, Any]:

@@ -165,23 +165,8 @@ class Region:
 class Link:
     """A way between two submaps, a straight line where there is none; `kind` as it is drawn."""
 
-    source: int
-    target: int
     kind: str
     line: str
-    forbidden: bool
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DoorMark:
-    """A door from wall to wall."""
-
-    id: int
-    line: str
-    middle: tuple[int, int]
-    width_m: float
-    between: tuple[int, int]
-    driven: bool
     forbidden: bool
 
 
@@ -201,7 +186,6 @@ class ClosureMark:
     line: str
     xi: float | None
     reason: str
-    submaps: tuple[int | None, int | None]
 
 
 def walls(regions: Regions, frame: Frame) -> str:
@@ -250,32 +234,12 @@ def links_of(map_: DrawnMap) -> list[Link]:
         line = record.corners or [ends[0], *crossing, ends[1]]
         found.append(
             Link(
-                source=record.source,
-                target=record.target,
                 kind=drawn_as(map_.stored.topology, edges[record.source, record.target]),
-                line=path_data([map_.frame.places(np.array(line))]),
+                line=map_.frame.line(line),
                 forbidden=record.forbidden,
             )
         )
     return found
-
-
-def doors_of(map_: DrawnMap) -> list[DoorMark]:
-    """The doors of the map. Where no robot drove, as through a floor plan, all are open alike."""
-    frame, records = map_.frame, map_.stored.record.graph.doors
-    nobody_drove = not any(record.driven for record in records)
-    return [
-        DoorMark(
-            id=record.id,
-            line=path_data([frame.places(np.array(record.sides))]),
-            middle=frame.place((record.x, record.y)),
-            width_m=record.width_m,
-            between=record.between,
-            driven=record.driven or nobody_drove,
-            forbidden=record.forbidden,
-        )
-        for record in records
-    ]
 
 
 def closures_of(map_: DrawnMap) -> Closures:
@@ -315,10 +279,9 @@ def _marks(
 ) -> list[ClosureMark]:
     return [
         ClosureMark(
-            line=path_data([frame.places(np.array([places[each.new], places[each.old]]))]),
+            line=frame.line([places[each.new], places[each.old]]),
             xi=None if math.isnan(each.xi) else each.xi,
             reason=each.reason,
-            submaps=(each.new_submap, each.old_submap),
         )
         for each in closures
     ]

@@ -68,6 +68,7 @@ def render(stored: StoredMap, evidence: Evidence, changes: Changes | None = None
 
 def _layers(map_: DrawnMap) -> dict[str, Any]:
     """What is drawn of the map."""
+    doors = map_.stored.record.graph.doors
     fills = fill_names(map_.fills.values())
     return {
         "frame": map_.frame,
@@ -77,7 +78,8 @@ def _layers(map_: DrawnMap) -> dict[str, Any]:
         "walls": layers.walls(map_.regions, map_.frame),
         "regions": layers.regions_of(map_),
         "links": layers.links_of(map_),
-        "doors": layers.doors_of(map_),
+        "doors": doors,
+        "any_driven": any(door.driven for door in doors),  # no robot drove through a floor plan
         "cell_cm": round(map_.regions.grid.resolution * 100.0, 2),
     }
 

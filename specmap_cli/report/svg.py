@@ -56,6 +56,10 @@ class Frame:
         ((x, y),) = self.places(np.array([*point])).tolist()
         return x, y
 
+    def line(self, points: Sequence[Sequence[float] | FloatArray]) -> str:
+        """A polyline through points of the map, as path data in the drawing."""
+        return path_data([self.places(np.array(points))])
+
 
 def _cm(length_m: float) -> int:
     return round(float(length_m) * _CM)
