@@ -20,7 +20,8 @@ from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
 from specmap_cli.recognition.learning.boosting import feature_shares
 from specmap_cli.recognition.learning.classifiers import Recogniser
-from specmap_cli.report.evidence import Changes, Evidence, Learned, Likeness, Look, SplitLook
+from specmap_cli.report.changes import Changes
+from specmap_cli.report.evidence import Evidence, Learned, Likeness, Look, SplitLook
 from specmap_cli.report.page import render
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter
 from specmap_cli.segmentation.splitting import SplitTest
