@@ -20,9 +20,8 @@ from benchmarks.simulated.door_truth import true_doors
 from benchmarks.simulated.doors import DoorScores, Truth, against, checked
 from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.core.settings import Config, WaysConfig
-from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.floorplan import segment_floorplan
-from specmap_cli.segmentation.kmeans import LabelArray
+from specmap_cli.segmentation.division import segment, segment_floorplan
+from specmap_cli.segmentation.visibility import LabelArray
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import Submap, TopologicalMap

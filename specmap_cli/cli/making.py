@@ -17,8 +17,8 @@ from specmap_cli.cli.options import (
     Overwrite,
     Resolution,
     Settings,
+    cluster_of,
     output,
-    place_of,
 )
 from specmap_cli.cli.targets import check_files, keep_inputs
 from specmap_cli.core.errors import BROKEN_RULE, UsageError
@@ -194,12 +194,12 @@ def _spread(workers: int | None, scheduler: str | None) -> Spread | None:
     """Where pairs of maps are aligned; None: in this process."""
     if workers is None and scheduler is None:
         return None
-    place = place_of(workers, scheduler)
+    cluster = cluster_of(workers, scheduler)
     from functools import partial
 
-    from specmap_cli.batch.spread import spread
+    from specmap_cli.batch.workers import spread
 
-    return partial(spread, place)
+    return partial(spread, cluster)
 
 
 def segment(

@@ -31,7 +31,7 @@ from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M, HeldOutMis
 from specmap_cli.recognition.learning.revisits import Revisits
 from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
 from specmap_cli.recognition.learning.training import sensor_of, train_raw, train_virtual
-from specmap_cli.segmentation.refinement import regions_of
+from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import build_topology, settle_labels, stays_of
 from specmap_cli.topology.topological_map import Break, TopologicalMap
 

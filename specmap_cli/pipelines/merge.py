@@ -43,8 +43,8 @@ from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.stored_lessons import lessons_left, lessons_of_stored
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.lessons import Lessons
-from specmap_cli.topology.borders import fences_of
 from specmap_cli.topology.regions import divide
+from specmap_cli.topology.topological_map import fences_of
 
 
 @one_blas_thread()

@@ -20,11 +20,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import read_grid, write_png
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_segmentation
-from specmap_cli.segmentation.floorplan import (
-    FloorplanResult,
-    segment_floorplan,
-    submap_grid,
-)
+from specmap_cli.segmentation.division import FloorplanResult, segment_floorplan, submap_grid
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, Submap, TopologicalMap

@@ -43,7 +43,7 @@ from specmap_cli.pipelines.update_report import UpdateReport
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import KeyframeFeatures, check_feature_sets
 from specmap_cli.recognition.learning.lessons import Lessons
-from specmap_cli.topology.border_changes import border_changes
+from specmap_cli.topology.identity import border_changes
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
 _SAME_SHARE = 0.5  # of the readings; those of a scan in motion stand at other bearings

@@ -20,7 +20,7 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, produc
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.core.text import counted
-from specmap_cli.grids.observability import weakest_direction
+from specmap_cli.grids.matching import weakest_direction
 from specmap_cli.registration.aligner import SensorKind, aligner_factory
 from specmap_cli.registration.guess import MotionGuess, best_guess
 from specmap_cli.registration.judgement import Founding, Judgement, judge, looked_through

@@ -14,7 +14,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.grids.observability import weakest_direction
+from specmap_cli.grids.matching import weakest_direction
 from specmap_cli.registration.guess import (
     BEYOND_DOUBT,
     SEARCH_M,

@@ -17,7 +17,7 @@ import numpy as np
 from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angle
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.grids.observability import observability
+from specmap_cli.grids.matching import observability
 
 _S_PER_NS = 1e-9
 _INTERVALS = 40  # latest ones that tell which interval is usual: some seconds of most logs

@@ -11,7 +11,7 @@ import numpy as np
 from specmap_cli.core.arrays import evenly, runs
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray, Labels
-from specmap_cli.drawing.strokes import strokes
+from specmap_cli.drawing.sheet import strokes
 from specmap_cli.report.colours import STEPS
 from specmap_cli.report.frame import Frame, path_data
 from specmap_cli.report.tracing import simplified

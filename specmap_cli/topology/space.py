@@ -9,8 +9,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
-from specmap_cli.grids.borders import contacts
-from specmap_cli.grids.gridmap import GridMap, cell_distances
+from specmap_cli.grids.gridmap import GridMap, cell_distances, contacts
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
 
 Pair = tuple[int, int]

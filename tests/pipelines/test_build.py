@@ -40,7 +40,7 @@ from specmap_cli.pipelines.refutation import REFUTED, constraints_of, refute
 from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.registration.frontend import FrontEnd
-from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.worlds import RoomTruth
 from tests.flats import QUICK, Explained
 
 Tour = list[tuple[Sweep, Pose2]]

@@ -14,10 +14,7 @@ from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.drawing.split_tests import draw_segmentation
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.segmentation.floorplan import (
-    segment_floorplan,
-    submap_grid,
-)
+from specmap_cli.segmentation.division import segment_floorplan, submap_grid
 
 CONFIG = SegmentationConfig()
 PlanBuilder = Callable[..., GridMap]

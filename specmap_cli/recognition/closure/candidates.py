@@ -9,7 +9,8 @@ import numpy as np
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.grids.gridmap import FREE, GridMap
-from specmap_cli.grids.matching import ScoreField, refine
+from specmap_cli.grids.matching import refine
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.closure.prepared import PreparedGrid
 from specmap_cli.recognition.closure.verification import net_walls_m
 from specmap_cli.recognition.closure.votes import Party

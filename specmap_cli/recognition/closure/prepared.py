@@ -15,7 +15,7 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.gridmap import FREE, NO_OBSTACLE_M, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.matching import ScoreField
+from specmap_cli.grids.score_field import ScoreField
 
 _MATCH_CELL_M = 0.3  # two grids are first matched on cells of about this side
 _MATCH_SIGMA_M = 0.15  # how near matched walls pull each other

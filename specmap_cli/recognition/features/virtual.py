@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, moved
 from specmap_cli.core.records import PlanarScan, PosedScan
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.ray_casting import cast_ranges
+from specmap_cli.grids.gridmap import GridMap, cast_ranges
 
 WINDOW_M = 10.0  # path whose scans make a virtual scan
 VIRTUAL_BEAMS = 360  # bearings of a virtual scan

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product, wrap_angle
-from specmap_cli.grids.gauss_newton import Sample
-from specmap_cli.grids.matching import ScoreField
+from specmap_cli.grids.score_field import Sample, ScoreField
 
 # What the motion may be off by: between any two scans, after a metre, after a radian. Registration
 # is better than that, but for slips of some centimetres, which are to be followed.

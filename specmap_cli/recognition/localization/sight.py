@@ -14,8 +14,7 @@ import numpy as np
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.ray_casting import cast_rays
+from specmap_cli.grids.gridmap import GridMap, cast_rays
 
 _MOST_RAYS = 120  # of a scan, one every three degrees all round: what is cast costs grows with them
 # What the pose of a match and the cells of a grid leave open, in heading and sideways. Along a wall

@@ -12,7 +12,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.gridmap import OCCUPIED, UNKNOWN, CellArray, GridMap
-from specmap_cli.grids.matching import ScoreField
+from specmap_cli.grids.score_field import ScoreField
 
 
 class Surroundings:

@@ -16,7 +16,8 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
-from specmap_cli.grids.matching import Match, ScoreField, refine, search_everywhere
+from specmap_cli.grids.matching import Match, refine, search_everywhere
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
 from specmap_cli.recognition.localization.place import Place
 from specmap_cli.recognition.localization.sight import Sightlines

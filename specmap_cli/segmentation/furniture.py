@@ -1,23 +1,30 @@
-"""The working grid of a segmentation: free space without isolated obstacles, in coarse cells."""
+"""What is furniture to the division of a map: isolated pieces, and pieces that stand at a wall.
+
+An isolated obstacle up to a size is taken out of the free space. Furniture at a wall is no isolated
+obstacle, but thicker than a wall and smaller than what is outside of the building: its cells take
+the label of the room it stands in.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import BoolArray, cell_distances
+from specmap_cli.grids.gridmap import UNKNOWN, BoolArray, GridMap, cell_distances
+from specmap_cli.segmentation.visibility import LabelArray
 
 # Solid furniture is thicker than this across: walls are thinner than tables.
 FURNITURE_THICK_M = 0.4
 _SLACK = 1e-9  # sizes that are equal on paper stay equal in floating point
 _SLIT_M = 0.15  # free space narrower than this, in a wall or between two pieces of one, is noise
 _SOLID = 0.5  # share of its rectangle: furniture fills three quarters, corners of walls a third
+_LONGEST_M = 4.0  # a row of cupboards; larger is what was never seen, and thick walls
+_REACH_M = 0.2  # from a piece to the labelled cells of its room
 
 
 def furniture(free: BoolArray, resolution: float, config: SegmentationConfig) -> BoolArray:
@@ -92,48 +99,72 @@ def _is_solid(labels: NDArray[Any], about: NDArray[Any], piece: int, thick_cells
     return bool(short >= thick_cells - _SLACK and area >= _SOLID * short * long)
 
 
-@dataclass(frozen=True, slots=True)
-class WorkingGrid:
-    """Coarse free space (h, w): cells of `step` x `step` fine ones, `cell_m` wide.
+def pieces_at_walls(grid: GridMap, thick_m: float) -> LabelArray:
+    """The number (H, W) of each piece at a wall that is `thick_m` or more, 0 where there is none.
 
-    `clearance` (h, w) is the distance, in coarse cells, from the centre of a free cell to that of
-    the nearest one that is not.
+    What is outside of the building is none: what is unknown and large, and all at the map's edge.
     """
-
-    clearance: FloatArray
-    cell_m: float
-    step: int
-
-    @property
-    def free(self) -> BoolArray:
-        """Coarse cells of which every fine cell is free (h, w)."""
-        return np.asarray(self.clearance > 0.0)
-
-    def fine_cells(self, cells: NDArray[Any]) -> FloatArray:
-        """Rows and columns (n, 2), fractional, of the middles of coarse cells on the fine grid."""
-        return np.asarray((cells + 0.5) * self.step - 0.5, dtype=np.float64)
-
-    def refine(self, values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-        """Coarse `values` (h, w) on the fine grid of `shape` (H, W)."""
-        fine = np.repeat(np.repeat(values, self.step, axis=0), self.step, axis=1)
-        return fine[: shape[0], : shape[1]]
+    unknown = np.asarray(grid.cells == UNKNOWN)
+    thick = _thick(~grid.free & ~_large(unknown, grid.resolution), thick_m / grid.resolution)
+    if not thick.any():
+        return np.zeros(thick.shape, dtype=np.int32)
+    pieces, large = _pieces(thick, grid.resolution)
+    for edge in (pieces[0], pieces[-1], pieces[:, 0], pieces[:, -1]):
+        large[edge] = True
+    return np.where(large[pieces] | ~thick, np.int32(0), pieces)
 
 
-def coarse_step(resolution: float, cell_m: float) -> int:
-    """How many cells of a grid a coarse cell of about `cell_m` is wide."""
-    return max(1, round(cell_m / resolution))
+def fill_cupboards(labels: LabelArray, pieces: LabelArray, resolution: float) -> LabelArray:
+    """`labels` (H, W) with those of the `pieces` (H, W) at walls, which had none.
+
+    A piece takes the label that more than half of the labelled cells around it have.
+    """
+    if not pieces.any():
+        return labels
+    best = _label_around(labels, pieces, round(_REACH_M / resolution))
+    return np.where((pieces > 0) & (labels < 0), best[pieces], labels)
 
 
-def working_grid(free: BoolArray, resolution: float, cell_m: float) -> WorkingGrid:
-    """Reduce `free` (H, W) to cells of about `cell_m`: coarse cells are free when wholly free."""
-    step = coarse_step(resolution, cell_m)
-    height, width = (-(-side // step) for side in free.shape)
-    framed = np.zeros((height + 2, width + 2), dtype=np.uint8)
-    if step == 1:
-        framed[1:-1, 1:-1] = free
-    else:
-        padded = np.zeros((height * step, width * step), dtype=bool)
-        padded[: free.shape[0], : free.shape[1]] = free
-        framed[1:-1, 1:-1] = padded.reshape(height, step, width, step).all(axis=(1, 3))
-    pixels = cell_distances(framed)[1:-1, 1:-1]
-    return WorkingGrid(pixels, step * resolution, step)
+def _large(unknown: BoolArray, resolution: float) -> BoolArray:
+    """(H, W) what is unknown and larger than furniture, or joined to what is beyond the map."""
+    framed = np.pad(unknown, 1, constant_values=True)
+    piece, large = _pieces(framed, resolution)
+    large[piece[0, 0]] = True
+    return np.asarray((large[piece] & framed)[1:-1, 1:-1])
+
+
+def _pieces(mask: BoolArray, resolution: float) -> tuple[LabelArray, BoolArray]:
+    """The number (H, W) of each piece of a mask, 0 outside; which (k,) are longer than furniture.
+
+    Pieces are joined over edges.
+    """
+    _, piece, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    longest = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
+    return np.asarray(piece, dtype=np.int32), np.asarray(longest * resolution > _LONGEST_M)
+
+
+def _thick(blocked: BoolArray, across: float) -> BoolArray:
+    """(H, W) the cells of `blocked` that a disc covers which is `across` cells wide and fits in."""
+    radius = (round(across) - 1) // 2
+    framed = np.pad(blocked, radius + 1).astype(np.uint8)
+    middle = cell_distances(framed) > radius
+    if radius < 1 or not middle.any():  # of so few cells it could be a wall
+        return np.zeros_like(blocked)
+    covered = cell_distances((~middle).astype(np.uint8)) <= radius
+    return np.asarray(covered[radius + 1 : -radius - 1, radius + 1 : -radius - 1])
+
+
+def _label_around(labels: LabelArray, pieces: LabelArray, reach: int) -> IntArray:
+    """(k,) the label of more than half of the labelled cells round each piece (H, W), -1: none.
+
+    Cells count within `reach` of it.
+    """
+    grown = pieces.astype(np.float64)
+    for _ in range(reach):
+        grown = np.where(pieces > 0, grown, cv2.dilate(grown, np.ones((3, 3), np.uint8)))
+    around = grown.astype(np.int32)
+    ring = (around > 0) & (labels >= 0)
+    votes = np.zeros((int(pieces.max()) + 1, int(labels.max(initial=0)) + 1), dtype=np.int64)
+    np.add.at(votes, (around[ring], labels[ring]), 1)
+    sure = 2 * votes.max(axis=1) > votes.sum(axis=1)
+    return np.where(sure, votes.argmax(axis=1), -1).astype(np.int32)

@@ -1,4 +1,7 @@
-"""One window and one orientation for every copy of a map, wherever it lies and however it turns."""
+"""The grid that a map is divided on: cropped, in one orientation, in coarse cells.
+
+One window and one orientation serve every copy of a map, wherever it lies and however it turns.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.gridmap import BoolArray
+from specmap_cli.grids.gridmap import BoolArray, cell_distances
 
 _AROUND = np.ones((5, 5), dtype=np.uint8)  # wider than the rays of a laser far away, in cells
 
@@ -97,3 +100,50 @@ def _back(moments: tuple[int, int]) -> tuple[int, int]:
 
 def _bytes(picture: BoolArray) -> tuple[tuple[int, ...], bytes]:
     return picture.shape, picture.tobytes()
+
+
+@dataclass(frozen=True, slots=True)
+class WorkingGrid:
+    """Coarse free space (h, w): cells of `step` x `step` fine ones, `cell_m` wide.
+
+    `clearance` (h, w) is the distance, in coarse cells, from the centre of a free cell to that of
+    the nearest one that is not.
+    """
+
+    clearance: FloatArray
+    cell_m: float
+    step: int
+
+    @property
+    def free(self) -> BoolArray:
+        """Coarse cells of which every fine cell is free (h, w)."""
+        return np.asarray(self.clearance > 0.0)
+
+    def fine_cells(self, cells: NDArray[Any]) -> FloatArray:
+        """Rows and columns (n, 2), fractional, of the middles of coarse cells on the fine grid."""
+        return np.asarray((cells + 0.5) * self.step - 0.5, dtype=np.float64)
+
+    def refine(self, values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+        """Coarse `values` (h, w) on the fine grid of `shape` (H, W)."""
+        fine = np.repeat(np.repeat(values, self.step, axis=0), self.step, axis=1)
+        return fine[: shape[0], : shape[1]]
+
+
+def coarse_step(resolution: float, cell_m: float) -> int:
+    """How many cells of a grid a coarse cell of about `cell_m` is wide."""
+    return max(1, round(cell_m / resolution))
+
+
+def working_grid(free: BoolArray, resolution: float, cell_m: float) -> WorkingGrid:
+    """Reduce `free` (H, W) to cells of about `cell_m`: coarse cells are free when wholly free."""
+    step = coarse_step(resolution, cell_m)
+    height, width = (-(-side // step) for side in free.shape)
+    framed = np.zeros((height + 2, width + 2), dtype=np.uint8)
+    if step == 1:
+        framed[1:-1, 1:-1] = free
+    else:
+        padded = np.zeros((height * step, width * step), dtype=bool)
+        padded[: free.shape[0], : free.shape[1]] = free
+        framed[1:-1, 1:-1] = padded.reshape(height, step, width, step).all(axis=(1, 3))
+    pixels = cell_distances(framed)[1:-1, 1:-1]
+    return WorkingGrid(pixels, step * resolution, step)
