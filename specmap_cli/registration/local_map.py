@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.grids.matching import Window, approach, search
-from specmap_cli.grids.score_field import PointCells, ScoreField
+from specmap_cli.grids.matching import Window, search
+from specmap_cli.grids.score_field import PointCells, ScoreField, approach
 from specmap_cli.registration.aligner import (
     REBUILD_KEYFRAMES,
     WINDOW_KEYFRAMES,
