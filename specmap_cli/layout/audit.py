@@ -16,12 +16,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, moved, step_lengths
 from specmap_cli.core.settings import GridConfig
-from specmap_cli.core.tracks import moved, step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, CellArray, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.grids.matching import ScoreField, Window, refine, search
+from specmap_cli.grids.matching import Window, refine, search
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.consistency import judge
 from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.passes import LOOP_SEARCH_M

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import (
     FloatArray,
     Pose2,
@@ -23,7 +24,6 @@ from specmap_cli.core.geometry import (
     wrap_angles,
 )
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.score_field import thinned
 from specmap_cli.layout.path_graph import MATCH_RANGE_M

@@ -13,9 +13,8 @@ from itertools import compress, pairwise
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, step_lengths
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.passes import find_passes

@@ -14,11 +14,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert
+from specmap_cli.core.geometry import (
+    FloatArray,
+    Pose2,
+    compose,
+    inverse3,
+    invert,
+    moved,
+    step_lengths,
+)
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.tracks import moved, step_lengths
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.observability import observability
+from specmap_cli.grids.matching import observability
 from specmap_cli.layout.pose_graph import Link, LinkKind
 
 NODE_M = 0.3  # motion between nodes of the pose graph

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, wrap_angle
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.grids.matching import Match, ScoreField, Window, search, thinned
+from specmap_cli.grids.matching import Match, Window, search
+from specmap_cli.grids.score_field import ScoreField, thinned
 from specmap_cli.layout.path_graph import MATCH_RANGE_M
 from specmap_cli.layout.uncertainty import within_ellipse
 from specmap_cli.layout.wall_matching import (

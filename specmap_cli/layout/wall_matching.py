@@ -8,15 +8,8 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, product
 from specmap_cli.core.records import IntArray
-from specmap_cli.grids.matching import (
-    SPREAD_M,
-    ScoreField,
-    Window,
-    covariance,
-    refine,
-    search,
-    thinned,
-)
+from specmap_cli.grids.matching import SPREAD_M, Window, covariance, refine, search
+from specmap_cli.grids.score_field import ScoreField, thinned
 from specmap_cli.layout.path_graph import MATCH_RANGE_M, Graph, RowPair
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.walls import CELL_M, PLACE_NODES, Walls, from_behind

@@ -16,9 +16,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.findings import Severity, Where
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, step_lengths
 from specmap_cli.core.records import BoolArray, IntArray, Trajectory
-from specmap_cli.core.tracks import moved, step_lengths
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.result import Layout

@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from specmap_cli.core.findings import Finding, Where
-from specmap_cli.core.geometry import FloatArray, compose, invert
+from specmap_cli.core.geometry import FloatArray, compose, invert, step_lengths
 from specmap_cli.core.text import counted
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.layout.audit import Disagreement
 from specmap_cli.layout.path_graph import Ends
 from specmap_cli.layout.pose_graph import Link

@@ -9,12 +9,11 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.findings import Finding
-from specmap_cli.core.geometry import compose, invert
-from specmap_cli.core.labels import runs
+from specmap_cli.core.geometry import compose, invert, step_lengths, travelled
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.text import counted
-from specmap_cli.core.tracks import step_lengths, travelled
 from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import (
     HOLE_S,

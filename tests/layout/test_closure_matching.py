@@ -10,13 +10,7 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.closure_matching import (
-    Place,
-    on_lines,
-    onto_lines,
-    place_around,
-    sharpened,
-)
+from specmap_cli.layout.closure_matching import Place, on_lines, onto_lines, place_around, sharpened
 from specmap_cli.layout.path_graph import MATCH_RANGE_M
 from tests.layout.driving import SECOND_LAP, Laps, between, missed, scans_of
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.observability import observability
+from specmap_cli.grids.matching import observability
 from specmap_cli.layout.path_graph import (
     _NODE_RAD,
     _RANGE_NOISE_M,

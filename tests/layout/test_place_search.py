@@ -9,7 +9,7 @@ from hypothesis import given
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.matching import ScoreField
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.place_search import Guess, Pyramid, WallMap, Wanted, best_places
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import Laps, missed

@@ -9,7 +9,8 @@ import pytest
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.matching import SPREAD_M, Match, ScoreField, Window, search
+from specmap_cli.grids.matching import SPREAD_M, Match, Window, search
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.wall_matching import (
     WallFit,
