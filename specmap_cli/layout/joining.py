@@ -1,14 +1,20 @@
-"""Layouts of several recordings solved as one: an old map, and what was recorded later.
+"""Layouts of several recordings solved as one, and a layout without some of its keyframes.
 
-Each piece is consistent in itself and lies about where it belongs. The pieces keep the links that
-made them so. The new one is tied to the old one by the passes that come by the same walls, which
-are looked for along the new path only: the cost is that of the new recording.
+An old map and what was recorded later are each consistent in itself and lie about where they
+belong. They keep the links that made them so. The new one is tied to the old one by the passes that
+come by the same walls, which are looked for along the new path only: the cost is that of the new
+recording.
+
+Where keyframes are left out, what was known of them is said of their neighbours. The poses of the
+others stay. Where the path has a gap its motion is the one that was laid out, so that what tracking
+had drifted by meanwhile does not come back. A link that ended in a keyframe that is gone ends in
+the next of its recording along the way, and is less sure by the error of that way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import compress, pairwise
 
 import numpy as np
@@ -131,8 +137,8 @@ def without_keyframes(
     stays as it was said of all of them.
     """
     row = {number: k for k, number in enumerate(numbers.tolist())}
-    carried = _carried(layout, numbers, recordings)
-    kept = tuple(replace(one, source=row[one.source], target=row[one.target]) for one in carried)
+    links = _links_of(layout, numbers, recordings)
+    kept = tuple(replace(one, source=row[one.source], target=row[one.target]) for one in links)
     ends = {end for link in kept for end in (link.source, link.target)}
     old = {row[node] for node in layout.nodes.tolist() if node in row}
     nodes = chosen_nodes(store.poses, {*old, *ends, *breaks})
@@ -170,75 +176,55 @@ def _motions(
     return tuple(motions)
 
 
-def _carried(layout: Layout, numbers: IntArray, recordings: IntArray) -> list[Link]:
-    """The links with ends that are kept, by their old numbers; of those carried one a pair."""
-    heir = _heirs(numbers, recordings)
-    whole = [
-        heir[one.source] == one.source and heir[one.target] == one.target for one in layout.kept
-    ]
+def _links_of(layout: Layout, numbers: IntArray, recordings: IntArray) -> list[Link]:
+    """The links with ends that are kept, by their old numbers; of those moved there one a pair."""
+    kept_end = _nearest_kept(numbers, recordings)
+    ends = [(int(kept_end[one.source]), int(kept_end[one.target])) for one in layout.kept]
+    whole = [(one.source, one.target) == pair for one, pair in zip(layout.kept, ends, strict=True)]
     links = list(compress(layout.kept, whole))
     pairs = {frozenset((one.source, one.target)) for one in links}
-    carry = _Carrier.of(layout)
-    for one in layout.kept:
-        source, target = int(heir[one.source]), int(heir[one.target])
+    spread = Uncertainty.along(layout.poses[layout.nodes], layout.odometry, 0.0)
+    for one, (source, target) in zip(layout.kept, ends, strict=True):
         pair = frozenset((source, target))
         if len(pair) == 2 and pair not in pairs:
             pairs.add(pair)
-            links.append(carry.between(source, target, one))
+            links.append(_between(layout, spread, source, target, one))
     return links
 
 
-def _heirs(numbers: IntArray, recordings: IntArray) -> IntArray:
+def _nearest_kept(numbers: IntArray, recordings: IntArray) -> IntArray:
     """(n,) for each keyframe the kept one next to it along the way, of the same recording."""
-    heirs = np.arange(len(recordings))
-    kept = np.isin(heirs, numbers)
+    nearest = np.arange(len(recordings))
+    kept = np.isin(nearest, numbers)
     for recording in np.unique(recordings[~kept]).tolist():
         own = recordings == recording
         left, gone = np.flatnonzero(own & kept), np.flatnonzero(own & ~kept)
         after = np.clip(np.searchsorted(left, gone), 1, max(1, len(left) - 1))
         before, after = left[after - 1], left[np.minimum(after, len(left) - 1)]
-        heirs[gone] = np.where(gone - before <= after - gone, before, after)
-    return heirs
+        nearest[gone] = np.where(gone - before <= after - gone, before, after)
+    return nearest
 
 
-@dataclass(frozen=True, slots=True)
-class _Carrier:
-    """Says of other keyframes what links say, with the errors of the way from these to those."""
+def _between(layout: Layout, spread: Uncertainty, source: int, target: int, link: Link) -> Link:
+    """A link between two other keyframes, which lie as in the layout.
 
-    poses: FloatArray
-    nodes: IntArray
-    along: Uncertainty
-
-    @classmethod
-    def of(cls, layout: Layout) -> _Carrier:
-        at_nodes = layout.poses[layout.nodes]
-        return cls(layout.poses, layout.nodes, Uncertainty.along(at_nodes, layout.odometry, 0.0))
-
-    def between(self, source: int, target: int, link: Link) -> Link:
-        """A link between two others, which lie as in the layout."""
-        ends = self.poses[[source, link.source, link.target, target]]
-        motion = compose(invert(ends[0]), ends[3])
-        spread = (
-            moved_covariance(
-                adjoint(self._seen(ends[1:2], ends[3:])), self._way(source, link.source)
-            )
-            + moved_covariance(
-                adjoint(self._seen(ends[2:3], ends[3:])), inverse3(link.information[None])
-            )
-            + self._way(link.target, target)
-        )
-        return replace(
-            link,
-            source=source,
-            target=target,
-            source_from_target=Pose2(*motion.tolist()),
-            information=inverse3(spread)[0],
-        )
-
-    def _seen(self, pose: FloatArray, frame: FloatArray) -> FloatArray:
-        return compose(invert(frame), pose)
-
-    def _way(self, start: int, end: int) -> FloatArray:
-        """(1, 3, 3) the error of the way from one keyframe to another, in the frame of this."""
-        rows = np.searchsorted(self.nodes, [start, end], side="right") - 1
-        return self.along.between(rows[:1], rows[1:])
+    To the error of the link come those of the ways from its ends to these two, by `spread`.
+    """
+    ends = layout.poses[[source, link.source, link.target, target]]
+    rows = np.searchsorted(layout.nodes, [source, link.source, link.target, target], side="right")
+    way_there, way_on = (
+        spread.between(rows[k : k + 1] - 1, rows[k + 1 : k + 2] - 1) for k in (0, 2)
+    )
+    seen = adjoint(compose(invert(ends[3]), ends[1:3]))  # the ends of the link from the new target
+    covariance = (
+        moved_covariance(seen[:1], way_there)
+        + moved_covariance(seen[1:], inverse3(link.information[None]))
+        + way_on
+    )
+    return replace(
+        link,
+        source=source,
+        target=target,
+        source_from_target=Pose2(*compose(invert(ends[0]), ends[3]).tolist()),
+        information=inverse3(covariance)[0],
+    )

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,10 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Trajectory
 from specmap_cli.layout.audit import Audit, Disagreement
 from specmap_cli.layout.contradictions import Agreement
-from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.result import Layout, PartMove, Repair
 from specmap_cli.quality.evidence import Evidence, graded
 from specmap_cli.quality.verdict import judged
+from tests.layout.driving import link
 
 SCANS = 100  # a metre apart along x, one a second; every one a keyframe
 
@@ -45,19 +46,15 @@ def only(found: Evidence) -> Finding:
     return finding
 
 
+def laid(base: Evidence | None = None, **fields: Any) -> Evidence:
+    """The drive, or another one, with a layout of which something else is known."""
+    base = base or evidence()
+    return replace(base, layout=replace(base.layout, **fields))
+
+
 def disagreement(place: tuple[float, float], walls_m: float = 3.0) -> Disagreement:
     return Disagreement(
         earlier=10, later=60, place=place, walls_m=walls_m, share=0.4, offset=Pose2(0.0, 0.5, 0.0)
-    )
-
-
-def closure(kind: str) -> Link:
-    return Link(
-        source=1,
-        target=9,
-        source_from_target=Pose2(0.0, 0.0, 0.0),
-        information=np.eye(3),
-        kind=kind,  # type: ignore[arg-type]
     )
 
 
@@ -101,7 +98,7 @@ def test_each_break_is_told_with_what_bridged_it() -> None:
 @pytest.mark.parametrize(("start", "severity"), [(95, "doubtful"), (60, "poor")])
 def test_what_a_guess_places_weighs_by_its_way(start: int, severity: Severity) -> None:
     base = evidence(breaks=(start,))
-    found = judged(replace(base, layout=replace(base.layout, loose=(start,))))
+    found = judged(laid(loose=(start,), base=base))
     loose = found.findings[0]
     assert (loose.code, loose.severity, found.verdict) == ("loose-part", severity, severity)
     assert loose.message == (
@@ -112,7 +109,7 @@ def test_what_a_guess_places_weighs_by_its_way(start: int, severity: Severity) -
 
 def test_a_loose_part_ends_at_the_next_break() -> None:
     base = evidence(breaks=(20, 25))
-    found = judged(replace(base, layout=replace(base.layout, loose=(20,))))
+    found = judged(laid(loose=(20,), base=base))
     (loose,) = (one for one in found.findings if one.code == "loose-part")
     assert loose.value == pytest.approx(4 / 99)
 
@@ -137,20 +134,6 @@ def test_disagreements_at_one_place_are_one_finding_with_the_longest_walls() -> 
     unknown = tuple(replace(one, offset=None) for one in audit.disagreements)
     other = only(replace(evidence(), audit=replace(audit, disagreements=unknown)))
     assert "contradict each other" in other.message
-
-
-def test_refused_closures_are_a_note() -> None:
-    base = evidence()
-    dropped = (closure("closure"), closure("closure"), closure("nearby"))
-    finding = only(replace(base, layout=replace(base.layout, dropped=dropped)))
-    assert (finding.code, finding.severity) == ("closures-refuted", "note")
-    assert finding.message == "2 loop closures contradict the rest: left out"
-
-
-def test_what_is_beyond_the_grid_makes_a_map_doubtful() -> None:
-    finding = only(replace(evidence(), beyond=3))
-    assert (finding.code, finding.severity) == ("beyond-grid", "doubtful")
-    assert finding.message == "3 keyframes beyond the largest grid allowed, left out of the map"
 
 
 def test_the_gravest_come_first_and_the_input_is_told() -> None:
@@ -230,7 +213,7 @@ def test_a_piece_that_was_moved_far_is_told_of(votes: int, severity: Severity) -
         PartMove(first=80, moved_m=9.0, votes=0),  # loose, which is told elsewhere
     )
     base = evidence()
-    finding = only(replace(base, layout=replace(base.layout, parts=moves)))
+    finding = only(laid(parts=moves, base=base))
     assert (finding.code, finding.severity) == ("part-moved", severity)
     assert finding.message == (
         "the layout moved what follows 60.000 s by 4.2 m, to where closures and passes "
@@ -239,27 +222,52 @@ def test_a_piece_that_was_moved_far_is_told_of(votes: int, severity: Severity) -
     assert finding.value == pytest.approx(4.2)
 
 
-def test_walls_that_were_mended_are_a_note() -> None:
-    base = evidence()
-    repair = Repair(links=(closure("nearby"),), walls_m=4.2, moved_m=0.25)
-    finding = only(replace(base, layout=replace(base.layout, repair=repair)))
-    assert (finding.code, finding.severity, finding.value) == ("walls-mended", "note", 0.25)
-    assert finding.message == (
-        "4.2 m of wall were drawn twice: matched again in 1 place, the map moved by up to 0.25 m"
-    )
+TIES = tuple(link(1, 9, (0.0, 0.0, 0.0), kind) for kind in ("closure", "closure", "nearby"))
 
 
-def test_contradictions_all_over_the_map_make_it_doubtful() -> None:
-    base = evidence()
-    many, few = Agreement(agree=1000, contradict=100), Agreement(agree=10000, contradict=60)
-    finding = only(replace(base, layout=replace(base.layout, agreement=many)))
-    assert finding.message == "9.1% of the walls that two passes saw contradict each other"
-    assert finding.severity == "doubtful"
-    assert judged(replace(base, layout=replace(base.layout, agreement=few))).findings == ()
+@pytest.mark.parametrize(
+    ("found", "code", "severity", "message"),
+    [
+        (
+            laid(dropped=TIES),
+            "closures-refuted",
+            "note",
+            "2 loop closures contradict the rest: left out",
+        ),
+        (
+            laid(repair=Repair(links=TIES[2:], walls_m=4.2, moved_m=0.25)),
+            "walls-mended",
+            "note",
+            "4.2 m of wall were drawn twice: matched again in 1 place, the map moved by up to "
+            "0.25 m",
+        ),
+        (
+            laid(agreement=Agreement(agree=1000, contradict=100)),
+            "walls-disagree",
+            "doubtful",
+            "9.1% of the walls that two passes saw contradict each other",
+        ),
+        (
+            laid(nodes=np.arange(3)),
+            "layout-refused",
+            "doubtful",
+            "with the matches found, more walls contradict each other than without: the poses are "
+            "those of the tracking",
+        ),
+        (
+            replace(evidence(), beyond=3),
+            "beyond-grid",
+            "doubtful",
+            "3 keyframes beyond the largest grid allowed, left out of the map",
+        ),
+    ],
+)
+def test_what_is_told_of_a_layout(
+    found: Evidence, code: str, severity: Severity, message: str
+) -> None:
+    finding = only(found)
+    assert (finding.code, finding.severity, finding.message) == (code, severity, message)
 
 
-def test_a_layout_that_was_not_taken_makes_a_map_doubtful() -> None:
-    base = evidence()
-    nodes = np.arange(3)
-    finding = only(replace(base, layout=replace(base.layout, nodes=nodes)))
-    assert (finding.code, finding.severity) == ("layout-refused", "doubtful")
+def test_few_contradictions_are_not_told() -> None:
+    assert judged(laid(agreement=Agreement(agree=10000, contradict=60))).findings == ()
