@@ -21,7 +21,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import encodable
 from specmap_cli.drawing.palette import darker
-from specmap_cli.exports.fields import (
+from specmap_cli.exports.flat_formats import (
     DOOR,
     LINK,
     SUBMAP,

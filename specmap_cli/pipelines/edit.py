@@ -23,8 +23,7 @@ from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words
-from specmap_cli.maps.edits_text import written
+from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words, written
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.maps.writing import write_map
 from specmap_cli.pipelines.edited import (

@@ -19,7 +19,7 @@ from specmap_cli.grids.pictures import read_picture
 from specmap_cli.maps import filenames
 from specmap_cli.maps.schema import EditsRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.maps.text_files import read_trajectory
 from specmap_cli.quality.verdict import quality_of
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.shapes import kind_of

@@ -10,7 +10,7 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.maps.edits_text import written
+from specmap_cli.maps.edits import written
 from specmap_cli.pipelines.edited import drawn, named, tell_unapplied
 from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.pipelines.kept_map import KeptMap

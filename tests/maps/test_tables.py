@@ -21,7 +21,7 @@ from specmap_cli.core.text import (
     stamp_text,
     to_json,
 )
-from specmap_cli.maps.tables import labels_text, read_labels
+from specmap_cli.maps.text_files import labels_text, read_labels
 from tests.strategies import few
 
 STAMPS = st.integers(-(2**62), 2**62)

@@ -15,7 +15,7 @@ from specmap_cli.core.geometry import quaternions_from_rpy, rpy_from_quaternions
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.text import stamp_ns
 from specmap_cli.evaluation.trajectories import read_tum
-from specmap_cli.maps.tum import planar_trajectory_text, read_trajectory, trajectory_text
+from specmap_cli.maps.text_files import planar_trajectory_text, read_trajectory, trajectory_text
 from tests.strategies import few
 
 FINITE = st.floats(-1e6, 1e6, allow_nan=False)

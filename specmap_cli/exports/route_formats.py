@@ -1,9 +1,14 @@
-"""The topological map of LCAS topological_navigation, as YAML (`tmap2`).
+"""Graphs that a robot can be sent along: for Nav2's route server, for LCAS topological_navigation.
 
-A node stands at each anchor and where a way goes through a door. The robot's own planner drives
-from node to node, so a bend of a way needs none; `weight` and `length_m` of an edge are the length
-along the way. The influence zone of an anchor's node is the outline of its submap: a robot is
-located in its room.
+The server of Nav2 drives a straight line from node to node, and measures an edge by it. So nodes
+stand at anchors, in doors, and wherever a way bends. Its loader takes GeoJSON: points for nodes,
+lines for edges, and metadata that has neither null nor lists in lists: an outline is two lists, of
+x and of y.
+
+topological_navigation (`tmap2`, YAML) leaves the way from node to node to the robot's own planner,
+so a bend of a way needs no node; `weight` and `length_m` of an edge are the length along the way.
+The influence zone of an anchor's node is the outline of its submap: a robot is located in its
+room.
 """
 
 from __future__ import annotations
@@ -11,16 +16,95 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
+from itertools import count
 from typing import IO, Any
 
 from specmap_cli.core.progress import Progress
-from specmap_cli.core.text import seconds
+from specmap_cli.core.text import counted, seconds, to_json
 from specmap_cli.core.yaml import yaml_text
-from specmap_cli.exports.fields import Fields, known
-from specmap_cli.exports.fitness import check_routes
-from specmap_cli.exports.routes import Leg, Routes, Stop, routes, without_bends
+from specmap_cli.exports.flat_formats import Fields, collection, feature, known
+from specmap_cli.exports.routes import Leg, Routes, Stop, check_routes, routes, without_bends
 from specmap_cli.maps.schema import NodeRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
+
+
+class Nav2:
+    """A point for each stop, two lines for each leg: there and back."""
+
+    description = "GeoJSON for Nav2's route server: nodes at anchors, doors and bends"
+
+    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
+        """Write the routes of a map; `frame` is the map's. MapError for a map without ways."""
+        check_routes(stored, progress)
+        found = routes(stored.record)
+        nodes, edges = list(_points(found, stored.record)), list(_lines(found))
+        progress.note(f"{counted(len(nodes), 'node')} and {counted(len(edges), 'directed edge')}")
+        target.write(to_json(collection([*nodes, *edges])).encode())
+
+
+def _points(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
+    submaps = {node.id: node for node in record.nodes}
+    doors = {door.id: door for door in record.graph.doors}
+    for stop in found.stops:
+        metadata: Fields = {"class": stop.kind}
+        if stop.submap is not None:
+            metadata = _metadata(submaps[stop.submap])
+        elif stop.door is not None:
+            door = doors[stop.door]
+            metadata |= {"door": door.id, "width_m": door.width_m, "driven": door.driven}
+        properties = {"id": stop.id, "frame": record.graph.frame, "metadata": metadata}
+        yield feature("Point", [stop.x, stop.y], properties)
+
+
+def _metadata(node: NodeRecord) -> Fields:
+    """What a node tells of its submap; `class` is its kind."""
+    xs, ys = zip(*node.polygon, strict=True) if node.polygon else ((), ())
+    region = {"x_values": list(xs), "y_values": list(ys)}
+    return known(
+        {
+            "class": node.kind or "submap",
+            "submap": node.id,
+            "name": node.name,
+            "area_m2": node.area_m2,
+            "clearance_m": node.anchor_clearance_m,
+            "region": region if node.polygon else None,
+            "properties": node.properties or None,
+        }
+    )
+
+
+def _lines(found: Routes) -> Iterator[Fields]:
+    """Two edges a leg; their ids begin beyond those of the nodes, as ids of both must differ."""
+    stops = {stop.id: stop for stop in found.stops}
+    ids = count(max(stops) + 1)
+    for leg in found.legs:
+        start, end = stops[leg.start], stops[leg.end]
+        yield _line(next(ids), start, end, leg)
+        yield _line(next(ids), end, start, leg)
+
+
+def _line(id_: int, start: Stop, end: Stop, leg: Leg) -> Fields:
+    """A directed edge; the server's own scorers may replace its cost, which is its length."""
+    link = leg.link
+    metadata = known(
+        {
+            "submaps": [link.source, link.target],
+            "link": link.kind,
+            "driven": bool(link.traversals),
+            "clearance_m": link.clearance_m,
+            "width_m": link.width_m,
+        }
+    )
+    properties = {
+        "id": id_,
+        "startid": start.id,
+        "endid": end.id,
+        "cost": leg.length_m,
+        "overridable": True,
+        "metadata": metadata,
+    }
+    return feature("LineString", [[start.x, start.y], [end.x, end.y]], properties)
+
 
 _XY_TOLERANCE_M, _YAW_TOLERANCE_RAD = 0.3, 2.0 * math.pi  # the format's own: any heading will do
 _CORNERS = 8  # of the influence zone of a door
