@@ -23,8 +23,8 @@ from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
-from specmap_cli.simulation.room_truth import RoomTruth, read_rooms
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from specmap_cli.simulation.worlds import RoomTruth, read_rooms
 from tests.flats import TRAINED, Explained, Mapped, mapped, record_tour
 from tests.house import result
 from tests.sharing import made_once

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from specmap_cli.cli.options import Common, Settings, options_of, output, place_of
+from specmap_cli.cli.options import Common, Settings, cluster_of, options_of, output
 from specmap_cli.core.errors import BROKEN_RULE
 
 if TYPE_CHECKING:
@@ -87,11 +87,10 @@ def batch(
     specmap batch 'logs/*.mcap' -o maps --workers 4 --step build
     specmap batch jobs.toml -o s3://bucket/maps --scheduler tcp://host:8786
     """
-    place = place_of(workers, scheduler)
+    cluster = cluster_of(workers, scheduler)
     from specmap_cli.batch.batch import run_batch
-    from specmap_cli.batch.crew import Terms
     from specmap_cli.batch.jobs import jobs_of
-    from specmap_cli.batch.records import Limits
+    from specmap_cli.batch.records import Limits, Terms
 
     settings.load()  # a wrong setting is told of once, not by every job
     jobs = jobs_of(inputs, _plan(step, settings))
@@ -100,7 +99,7 @@ def batch(
     )
     with common.progress() as progress:
         progress.start(f"0 of {len(jobs)} jobs", len(jobs))
-        ledger = run_batch(jobs, terms, place, retries, _listener(common, progress))
+        ledger = run_batch(jobs, terms, cluster, retries, _listener(common, progress))
     if not common.as_json:
         common.show({}, _lines(out, ledger))
     if ledger.failed:
@@ -135,7 +134,7 @@ def known_options() -> dict[Command, dict[str, Option]]:
 def _listener(common: Common, progress: ConsoleProgress) -> Listener:
     """Events as lines of JSON on stdout; what a person should know, and a bar, on stderr."""
     from specmap_cli.batch.batch import Listener
-    from specmap_cli.batch.events import EventRecord
+    from specmap_cli.batch.ledger import EventRecord
     from specmap_cli.cli.entry import print_text
 
     def tell(event: EventRecord) -> None:
@@ -155,15 +154,17 @@ def _listener(common: Common, progress: ConsoleProgress) -> Listener:
 
 def _lines(out: str, ledger: Ledger) -> list[str]:
     """How it went, for a person; what failed and why was told when it failed."""
-    from specmap_cli.batch.outputs import INDEX
-    from specmap_cli.batch.tables import headline, kinds_of
+    from specmap_cli.batch.summaries import INDEX, headline, kinds_of, rows_of
 
-    rows = ledger.rows()
-    resumed = sum(result.resumed for result in ledger.results.values())
+    rows = rows_of((job.name for job in ledger.jobs), ledger.results)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in kinds_of(rows))
     return [
         f"{out}: {headline(rows)}",
-        *([f"{out}: {resumed:,} of the results were there already"] if resumed else []),
+        *(
+            [f"{out}: {ledger.resumed:,} of the results were there already"]
+            if ledger.resumed
+            else []
+        ),
         *([f"{out}: failures: {kinds}; reasons are in summary.md"] if kinds else []),
         f"look at {out}/{INDEX}",
     ]

@@ -17,14 +17,14 @@ from specmap_cli.cli.options import (
     Overwrite,
     Resolution,
     Settings,
+    cluster_of,
     output,
-    place_of,
 )
 from specmap_cli.cli.targets import check_files, keep_inputs
 from specmap_cli.core.errors import BROKEN_RULE, UsageError
 
 if TYPE_CHECKING:
-    from specmap_cli.pipelines.meetings import Spread
+    from specmap_cli.pipelines.overlaps import Spread
 
 
 class FailingVerdict(StrEnum):
@@ -87,7 +87,7 @@ def build(
                 logs, out, effective, overwrite=overwrite, progress=progress, explain=explain
             )
         else:
-            from specmap_cli.pipelines.likeness import build_like
+            from specmap_cli.pipelines.update import build_like
 
             report = build_like(logs, like, out, effective, overwrite=overwrite, progress=progress)
     common.show(report.as_dict(), report.lines())
@@ -194,12 +194,12 @@ def _spread(workers: int | None, scheduler: str | None) -> Spread | None:
     """Where pairs of maps are aligned; None: in this process."""
     if workers is None and scheduler is None:
         return None
-    place = place_of(workers, scheduler)
+    cluster = cluster_of(workers, scheduler)
     from functools import partial
 
-    from specmap_cli.batch.spread import spread
+    from specmap_cli.batch.workers import spread
 
-    return partial(spread, place)
+    return partial(spread, cluster)
 
 
 def segment(

@@ -40,8 +40,8 @@ from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.progress import Level
 
 if TYPE_CHECKING:
-    from specmap_cli.batch.cluster import Place
     from specmap_cli.batch.records import Meaning, Option
+    from specmap_cli.batch.workers import Cluster
     from specmap_cli.cli.console import ConsoleProgress
     from specmap_cli.core.settings import Config
     from specmap_cli.maps.store import StoredMap
@@ -203,13 +203,13 @@ class LogSettings(Settings):
         }
 
 
-def place_of(workers: int | None, scheduler: str | None) -> Place:
+def cluster_of(workers: int | None, scheduler: str | None) -> Cluster:
     """Where work is shared: `--workers` of this machine, or those of a `--scheduler`."""
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler do not go together: a scheduler has its own")
-    from specmap_cli.batch.cluster import Place
+    from specmap_cli.batch.workers import Cluster
 
-    return Place(workers, scheduler)
+    return Cluster(workers, scheduler)
 
 
 def options_of(command: Any) -> dict[str, Option]:

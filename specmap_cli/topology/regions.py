@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
-from specmap_cli.grids.borders import contacts
-from specmap_cli.grids.gridmap import BoolArray, GridMap, cell_distances, slices_near
+from specmap_cli.grids.gridmap import BoolArray, GridMap, cell_distances, contacts, slices_near
 from specmap_cli.topology.shapes import NOTHING, Outline, outline_of
 from specmap_cli.topology.topological_map import Line
 
