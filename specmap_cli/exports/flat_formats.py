@@ -18,7 +18,7 @@ from specmap_cli.core.json_values import Point, PropertyValue
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import plain, to_json
-from specmap_cli.maps.schema import NodeRecord, TopologyRecord
+from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.topology.topological_map import Door, Edge
 
@@ -76,6 +76,11 @@ def noted_fields(node: NodeRecord) -> Fields:
     return {f"property.{key}": value for key, value in node.properties.items()}
 
 
+def told_of(node: NodeRecord) -> Fields:
+    """What a viewer tells of a submap."""
+    return {"id": node.id, **fields_of(node, SUBMAP), **noted_fields(node)}
+
+
 def fields_of(record: Any, wanted: Mapping[str, Callable[[Any], Any]]) -> Fields:
     """The fields of a submap, a link or a door: `wanted` is SUBMAP, LINK or DOOR."""
     return {name: of(record) for name, of in wanted.items()}
@@ -111,8 +116,10 @@ class CsvTables:
     def write(self, stored: StoredMap, target: IO[bytes], _: Progress) -> None:
         """Write the tables of a map."""
         record = stored.record
+        keys = sorted({key for node in record.nodes for key in node.properties})
+        noted = {f"property.{key}": partial(_property, key) for key in keys}
         tables = {
-            "nodes.csv": _table(record.nodes, {"id": attrgetter("id"), **SUBMAP, **_noted(record)}),
+            "nodes.csv": _table(record.nodes, {"id": attrgetter("id"), **SUBMAP, **noted}),
             "edges.csv": _table(record.edges, {**_ENDS, **LINK}),
             "doors.csv": _table(record.graph.doors, {**_PLACE, **DOOR}),
         }
@@ -123,13 +130,7 @@ class CsvTables:
                 archive.writestr(entry, text, zipfile.ZIP_DEFLATED)
 
 
-def _noted(record: TopologyRecord) -> dict[str, Callable[[Any], Any]]:
-    """Whatever a person noted of submaps, a column each."""
-    keys = sorted({key for node in record.nodes for key in node.properties})
-    return {f"property.{key}": partial(_note, key) for key in keys}
-
-
-def _note(key: str, node: NodeRecord) -> PropertyValue | None:
+def _property(key: str, node: NodeRecord) -> PropertyValue | None:
     return node.properties.get(key)
 
 

@@ -25,13 +25,12 @@ from specmap_cli.drawing.palette import darker
 from specmap_cli.exports.flat_formats import (
     DOOR,
     LINK,
-    SUBMAP,
     Fields,
     centre_of,
     fields_of,
     known,
     link_line,
-    noted_fields,
+    told_of,
 )
 from specmap_cli.exports.foxglove_schemas import (
     LINE_LOOP,
@@ -58,7 +57,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.even_bearings import EvenSpacing
 from specmap_cli.maps.schema import NodeRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.topology.topological_map import Door, Edge
+from specmap_cli.topology.topological_map import Edge
 
 BASE_FRAME = "base_link"
 _CHUNK_BYTES = 512 * 1024
@@ -210,8 +209,12 @@ def submap_scene(record: TopologyRecord, stamp: Fields, fills: Mapping[int, Rgb]
     return {
         "entities": [
             {
-                **_entity(f"submap {node.id}", frame, stamp, _told(node)),
-                "lines": [_outline(node, fills[node.id])] if node.polygon else [],
+                **_entity(f"submap {node.id}", frame, stamp, told_of(node)),
+                "lines": [
+                    _line(node.polygon, darker(fills[node.id]), _OUTLINE_PX, _OUTLINE_Z, LINE_LOOP)
+                ]
+                if node.polygon
+                else [],
                 "texts": [_name(node, fills[node.id])],
             }
             for node in record.nodes
@@ -228,7 +231,9 @@ def graph_scene(record: TopologyRecord, stamp: Fields) -> dict[str, Any]:
             *_anchors(record, frame, stamp),
             *(
                 {
-                    **_entity(_link_id(edge), frame, stamp, fields_of(edge, LINK)),
+                    **_entity(
+                        f"link {edge.source}-{edge.target}", frame, stamp, fields_of(edge, LINK)
+                    ),
                     "lines": [_way(edge, nodes)],
                 }
                 for edge in record.edges
@@ -236,7 +241,7 @@ def graph_scene(record: TopologyRecord, stamp: Fields) -> dict[str, Any]:
             *(
                 {
                     **_entity(f"door {door.id}", frame, stamp, fields_of(door, DOOR)),
-                    "lines": [_door(door)],
+                    "lines": [_line(door.sides, door_colour(door), 2.0 * _LINE_PX, _WAY_Z)],
                 }
                 for door in record.graph.doors
             ),
@@ -254,22 +259,10 @@ def _anchors(record: TopologyRecord, frame: str, stamp: Fields) -> Iterator[dict
             yield {**_entity(f"anchor {node.id}", frame, stamp, told), "spheres": [sphere]}
 
 
-def _told(node: NodeRecord) -> Fields:
-    return {"id": node.id, **fields_of(node, SUBMAP), **noted_fields(node)}
-
-
-def _link_id(edge: Edge) -> str:
-    return f"link {edge.source}-{edge.target}"
-
-
 def _entity(id_: str, frame: str, stamp: Fields, told: Fields) -> dict[str, Any]:
     """What all entities have; what they tell stands in their metadata."""
     pairs = [{"key": key, "value": str(value)} for key, value in known(told).items()]
     return {"timestamp": stamp, "frame_id": frame, "id": id_, "metadata": pairs}
-
-
-def _outline(node: NodeRecord, fill: Rgb) -> dict[str, Any]:
-    return _line(node.polygon, darker(fill), _OUTLINE_PX, _OUTLINE_Z, LINE_LOOP)
 
 
 def _name(node: NodeRecord, fill: Rgb) -> dict[str, Any]:
@@ -286,10 +279,6 @@ def _name(node: NodeRecord, fill: Rgb) -> dict[str, Any]:
 def _way(edge: Edge, nodes: Mapping[int, NodeRecord]) -> dict[str, Any]:
     width_px = _LINE_PX if edge.corners else _NO_WAY_PX
     return _line(link_line(edge, nodes), link_colour(edge), width_px, _WAY_Z)
-
-
-def _door(door: Door) -> dict[str, Any]:
-    return _line(door.sides, door_colour(door), 2.0 * _LINE_PX, _WAY_Z)
 
 
 def _line(

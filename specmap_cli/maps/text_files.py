@@ -7,6 +7,7 @@ qw` a line, seconds and metres.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,16 @@ from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import counted, decimal, stamp_ns, stamp_text
 
+LABELS_HEADER = "stamp,x,y,theta,submap"
+_LOST, _FOUND = "# lost", "# found"
+_FARTHEST = 1e8  # metres: twice around the earth, farther than any place in a map
+
+
+def read_text(path: Path, limits: LimitsConfig | None = None) -> str:
+    """A text file of a map; OSError as in `read_bytes`, UnicodeDecodeError for no UTF-8."""
+    most_mb = (LimitsConfig() if limits is None else limits).text_max_mb
+    return read_bytes(path, most_mb, "limits.text_max_mb").decode("utf-8")
+
 
 def map_text(path: Path, limits: LimitsConfig) -> str:
     """The text of a file."""
@@ -31,6 +42,25 @@ def map_text(path: Path, limits: LimitsConfig) -> str:
         raise MapError(f"{path}: cannot be read: {reason(error, 'build the map again')}") from None
     except UnicodeDecodeError:
         raise MapError(f"{path}: not UTF-8 text: build the map again") from None
+
+
+def _lines(path: Path, limits: LimitsConfig | None, what: str) -> list[str]:
+    """The lines of a table of numbers."""
+    try:
+        return read_text(path, limits).splitlines()
+    except OSError as error:
+        raise MapError(f"{path}: cannot read the {what}: {reason(error)}") from None
+    except UnicodeDecodeError:
+        raise MapError(f"{path}: not a text file: build the map again") from None
+
+
+def _numbers(words: Sequence[str], count: int) -> list[float]:
+    """So many numbers that a place on earth, an angle or a quaternion has; ValueError otherwise."""
+    numbers = [float(word) for word in words]
+    # false for NaN as well
+    if len(numbers) != count or not all(abs(number) <= _FARTHEST for number in numbers):
+        raise ValueError(words)
+    return numbers
 
 
 def map_json(path: Path, limits: LimitsConfig) -> Any:
@@ -54,10 +84,6 @@ def first_finding(error: ValidationError) -> str:
     return f"{key}: {finding['msg']}" if key else str(finding["msg"])
 
 
-LABELS_HEADER = "stamp,x,y,theta,submap"
-_FARTHEST = 1e8  # metres: twice around the earth, farther than any place in a map
-
-
 def labels_text(labels: Labels) -> str:
     """CSV with a header; the last column is empty for a keyframe in no submap."""
     keyframes = zip(
@@ -70,29 +96,18 @@ def labels_text(labels: Labels) -> str:
     return csv_text(LABELS_HEADER.split(","), rows)
 
 
-def read_text(path: Path, limits: LimitsConfig | None = None) -> str:
-    """A text file of a map; OSError as in `read_bytes`, UnicodeDecodeError for no UTF-8."""
-    most_mb = (LimitsConfig() if limits is None else limits).text_max_mb
-    return read_bytes(path, most_mb, "limits.text_max_mb").decode("utf-8")
-
-
 def read_labels(path: str | Path, limits: LimitsConfig | None = None) -> Labels:
     """labels.csv back. Raises MapError naming the line at fault."""
     path = Path(path)
-    try:
-        lines = read_text(path, limits).splitlines()
-    except OSError as error:
-        raise MapError(f"{path}: cannot read the keyframes: {reason(error)}") from None
-    except UnicodeDecodeError:
-        raise MapError(f"{path}: not a text file: build the map again") from None
+    lines = _lines(path, limits, "keyframes")
     if not lines or lines[0] != LABELS_HEADER:
         raise MapError(f"{path}: line 1 is not {LABELS_HEADER!r}: build the map again")
     stamps, poses, submaps = [], [], []
     for number, line in enumerate(lines[1:], start=2):
         try:
-            stamp, x, y, theta, submap = line.split(",")
+            stamp, *pose, submap = line.split(",")
             stamps.append(np.int64(stamp_ns(stamp)))
-            poses.append(_pose(x, y, theta))
+            poses.append(_numbers(pose, 3))
             submaps.append(_submap(submap))
         except (ValueError, OverflowError):
             raise MapError(f"{path}: line {number} is {line!r}: expected {LABELS_HEADER}") from None
@@ -103,24 +118,11 @@ def read_labels(path: str | Path, limits: LimitsConfig | None = None) -> Labels:
     )
 
 
-def _pose(*words: str) -> tuple[float, ...]:
-    """Numbers that a pose on earth has; ValueError otherwise."""
-    pose = tuple(float(word) for word in words)
-    if not all(abs(value) <= _FARTHEST for value in pose):  # false for NaN as well
-        raise ValueError(words)
-    return pose
-
-
 def _submap(word: str) -> np.int64:
     """An id of 0 or more; NO_SUBMAP for an empty word; ValueError or OverflowError otherwise."""
     if word and not word.isdecimal():
         raise ValueError(word)
     return np.int64(int(word) if word else NO_SUBMAP)
-
-
-_LOST, _FOUND = "# lost", "# found"
-_COLUMNS = 8
-_LARGEST = 1e8  # metres, and more than any part of a quaternion
 
 
 def trajectory_text(trajectory: Trajectory) -> str:
@@ -179,12 +181,7 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
     Raises MapError naming the line at fault.
     """
     path = Path(path)
-    try:
-        lines = read_text(path, limits).splitlines()
-    except OSError as error:
-        raise MapError(f"{path}: cannot read the trajectory: {reason(error)}") from None
-    except UnicodeDecodeError:
-        raise MapError(f"{path}: not a text file: build the map again") from None
+    lines = _lines(path, limits, "trajectory")
     stamps: list[int] = []
     rows: list[list[float]] = []
     lost: list[bool] = []
@@ -196,7 +193,7 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
         try:
             stamp, *words = line.split()
             stamps.append(int(np.int64(stamp_ns(stamp))))
-            rows.append(_row(words))
+            rows.append(_numbers(words, 7))
             lost.append(is_lost)
         except (ValueError, OverflowError):
             raise MapError(
@@ -204,14 +201,6 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
                 "again"
             ) from None
     return _trajectory(stamps, np.array(rows, dtype=np.float64).reshape(-1, 7), lost)
-
-
-def _row(words: list[str]) -> list[float]:
-    """Position and quaternion; ValueError for anything else."""
-    row = [float(word) for word in words]
-    if len(row) != _COLUMNS - 1 or not all(abs(value) <= _LARGEST for value in row):
-        raise ValueError(words)
-    return row
 
 
 def _trajectory(stamps: list[int], rows: np.ndarray, lost: list[bool]) -> Trajectory:

@@ -25,6 +25,7 @@ from specmap_cli.topology.topological_map import (
     EdgeKind,
     Submap,
     TopologicalMap,
+    edge_between,
     heirs,
 )
 from specmap_cli.topology.ways import NO_WAY, Anchor, Way, anchors_of, ways
@@ -51,7 +52,6 @@ def with_ways(
     anchors = anchors_of(space, _cells(space, stood), config.robot_radius_m, PLACE_MARGIN_M)
     edges = _edges(topology, found, kind)
     there = ways(space, anchors, edges, config.robot_radius_m)
-    doors = _doors_of(found)
     return replace(
         topology,
         submaps={
@@ -59,7 +59,7 @@ def with_ways(
             for id_, submap in topology.submaps.items()
         },
         edges={
-            pair: with_way(edge, there.get(pair, NO_WAY), doors.get(pair, ()))
+            pair: with_way(edge, there.get(pair, NO_WAY), _between(found.doors, pair))
             for pair, edge in edges.items()
         },
         doors=found.doors,
@@ -78,27 +78,13 @@ def _cells(space: Space, stood: FloatArray | None) -> IntArray:
 def _edges(topology: TopologicalMap, found: Passages, kind: EdgeKind) -> dict[Pair, Edge]:
     """The edges of a map, and new ones where two submaps touch that had none."""
     touching = sorted({door.between for door in found.doors} | set(found.openings))
-    new = {pair: _edge(topology, pair, kind) for pair in touching if pair not in topology.edges}
-    return {**topology.edges, **new}
+    new = [pair for pair in touching if pair not in topology.edges]
+    return {**topology.edges, **{pair: edge_between(topology.submaps, pair, kind) for pair in new}}
 
 
-def _edge(topology: TopologicalMap, pair: Pair, kind: EdgeKind) -> Edge:
-    """An edge between two submaps that only touch."""
-    source, target = (topology.submaps[id_].map_from_submap for id_ in pair)
-    return Edge(
-        source=pair[0],
-        target=pair[1],
-        kind=kind,
-        source_from_target=source.inverse() @ target,
-    )
-
-
-def _doors_of(found: Passages) -> dict[Pair, list[Door]]:
-    """The doors between each pair of submaps."""
-    doors: dict[Pair, list[Door]] = {}
-    for door in found.doors:
-        doors.setdefault(door.between, []).append(door)
-    return doors
+def _between(doors: Iterable[Door], pair: Pair) -> list[Door]:
+    """The doors between two submaps."""
+    return [door for door in doors if door.between == pair]
 
 
 def _anchored(space: Space, submap: Submap, anchor: Anchor | None) -> Submap:
@@ -189,7 +175,7 @@ def _with_either(
     topology: TopologicalMap, pair: Pair, way: Way, detour: Way, shut: Collection[int]
 ) -> Edge:
     """The edge of a pair with its detour, if there is one, and the doors on it."""
-    doors = [door for door in topology.doors if door.between == pair]
+    doors = _between(topology.doors, pair)
     if detour.path is None:
         return with_way(topology.edges[pair], way, doors)
     left = [door for door in doors if door.id not in shut]

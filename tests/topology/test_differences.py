@@ -8,7 +8,7 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.differences import Differences, Surveyed, differences, things_in
+from specmap_cli.topology.differences import Differences, Surveyed, differences, obstacles_in
 from specmap_cli.topology.regions import NOBODY, Regions
 
 CELL_M = 0.05
@@ -56,12 +56,12 @@ def test_nothing_is_told_of_a_map_itself() -> None:
 def test_a_cabinet_appears_and_vanishes() -> None:
     appeared = told(flat(), drawn(flat(), CABINET)).appeared
     assert len(appeared) == 1
-    assert appeared[0].thing.centre == pytest.approx([2.9, 1.2], abs=0.05)
-    assert appeared[0].thing.length_m == pytest.approx(0.8, abs=0.1)
-    assert appeared[0].thing.width_m == pytest.approx(0.4, abs=0.1)
+    assert appeared[0].centre == pytest.approx([2.9, 1.2], abs=0.05)
+    assert appeared[0].length_m == pytest.approx(0.8, abs=0.1)
+    assert appeared[0].width_m == pytest.approx(0.4, abs=0.1)
     assert (appeared[0].old_submap, appeared[0].new_submap) == (0, 0)
     vanished = told(drawn(flat(), CABINET), flat()).vanished
-    assert vanished[0].thing.centre == pytest.approx(appeared[0].thing.centre)
+    assert vanished[0].centre == pytest.approx(appeared[0].centre)
 
 
 def test_a_moved_cabinet_is_both() -> None:
@@ -136,10 +136,10 @@ def test_places_of_the_new_map_are_told_in_the_frame_of_the_old_one() -> None:
     shifted = Regions(GridMap(new.grid.cells, CELL_M, (7.0, -2.0)), new.owner, new.outlines)
     old_from_new = BentMotion(Pose2(-7.0, 2.0, 0.0))
     found = differences(flat(), shifted, (TRACK, TRACK + (7.0, -2.0)), old_from_new)
-    assert found.appeared[0].thing.centre == pytest.approx([2.9, 1.2], abs=0.05)
-    assert found.appeared[0].thing.corners.mean(axis=0) == pytest.approx([2.9, 1.2], abs=0.05)
+    assert found.appeared[0].centre == pytest.approx([2.9, 1.2], abs=0.05)
+    assert found.appeared[0].corners.mean(axis=0) == pytest.approx([2.9, 1.2], abs=0.05)
 
 
 def test_a_map_without_a_track_judges_nothing() -> None:
     seen = Surveyed(flat().grid, np.zeros((0, 3)))
-    assert things_in(drawn(flat(), CABINET).grid, seen, RIGID) == []
+    assert obstacles_in(drawn(flat(), CABINET).grid, seen, RIGID) == []
