@@ -22,6 +22,7 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import counted
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.topology.navigation import crossing_of
 from specmap_cli.topology.topological_map import Door, Edge
 
 StopKind = Literal["anchor", "door", "bend"]
@@ -118,7 +119,9 @@ def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Itera
     path = np.array(edge.path, dtype=np.float64)
     marks: dict[float, int | None] = dict.fromkeys(map(float, range(1, len(path) - 1)))
     for door in edge.doors:
-        marks[_on_corner(path, _passage(path, doors[door]))] = door
+        crossing = crossing_of(path, doors[door])
+        where = _nearest(path, doors[door]) if crossing is None else sum(crossing)
+        marks[_on_corner(path, where)] = door
     for place, passed in sorted(marks.items()):
         if 0.0 < place < len(path) - 1:  # at an end stands an anchor
             x, y = _point(path, place).tolist()
@@ -126,34 +129,9 @@ def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Itera
             yield Stop(id=next(ids), kind=kind, x=x, y=y, door=passed)
 
 
-def _passage(path: FloatArray, door: Door) -> float:
-    """Where a path (N, 2) crosses the line of a door, else where it comes nearest to its middle.
-
-    In corners: 2.5 is half way from corner 2 to corner 3.
-    """
-    right, left = (np.array(side) for side in door.sides)
-    for number, (start, end) in enumerate(pairwise(path)):
-        share = _crossing(start, end, right, left)
-        if share is not None:
-            return number + share
-    return _nearest(path, np.array([door.x, door.y]))
-
-
-def _crossing(
-    start: FloatArray, end: FloatArray, right: FloatArray, left: FloatArray
-) -> float | None:
-    """The share of the way from `start` to `end` at which it crosses a line; None: it does not."""
-    way, line, gap = end - start, left - right, right - start
-    turn = way[0] * line[1] - way[1] * line[0]
-    if turn == 0.0:
-        return None
-    along = (gap[0] * line[1] - gap[1] * line[0]) / turn
-    across = (gap[0] * way[1] - gap[1] * way[0]) / turn
-    return float(along) if 0.0 <= along <= 1.0 and 0.0 <= across <= 1.0 else None
-
-
-def _nearest(path: FloatArray, place: FloatArray) -> float:
-    """Where a path comes nearest to a place, in corners."""
+def _nearest(path: FloatArray, door: Door) -> float:
+    """Where a path comes nearest to the middle of a door, in corners: 2.5 is half way from 2 to 3."""
+    place = np.array([door.x, door.y])
     starts, ways = path[:-1], np.diff(path, axis=0)
     squares = np.maximum((ways**2).sum(axis=1), np.finfo(float).tiny)
     shares = np.clip(((place - starts) * ways).sum(axis=1) / squares, 0.0, 1.0)

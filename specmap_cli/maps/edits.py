@@ -198,10 +198,10 @@ def said_in(edits: Edits) -> tuple[Said, ...]:
 
 def borders_in(edits: Edits) -> list[BorderEdit]:
     """The borders that are asked for, to the decimals that a map keeps."""
-    return [_wished(change) for change in edits.changes if not isinstance(change, ForbidEdit)]
+    return [_requested(change) for change in edits.changes if not isinstance(change, ForbidEdit)]
 
 
-def _wished(change: MergeEdit | SplitEdit) -> BorderEdit:
+def _requested(change: MergeEdit | SplitEdit) -> BorderEdit:
     if isinstance(change, MergeEdit):
         return Merge(change.merge)
     one, other = change.line

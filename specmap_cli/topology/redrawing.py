@@ -24,7 +24,7 @@ from specmap_cli.topology.topological_map import BorderEdit, Line, Merge, Split,
 class Redrawn:
     """Keyframes after all borders that could be made: `submaps` (n,) and the `borders` made.
 
-    `skipped` says, by place in the list that was wished, why the others could not.
+    `skipped` says, by place in the list that was requested, why the others could not.
     """
 
     submaps: IntArray
@@ -37,21 +37,21 @@ def redrawn(
     whole: GridMap,
     labels: Labels,
     borders: Sequence[BorderEdit],
-    wished: Sequence[BorderEdit],
+    requested: Sequence[BorderEdit],
     next_id: int,
 ) -> Redrawn:
-    """Make the borders that are `wished`, in order, instead of those that the labels have.
+    """Make the borders that are `requested`, in order, instead of those that the labels have.
 
     What has not changed keeps its keyframes. `next_id` and what follows it are ids that no submap
     ever had: splits without an id get one of these.
     """
-    if [bare(border) for border in borders] == list(wished):
+    if [bare(border) for border in borders] == list(requested):
         return Redrawn(labels.submaps, tuple(borders), next_id)
     before = undone(labels.submaps, labels.poses, borders)
-    taken = [border.new for border in wished if isinstance(border, Split)]
+    taken = [border.new for border in requested if isinstance(border, Split)]
     free = max([next_id, *(1 + new for new in taken if new is not None)])
     state = Redrawn(before, (), free)
-    for place, border in enumerate(wished):
+    for place, border in enumerate(requested):
         made = _made(whole, labels, state, border)
         if isinstance(made, str):
             state = replace(state, skipped={**state.skipped, place: made})

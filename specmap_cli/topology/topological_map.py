@@ -428,7 +428,7 @@ BorderEdit = Merge | Split
 
 
 def bare(border: BorderEdit) -> BorderEdit:
-    """A border as it was wished."""
+    """A border as it was requested."""
     if isinstance(border, Merge):
         return Merge(border.merge)
     return Split(submap=border.submap, line=border.line, new=border.new)

@@ -74,17 +74,6 @@ def test_there_and_back(stored: Path, result: MapResult) -> None:
     assert read.labels.poses == pytest.approx(result.labels.poses, abs=1e-6)
 
 
-def test_written_again_from_what_was_read(stored: Path, tmp_path: Path, result: MapResult) -> None:
-    """Nothing is lost but what rounding took before."""
-    read = read_map(stored)
-    again = tmp_path / "again"
-    again.mkdir()
-    write_map(again, dataclasses.replace(result, topology=read.topology, labels=read.labels))
-    before, after = (json.loads((d / "topology.json").read_text()) for d in (stored, again))
-    assert after["edges"] == before["edges"]
-    assert after["graph"] == before["graph"]
-
-
 def test_grids_are_read_when_asked_for(stored: Path) -> None:
     (stored / "submaps" / "001.png").unlink()
     read = read_map(stored)
@@ -104,13 +93,6 @@ def test_grids_are_a_mapping_of_the_submaps_there_are(stored: Path) -> None:
         assert grids.get(stranger) is None
     with pytest.raises(KeyError):
         read_map(stored).grid(99)
-
-
-def test_paths_may_be_text_and_are_resolved_when_read(
-    stored: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(stored.parent)
-    assert read_map("out").map_grid.cells.shape == read_map(stored).map_grid.cells.shape
 
 
 def test_ids_are_ascending_whatever_the_order_of_the_nodes(stored: Path) -> None:
@@ -253,21 +235,6 @@ class TestDamage:
         with pytest.raises(MapError, match=name):
             getattr(read_map(stored), field)
 
-    @pytest.mark.parametrize(
-        ("line", "complaint"),
-        [
-            ("1.0,2,3", "line 2"),
-            ("1.0,a,0,0,0", "line 2"),
-            ("x,0,0,0,0", "line 2"),
-            ("1.0,nan,0,0,0", "line 2"),
-            ("1.0,0,-9999999999999999999,0,0", "line 2"),
-        ],
-    )
-    def test_labels(self, stored: Path, line: str, complaint: str) -> None:
-        (stored / "labels.csv").write_text("stamp,x,y,theta,submap\n" + line + "\n")
-        with pytest.raises(MapError, match=complaint):
-            _ = read_map(stored).labels
-
     @pytest.mark.parametrize("name", ["topology.json", "classifiers.json", "labels.csv"])
     def test_a_pipe_and_an_endless_device_are_refused_at_once(
         self, stored: Path, name: str
@@ -289,11 +256,6 @@ class TestDamage:
         path.write_text(path.read_text().replace("resolution: 0.1", f"resolution: {resolution}"))
         with pytest.raises(MapError, match=r"000\.yaml: resolution is "):
             _ = read_map(stored).grid(0)
-
-    def test_configuration(self, stored: Path) -> None:
-        edit(stored / "run.json", config__grid__resolution_m=-1)
-        with pytest.raises(MapError, match=r"config: grid\.resolution_m"):
-            _ = read_map(stored).config
 
     def test_labels_of_another_map(self, stored: Path) -> None:
         path = stored / "labels.csv"

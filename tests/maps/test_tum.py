@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import quaternions_from_rpy, rpy_from_quaternions
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.text import stamp_ns
 from specmap_cli.evaluation.trajectories import read_tum
@@ -19,24 +18,6 @@ from specmap_cli.maps.text_files import planar_trajectory_text, read_trajectory,
 from tests.strategies import few
 
 FINITE = st.floats(-1e6, 1e6, allow_nan=False)
-
-
-@given(*(st.floats(-3.1, 3.1) for _ in range(3)))
-def test_quaternions_against_scipy(roll: float, pitch: float, yaw: float) -> None:
-    ours = quaternions_from_rpy(*(np.array([angle]) for angle in (roll, pitch, yaw)))[0]
-    theirs = Rotation.from_euler("ZYX", [yaw, pitch, roll])
-    assert ours[3] >= 0.0
-    assert (Rotation.from_quat(ours).inv() * theirs).magnitude() == pytest.approx(0.0, abs=1e-7)
-
-
-def test_tilt_of_a_3d_lidar_is_kept() -> None:
-    trajectory = Trajectory(
-        np.array([5, 6]), np.array([(1, 2, 0.5), (1, 2, 3.0)]), np.array([(0.3, 0.1, -0.2)] * 2)
-    )
-    rows = [[float(n) for n in line.split()] for line in trajectory_text(trajectory).splitlines()]
-    assert rows[0][3] == 0.3
-    turn = Rotation.from_quat(rows[1][4:])
-    assert turn.as_euler("ZYX") == pytest.approx([3.0, -0.2, 0.1])
 
 
 @few(30)
@@ -129,16 +110,6 @@ def test_what_is_no_trajectory(tmp_path: Path, content: bytes | None, complaint:
         file.write_bytes(content)
     with pytest.raises(MapError, match=rf"trajectory\.tum: {complaint}"):
         read_trajectory(file)
-
-
-@few(30)
-@given(*(st.floats(-3.1, 3.1) for _ in range(3)))
-def test_angles_of_quaternions(roll: float, pitch: float, yaw: float) -> None:
-    there = quaternions_from_rpy(*(np.array([angle]) for angle in (roll, pitch, yaw)))
-    back = rpy_from_quaternions(there)
-    again = quaternions_from_rpy(*back.T)
-    gap = Rotation.from_quat(there[0]).inv() * Rotation.from_quat(again[0])
-    assert gap.magnitude() == pytest.approx(0.0, abs=1e-6)
 
 
 def test_no_poses_are_an_empty_trajectory() -> None:
