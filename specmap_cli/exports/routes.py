@@ -130,7 +130,7 @@ def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Itera
 
 
 def _nearest(path: FloatArray, door: Door) -> float:
-    """Where a path comes nearest to the middle of a door, in corners: 2.5 is half way from 2 to 3."""
+    """Where a path comes nearest to the middle of a door, in corners; 2.5 lies between 2 and 3."""
     place = np.array([door.x, door.y])
     starts, ways = path[:-1], np.diff(path, axis=0)
     squares = np.maximum((ways**2).sum(axis=1), np.finfo(float).tiny)
