@@ -23,13 +23,13 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import counted, seconds, to_json
 from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports.flat_formats import Fields, collection, feature, known
-from specmap_cli.exports.routes import Leg, Routes, Stop, check_routes, routes, without_bends
+from specmap_cli.exports.routes import Leg, Routes, Waypoint, check_routes, routes, without_bends
 from specmap_cli.maps.schema import NodeRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
 
 
 class Nav2:
-    """A point for each stop, two lines for each leg: there and back."""
+    """A point for each waypoint, two lines for each leg: there and back."""
 
     description = "GeoJSON for Nav2's route server: nodes at anchors, doors and bends"
 
@@ -45,15 +45,15 @@ class Nav2:
 def _points(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
     submaps = {node.id: node for node in record.nodes}
     doors = {door.id: door for door in record.graph.doors}
-    for stop in found.stops:
-        metadata: Fields = {"class": stop.kind}
-        if stop.submap is not None:
-            metadata = _metadata(submaps[stop.submap])
-        elif stop.door is not None:
-            door = doors[stop.door]
+    for waypoint in found.waypoints:
+        metadata: Fields = {"class": waypoint.kind}
+        if waypoint.submap is not None:
+            metadata = _metadata(submaps[waypoint.submap])
+        elif waypoint.door is not None:
+            door = doors[waypoint.door]
             metadata |= {"door": door.id, "width_m": door.width_m, "driven": door.driven}
-        properties = {"id": stop.id, "frame": record.graph.frame, "metadata": metadata}
-        yield feature("Point", [stop.x, stop.y], properties)
+        properties = {"id": waypoint.id, "frame": record.graph.frame, "metadata": metadata}
+        yield feature("Point", [waypoint.x, waypoint.y], properties)
 
 
 def _metadata(node: NodeRecord) -> Fields:
@@ -75,15 +75,15 @@ def _metadata(node: NodeRecord) -> Fields:
 
 def _lines(found: Routes) -> Iterator[Fields]:
     """Two edges a leg; their ids begin beyond those of the nodes, as ids of both must differ."""
-    stops = {stop.id: stop for stop in found.stops}
-    ids = count(max(stops) + 1)
+    waypoints = {waypoint.id: waypoint for waypoint in found.waypoints}
+    ids = count(max(waypoints) + 1)
     for leg in found.legs:
-        start, end = stops[leg.start], stops[leg.end]
+        start, end = waypoints[leg.start], waypoints[leg.end]
         yield _line(next(ids), start, end, leg)
         yield _line(next(ids), end, start, leg)
 
 
-def _line(id_: int, start: Stop, end: Stop, leg: Leg) -> Fields:
+def _line(id_: int, start: Waypoint, end: Waypoint, leg: Leg) -> Fields:
     """A directed edge; the server's own scorers may replace its cost, which is its length."""
     link = leg.link
     metadata = known(
@@ -149,33 +149,36 @@ def _updated(record: TopologyRecord) -> str:
 
 
 def _nodes(found: Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:
-    names = {stop.id: _name(stop) for stop in found.stops}
+    names = {waypoint.id: _name(waypoint) for waypoint in found.waypoints}
     submaps = {node.id: node for node in record.nodes}
     widths = {door.id: door.width_m for door in record.graph.doors}
-    edges: dict[int, list[Fields]] = {stop.id: [] for stop in found.stops}
+    edges: dict[int, list[Fields]] = {waypoint.id: [] for waypoint in found.waypoints}
     for leg in found.legs:
         edges[leg.start].append(_edge(names[leg.start], names[leg.end], leg))
         edges[leg.end].append(_edge(names[leg.end], names[leg.start], leg))
-    for stop in found.stops:
-        submap = None if stop.submap is None else submaps[stop.submap]
-        width = 0.0 if stop.door is None else widths[stop.door]
-        node = _node(stop, submap, width, record.graph.frame)
+    for waypoint in found.waypoints:
+        submap = None if waypoint.submap is None else submaps[waypoint.submap]
+        width = 0.0 if waypoint.door is None else widths[waypoint.door]
+        node = _node(waypoint, submap, width, record.graph.frame)
         yield {
-            "meta": {"map": name, "node": names[stop.id], "pointset": name},
-            "node": {**node, "name": names[stop.id], "edges": edges[stop.id]},
+            "meta": {"map": name, "node": names[waypoint.id], "pointset": name},
+            "node": {**node, "name": names[waypoint.id], "edges": edges[waypoint.id]},
         }
 
 
-def _name(stop: Stop) -> str:
+def _name(waypoint: Waypoint) -> str:
     """Names are ids, so that they stay different; what people call a submap is a property."""
-    return f"Submap{stop.submap}" if stop.submap is not None else f"Door{stop.door}"
+    return f"Submap{waypoint.submap}" if waypoint.submap is not None else f"Door{waypoint.door}"
 
 
-def _node(stop: Stop, submap: NodeRecord | None, width_m: float, frame: str) -> Fields:
+def _node(waypoint: Waypoint, submap: NodeRecord | None, width_m: float, frame: str) -> Fields:
     return {
         "localise_by_topic": "",
         "parent_frame": frame,
-        "pose": {"position": {"x": stop.x, "y": stop.y, "z": 0.0}, "orientation": _IDENTITY},
+        "pose": {
+            "position": {"x": waypoint.x, "y": waypoint.y, "z": 0.0},
+            "orientation": _IDENTITY,
+        },
         "properties": {
             "xy_goal_tolerance": _XY_TOLERANCE_M,
             "yaw_goal_tolerance": _YAW_TOLERANCE_RAD,
@@ -183,7 +186,7 @@ def _node(stop: Stop, submap: NodeRecord | None, width_m: float, frame: str) -> 
         },
         "restrictions_planning": "True",
         "restrictions_runtime": "True",
-        "verts": _circle(width_m / 2.0) if submap is None else _around(stop, submap),
+        "verts": _circle(width_m / 2.0) if submap is None else _around(waypoint, submap),
     }
 
 
@@ -191,9 +194,9 @@ def _of_submap(node: NodeRecord) -> Mapping[str, Any]:
     return known({"label": node.name, "kind": node.kind, "area_m2": node.area_m2})
 
 
-def _around(stop: Stop, node: NodeRecord) -> list[Fields]:
+def _around(waypoint: Waypoint, node: NodeRecord) -> list[Fields]:
     """The outline of a submap, seen from its node; a small circle where there is none."""
-    outline = [{"x": x - stop.x, "y": y - stop.y} for x, y in node.polygon]
+    outline = [{"x": x - waypoint.x, "y": y - waypoint.y} for x, y in node.polygon]
     return outline or _circle(_XY_TOLERANCE_M)
 
 

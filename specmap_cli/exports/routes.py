@@ -1,9 +1,9 @@
-"""The graph that a robot drives: stops joined by straight legs, which run along the ways of a map.
+"""The graph that a robot drives: waypoints joined by straight legs along the ways of a map.
 
-Stops stand at the anchors of submaps, where ways go through doors, and where they bend: so each
+Waypoints stand at the anchors of submaps, where ways go through doors, and where they bend: so each
 leg is a straight line through free cells, and the legs of a way are as long as the way. Links
-without a way and forbidden ones have no legs. A stop belongs to one way, an anchor to all of its
-submap.
+without a way and forbidden ones have no legs. A waypoint belongs to one way, an anchor to all of
+its submap. What would mislead a robot that follows the graph is told before it is written.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from specmap_cli.maps.store import StoredMap
 from specmap_cli.topology.navigation import crossing_of
 from specmap_cli.topology.topological_map import Door, Edge
 
-StopKind = Literal["anchor", "door", "bend"]
+WaypointKind = Literal["anchor", "door", "bend"]
 
 _SAME_M = 1e-3  # a corner of a way this near to a door's line lies on it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stop:
+class Waypoint:
     """A place on the ways: the anchor of `submap`, the passage of `door`, or a bend, of neither."""
 
     id: int
-    kind: StopKind
+    kind: WaypointKind
     x: float
     y: float
     submap: int | None = None
@@ -44,7 +44,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leg:
-    """A straight line from one stop to another, by their ids, along the way of a link."""
+    """A straight line from one waypoint to another, by their ids, along the way of a link."""
 
     start: int
     end: int
@@ -54,9 +54,9 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Routes:
-    """All stops, in the order of their ids, and the legs, each once: all are driven both ways."""
+    """All waypoints by id, and the legs, each once: all are driven both ways."""
 
-    stops: tuple[Stop, ...]
+    waypoints: tuple[Waypoint, ...]
     legs: tuple[Leg, ...]
 
 
@@ -75,47 +75,49 @@ def parts(record: TopologyRecord) -> list[list[int]]:
 
 
 def routes(record: TopologyRecord) -> Routes:
-    """The stops and the legs of a map.
+    """The waypoints and the legs of a map.
 
-    An anchor's stop has the id of its submap, which stays when the map is updated; other ids are
-    given afresh, beyond all ids of submaps.
+    An anchor's waypoint has the id of its submap, which stays when the map is updated; other ids
+    are given afresh, beyond all ids of submaps.
     """
     anchors = {
-        node.id: Stop(id=node.id, kind="anchor", x=x, y=y, submap=node.id)
+        node.id: Waypoint(id=node.id, kind="anchor", x=x, y=y, submap=node.id)
         for node in record.nodes
         for x, y in ([node.anchor] if node.anchor is not None else [])
     }
     doors = {door.id: door for door in record.graph.doors}
-    stops, legs, ids = list(anchors.values()), list[Leg](), count(record.graph.next_id)
+    waypoints, legs, ids = list(anchors.values()), list[Leg](), count(record.graph.next_id)
     for edge in record.edges:
         if not is_way(edge) or not {edge.source, edge.target} <= anchors.keys():
             continue
         between = list(_between(edge, doors, ids))
         chain = [anchors[edge.source], *between, anchors[edge.target]]
-        stops += between
+        waypoints += between
         legs += [_leg(start, end, edge) for start, end in pairwise(chain)]
-    return Routes(tuple(stops), tuple(legs))
+    return Routes(tuple(waypoints), tuple(legs))
 
 
 def without_bends(found: Routes) -> Routes:
     """The same for who plans around corners: legs from anchors to doors, as long as their ways."""
-    bends = {stop.id for stop in found.stops if stop.kind == "bend"}
+    bends = {waypoint.id for waypoint in found.waypoints if waypoint.kind == "bend"}
     legs: list[Leg] = []
     for leg in found.legs:
         if leg.start in bends:  # goes on where the leg before ended
             before = legs.pop()
             leg = replace(before, end=leg.end, length_m=before.length_m + leg.length_m)
         legs.append(leg)
-    return Routes(tuple(stop for stop in found.stops if stop.id not in bends), tuple(legs))
+    return Routes(
+        tuple(waypoint for waypoint in found.waypoints if waypoint.id not in bends), tuple(legs)
+    )
 
 
-def _leg(start: Stop, end: Stop, edge: Edge) -> Leg:
+def _leg(start: Waypoint, end: Waypoint, edge: Edge) -> Leg:
     length = float(np.hypot(end.x - start.x, end.y - start.y))
     return Leg(start=start.id, end=end.id, length_m=length, link=edge)
 
 
-def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Iterator[Stop]:
-    """The stops of a way between its two anchors, in their order."""
+def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Iterator[Waypoint]:
+    """The waypoints of a way between its two anchors, in their order."""
     path = np.array(edge.path, dtype=np.float64)
     marks: dict[float, int | None] = dict.fromkeys(map(float, range(1, len(path) - 1)))
     for door in edge.doors:
@@ -125,8 +127,8 @@ def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Itera
     for place, passed in sorted(marks.items()):
         if 0.0 < place < len(path) - 1:  # at an end stands an anchor
             x, y = _point(path, place).tolist()
-            kind: StopKind = "bend" if passed is None else "door"
-            yield Stop(id=next(ids), kind=kind, x=x, y=y, door=passed)
+            kind: WaypointKind = "bend" if passed is None else "door"
+            yield Waypoint(id=next(ids), kind=kind, x=x, y=y, door=passed)
 
 
 def _nearest(path: FloatArray, door: Door) -> float:

@@ -151,7 +151,7 @@ _ROUNDING_M = 1e-6  # of a whole number of cells
 # It must stand so deep in free space of the other map: its edge is where beams ended by chance.
 _DEPTH_M, _DEPTH_CELLS = 0.12, 2.0
 NEAR_M = 5.0  # farther off, half a degree and a slanting wall are more than that
-_BESIDE_CELLS = 1.5  # what hangs together with it belongs to it when it is off by more than this
+_ADJOINING_CELLS = 1.5  # what hangs together with it belongs to it when it is off by more than this
 _LEAST_M, _LEAST_CELLS = 0.15, 5  # a hand's breadth and its noise; single cells flicker
 _GAP_M = 0.2  # between pieces of one obstacle: its faces are seen, and some of these from aside
 
@@ -171,21 +171,21 @@ class Surveyed:
         return np.asarray(np.isfinite(away))
 
 
-def obstacles_in(grid: GridMap, seen: Surveyed, other_from_grid: BentMotion) -> list[Obstacle]:
+def obstacles_in(grid: GridMap, survey: Surveyed, other_from_grid: BentMotion) -> list[Obstacle]:
     """What stands in a map where another one saw free space, the largest first."""
-    cells, other = np.argwhere(grid.occupied), seen.grid
+    cells, other = np.argwhere(grid.occupied), survey.grid
     apart_m, depth_m = other.obstacle_distance(), other.clearance()
     places = other_from_grid.apply(grid.centres_of(cells))
     placed = other.cells_of(places)
     inside = other.inside(placed)
-    inside[inside] = seen.saw_well(places[inside])
+    inside[inside] = survey.saw_well(places[inside])
     cells, (rows, columns) = cells[inside], placed[inside].T
     free = other.cells[rows, columns] == FREE
     apart = apart_m[rows, columns]
     sure = free & (apart > max(_APART_M, _APART_CELLS * other.resolution) + _ROUNDING_M)
     sure &= depth_m[rows, columns] > max(_DEPTH_M, _DEPTH_CELLS * other.resolution)
-    beside = free & (apart > _BESIDE_CELLS * other.resolution)
-    found = [_obstacle(grid, part) for part in _parts(grid, cells, sure, beside)]
+    adjoining = free & (apart > _ADJOINING_CELLS * other.resolution)
+    found = [_obstacle(grid, part) for part in _parts(grid, cells, sure, adjoining)]
     large = [
         obstacle
         for obstacle in found
@@ -195,15 +195,15 @@ def obstacles_in(grid: GridMap, seen: Surveyed, other_from_grid: BentMotion) -> 
 
 
 def _parts(
-    grid: GridMap, cells: NDArray[np.intp], sure: BoolArray, beside: BoolArray
+    grid: GridMap, cells: NDArray[np.intp], sure: BoolArray, adjoining: BoolArray
 ) -> list[NDArray[np.intp]]:
     """The cells (N, 2) of each obstacle: those that are sure and what hangs together with them."""
     picture = np.zeros(grid.cells.shape, dtype=np.uint8)
-    picture[tuple(cells[sure | beside].T)] = 1
+    picture[tuple(cells[sure | adjoining].T)] = 1
     reach = max(1, round(0.5 * _GAP_M / grid.resolution))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     count, labels = cv2.connectedComponents(cv2.dilate(picture, kernel), connectivity=8)
-    some = cells[sure | beside]
+    some = cells[sure | adjoining]
     of_cell = labels[tuple(some.T)]
     known = np.bincount(labels[tuple(cells[sure].T)], minlength=count)
     return [some[of_cell == k] for k in range(1, count) if known[k] >= _LEAST_CELLS]
@@ -246,18 +246,18 @@ _SEEN = 0.5  # share of a side that the other map must have seen
 _Cells = NDArray[np.intp]
 
 
-def blocked_ways(regions: Regions, seen: Surveyed, other_from_map: BentMotion) -> list[Crossing]:
+def blocked_ways(regions: Regions, survey: Surveyed, other_from_map: BentMotion) -> list[Crossing]:
     """The ways of a divided map that are blocked in another map, which saw one side at the least.
 
     What hides the other side must stand all across: behind a closed door nothing is seen.
 
     In order of the pairs of submaps, then of the places.
     """
-    other = seen.grid, seen.grid.obstacle_distance()
+    other = survey.grid, survey.grid.obstacle_distance()
     return [
         way
         for way, border in _ways(regions)
-        if seen.saw_well(other_from_map.apply(way.place[None]))[0]
+        if survey.saw_well(other_from_map.apply(way.place[None]))[0]
         and _is_blocked(regions, way, border, other, other_from_map)
     ]
 

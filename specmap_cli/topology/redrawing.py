@@ -16,7 +16,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.grids.gridmap import BoolArray, GridMap
-from specmap_cli.topology.regions import NOBODY, Regions, beside, divide, drawn, flood
+from specmap_cli.topology.regions import NOBODY, Regions, along_and_across, divide, drawn, flood
 from specmap_cli.topology.topological_map import BorderEdit, Line, Merge, Split, bare, fences_of
 
 
@@ -178,7 +178,7 @@ def is_right_of(fence: Line, mine: BoolArray, grid: GridMap, places: FloatArray)
     that is out of reach is on its side of the straight line.
     """
     barrier = drawn([fence], grid)
-    along, across, length = beside(grid.centres_of(np.argwhere(mine)), fence)
+    along, across, length = along_and_across(grid.centres_of(np.argwhere(mine)), fence)
     near = (np.abs(across) <= _BESIDE * grid.resolution) & (along >= 0.0) & (along <= length)
     markers = np.zeros(mine.shape, dtype=np.int32)
     markers[mine] = np.where(near, np.where(across < 0.0, _RIGHT, _LEFT), 0)
@@ -186,7 +186,7 @@ def is_right_of(fence: Line, mine: BoolArray, grid: GridMap, places: FloatArray)
     sides = flood(mine, markers, barrier)
     sides[~mine | (sides < _LEFT)] = NOBODY
     found = Regions(grid, sides, {}).owners(places)
-    along, across, _ = beside(places[:, :2], fence)
+    along, across, _ = along_and_across(places[:, :2], fence)
     close = (np.abs(across) <= _BESIDE * grid.resolution) & (along >= 0.0) & (along <= length)
     return np.where(close | (found == NOBODY), across < 0.0, found == _RIGHT)
 
