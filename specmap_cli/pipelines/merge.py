@@ -39,7 +39,7 @@ from specmap_cli.pipelines.overlaps import (
     parts_of,
     steps_of,
 )
-from specmap_cli.pipelines.reports import OF_THE_MAP, MergeReport, run_record
+from specmap_cli.pipelines.reports import OF_THE_MAP, MergeReport, RunRecord
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.training_data import TrainingData
@@ -87,7 +87,7 @@ def merge_maps(
         tell(session, finished)
         paths = [stored.path.resolve() for stored in ordered]
         run = write_finished(
-            session, partial, finished, lambda: run_record(session, finished, paths)
+            session, partial, finished, lambda: RunRecord.of(session, finished, paths).document()
         )
     names = _names(ordered)
     return MergeReport(

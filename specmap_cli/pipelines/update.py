@@ -43,7 +43,7 @@ from specmap_cli.pipelines.learning import Prior, comparable, lessons_left, less
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
 from specmap_cli.pipelines.overlaps import known_map, known_map_of
-from specmap_cli.pipelines.reports import BuildReport, UpdateReport, run_record
+from specmap_cli.pipelines.reports import BuildReport, RunRecord, UpdateRecord, UpdateReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, align
@@ -119,10 +119,10 @@ def update_map(
             session,
             partial,
             finished,
-            lambda: {
-                **run_record(session, finished, log.given, stream.selection),
-                "updates": [*_earlier(stored), _told(stored.path, alignment, fewer)],
-            },
+            lambda: replace(
+                RunRecord.of(session, finished, log.given, stream.selection),
+                updates=(*_earlier(stored), _told(stored.path, alignment, fewer)),
+            ).document(),
         )
     before, visits = np.split(finished.labels.submaps, [fewer.old])
     ids = set(before.tolist())
@@ -182,10 +182,10 @@ def build_like(
             session,
             partial,
             finished,
-            lambda: {
-                **run_record(session, finished, log.given, stream.selection),
-                "like": stored.path.resolve().name,
-            },
+            lambda: replace(
+                RunRecord.of(session, finished, log.given, stream.selection),
+                like=stored.path.resolve().name,
+            ).document(),
         )
     return BuildReport(out=target, run=run, quality=finished.quality, unapplied=finished.unapplied)
 
@@ -299,13 +299,13 @@ def _earlier(stored: StoredMap) -> list[Any]:
     return updates if isinstance(updates, list) else []
 
 
-def _told(path: Path, alignment: Alignment, fewer: Thinned) -> dict[str, Any]:
+def _told(path: Path, alignment: Alignment, fewer: Thinned) -> UpdateRecord:
     """What run.json keeps of an update."""
     motion = alignment.old_from_new
-    return {
-        "map": path.resolve().name,
-        "old_from_new": None if motion is None else np.round(motion, 6).tolist(),
-        "reason": alignment.reason,
-        "keyframes_dropped": fewer.dropped,
-        "keyframes_kept_for_walls": fewer.kept_for_walls,
-    }
+    return UpdateRecord(
+        map=path.resolve().name,
+        old_from_new=None if motion is None else tuple(np.round(motion, 6).tolist()),
+        reason=alignment.reason,
+        keyframes_dropped=fewer.dropped,
+        keyframes_kept_for_walls=fewer.kept_for_walls,
+    )
