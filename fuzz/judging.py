@@ -19,7 +19,7 @@ from specmap_cli.core.errors import SpecmapError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.exports.table import export_map, exporters
 from specmap_cli.logs import open_log
-from specmap_cli.logs.readers.typestore import SCAN_TYPES
+from specmap_cli.logs.readers.encoding import SCAN_TYPES
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.map_in_making import laid_out_of_stored

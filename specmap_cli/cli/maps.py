@@ -142,7 +142,7 @@ def check(
     specmap check map --rules rules.toml --junit check.xml
     specmap check tonight --against golden --markdown summary.md
     """
-    from specmap_cli.checking.reports import FORMATS
+    from specmap_cli.checking.record import FORMATS
     from specmap_cli.checking.rules import read_rules
     from specmap_cli.core.files import write_together
     from specmap_cli.maps.store import read_map

@@ -16,7 +16,6 @@ from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.text import encodable, to_json
-from specmap_cli.history.page import render_history
 from specmap_cli.history.record import (
     SCHEMA_VERSION,
     BuildingRecord,
@@ -27,7 +26,7 @@ from specmap_cli.history.record import (
     MapRecord,
     RoomRecord,
 )
-from specmap_cli.history.tables import TABLES, lines_of
+from specmap_cli.history.views import TABLES, lines_of, render_history
 from specmap_cli.history.visits import day_of, days_of, totals, zone_of
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ThingRecord

@@ -47,12 +47,12 @@ class SelectionRecord(Value):
         """What was selected in a log."""
         mounting = Pose2.from_matrix(selection.base_from_laser)
         return cls(
-            scan_topic=selection.scan_topic,
-            scan_type=selection.scan_type,
+            scan_topic=selection.topic.name,
+            scan_type=selection.topic.type,
             odometry=selection.odometry,
             odom_topics=tuple(selection.odom_topics),
             base_frame=selection.base_frame,
-            laser_frame=selection.laser_frame,
+            laser_frame=selection.sensor.frame,
             base_from_laser=tuple(round(value, 6) for value in mounting),
             height_band_m=selection.band_m,
         )

@@ -12,7 +12,7 @@ import numpy as np
 from specmap_cli.core.records import PosedScan, Trajectory
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.core.text import counted
-from specmap_cli.logs.repeats import Repeats
+from specmap_cli.logs.planar import Repeats
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.pipelines.session import Stopwatch
 from specmap_cli.registration.frontend import FrontEnd

@@ -40,7 +40,7 @@ def test_every_submap_is_told_and_likened_to_others(found: Evidence, flat_map: S
         shares = [one.share for one in learned.alike]
         assert shares == sorted(shares, reverse=True)
         assert sum(shares) == pytest.approx(1.0, abs=0.05)
-        assert sum(look.share for look in learned.looks) <= 1.0 + 1e-9
+        assert sum(one.share for one in learned.features) <= 1.0 + 1e-9
 
 
 def test_the_tests_are_those_of_the_build(
@@ -61,7 +61,7 @@ def test_a_map_without_scans_says_so(flat_map: StoredMap, tmp_path: Path) -> Non
     found = evidence_of(read_map(own), Silent())
     assert found.tests == ()
     assert found.fit is None
-    assert found.learned[0].looks
+    assert found.learned[0].features
     assert found.learned[0].scans == 0
     (note,) = found.notes
     assert "keeps no scans" in note

@@ -1,12 +1,22 @@
-"""Figures as a person reads them, and what the features of a scan are called."""
+"""HTML pages that need no other file: templates filled, and figures as a person reads them."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
+from importlib import resources
+from typing import Any
 
-from specmap_cli.core.text import legible, seconds
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
+from specmap_cli import __version__
+from specmap_cli.core.text import encodable, legible
+from specmap_cli.core.text import seconds as stamp_seconds
+
+PACKAGE = "specmap_cli.report"
 _EPOCH_S = 1e8  # stamps below this count from the start of a robot or of a simulation
 _MINUTE, _HOUR = 60, 3600
 
@@ -41,6 +51,52 @@ _FAMILIES = (
 )
 
 
+def html_page(
+    package: str,
+    template: str,
+    context: Mapping[str, Any],
+    styles: Iterable[str],
+    scripts: Iterable[str] = (),
+    filters: Mapping[str, Callable[..., Any]] | None = None,
+) -> str:
+    """The text of a page of `package`; whatever it shows is escaped.
+
+    Templates, styles and scripts are looked for in the folders of `package`, then in those of the
+    report. The page runs no other script than these: it has their hash. Templates may use the
+    filters of this module, and more `filters`.
+    """
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader(name, "templates") for name in (package, PACKAGE)]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.policies["json.dumps_kwargs"] = {"sort_keys": True, "separators": (",", ":")}
+    usual = (clock, lasting, moment, stamp, percent, figure, feature_words)
+    environment.filters.update({each.__name__: each for each in usual}, **(filters or {}))
+    script = _joined(package, "scripts", scripts)
+    digest = hashlib.sha256(script.encode("utf-8")).digest()
+    parts = {
+        "script": script,
+        "script_hash": f"sha256-{base64.b64encode(digest).decode('ascii')}",
+        "style": _joined(package, "styles", styles),
+        "version": __version__,
+    }
+    return encodable(environment.get_template(template).render({**context, **parts}))
+
+
+def _joined(package: str, folder: str, names: Iterable[str]) -> str:
+    """Files of a folder, one after the other."""
+    return "\n".join(_found(package, folder, name) for name in names)
+
+
+def _found(package: str, folder: str, name: str) -> str:
+    own = resources.files(package) / folder / name
+    home = own if own.is_file() else resources.files(PACKAGE) / folder / name
+    return home.read_text(encoding="utf-8")
+
+
 def feature_words(feature: str) -> str:
     """What a feature is about; empty for one of another package."""
     return next((words for start, words in _FAMILIES if feature.startswith(start)), "")
@@ -73,7 +129,7 @@ def moment(stamp_s: float | None) -> str:
 
 def stamp(stamp_ns: int) -> str:
     """A stamp in nanoseconds as `moment` says it."""
-    return moment(seconds(stamp_ns))
+    return moment(stamp_seconds(stamp_ns))
 
 
 def percent(share: float | None) -> str:
