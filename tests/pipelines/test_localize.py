@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from specmap_cli import localize_log
-from specmap_cli.core.errors import LogError, MapError, UsageError
+from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.settings import Config, LogConfig
@@ -141,11 +141,6 @@ def test_poses_without_walls_are_refused(own_log: Path, flat_map: StoredMap) -> 
     config = settings_for(flat_map, {"localization": {"fit_submaps": 0}})
     with pytest.raises(UsageError, match=r"localization\.fit_submaps: 0 .*--metric"):
         localize_log(own_log, flat_map, config, metric=True)
-
-
-def test_a_log_without_a_usable_scan_is_refused(flat_map: StoredMap, tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="no such file"):
-        localize_log(tmp_path / "gone.mcap", flat_map)
 
 
 def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: StoredMap) -> None:

@@ -56,15 +56,43 @@ class StubbornError(Exception):
         super().__init__(f"{first} and {second}")
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="needs Linux")
-@pytest.mark.parametrize(("said", "ahead_of_us"), [("1", False), ("2", True), ("", True)])
-def test_one_process_is_enough_where_others_need_the_processors(
-    monkeypatch: pytest.MonkeyPatch, said: str, ahead_of_us: bool
+@pytest.mark.parametrize(
+    ("processors", "said", "platform", "ahead_of_us"),
+    [
+        ({0, 1}, "", "linux", True),
+        ({0, 1}, "2", "linux", True),
+        ({0, 1}, "1", "linux", False),  # others need the second one
+        ({0}, "", "linux", False),
+        ({0, 1}, "", "darwin", False),
+    ],
+)
+def test_work_is_done_ahead_where_it_can_be(
+    monkeypatch: pytest.MonkeyPatch,
+    processors: set[int],
+    said: str,
+    platform: str,
+    ahead_of_us: bool,
 ) -> None:
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: processors, raising=False)
+    monkeypatch.setattr(sys, "platform", platform)
     monkeypatch.setenv("SPECMAP_PROCESSES", said)
     with ahead(lambda: pids(3)) as work:
         assert (set(work) != {os.getpid()}) == ahead_of_us
+        assert work.result == 3
+
+
+@pytest.mark.usefixtures("two_processors")
+def test_another_thread_works_in_one_process() -> None:
+    makers: list[int] = []
+
+    def work() -> None:
+        with ahead(lambda: pids(1)) as items:
+            makers.extend(items)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert makers == [os.getpid()]
 
 
 @pytest.mark.usefixtures("two_processors")
@@ -230,38 +258,10 @@ def test_small_items_travel_together_and_large_ones_alone() -> None:
     assert large in {5, 6}
 
 
-@pytest.mark.usefixtures("two_processors")
-def test_another_thread_works_in_one_process() -> None:
-    makers: list[int] = []
-
-    def work() -> None:
-        with ahead(lambda: pids(1)) as items:
-            makers.extend(items)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert makers == [os.getpid()]
-
-
-@pytest.mark.usefixtures("two_processors")
-def test_other_systems_work_in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "platform", "darwin")
-    with ahead(lambda: pids(2)) as items:
-        assert set(items) == {os.getpid()}
-        assert items.result == 2
-
-
 def test_the_module_needs_nothing_that_other_systems_lack() -> None:
     code = "import sys; sys.modules['fcntl'] = None; import specmap_cli.pipelines.worker; print(1)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert found.stdout == "1\n", found.stderr
-
-
-def test_a_single_processor_works_in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_processors", lambda: 1)
-    with ahead(lambda: pids(2)) as items:
-        assert set(items) == {os.getpid()}
 
 
 def test_a_killed_parent_leaves_no_child() -> None:
