@@ -94,7 +94,7 @@ def join(
     return with_edits_of(joint, plain, old_from_new)
 
 
-def beside(old: GridMap, new: GridMap) -> Pose2:
+def place_apart(old: GridMap, new: GridMap) -> Pose2:
     """A place for a map that fits nowhere: to the right of the old map, with a gap between them."""
     (left, low), (x, y) = old.origin, new.origin
     right = left + old.cells.shape[1] * old.resolution

@@ -167,14 +167,14 @@ class LaidOut:
 class FinishedMap:
     """A map ready to be written.
 
-    `lessons` are what the classifiers learned from; `unapplied` tells what a person decided and
-    does not apply.
+    `training_data` is what the classifiers learned from; `unapplied` tells what a person decided
+    and does not apply.
     """
 
     laid: LaidOut
     topology: TopologicalMap
     classifiers: ClassifierSet
-    lessons: TrainingData
+    training_data: TrainingData
     quality: Quality
     unapplied: tuple[str, ...] = ()
 

@@ -31,18 +31,23 @@ from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.build import survey
 from specmap_cli.pipelines.finishing import finish, tell, write_finished
 from specmap_cli.pipelines.joining import (
-    beside,
     closures_between,
     heritage_of,
     inherit,
     join,
     moved_finding,
+    place_apart,
 )
 from specmap_cli.pipelines.laying_out import divides_whole, with_grid
-from specmap_cli.pipelines.learning import Prior, comparable, lessons_left, lessons_of_stored
+from specmap_cli.pipelines.learning import (
+    Prior,
+    comparable,
+    training_data_of_stored,
+    valid_training_data,
+)
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
-from specmap_cli.pipelines.overlaps import known_map, known_map_of
+from specmap_cli.pipelines.overlaps import laid_out_to_align, stored_to_align
 from specmap_cli.pipelines.reports import BuildReport, RunRecord, UpdateRecord, UpdateReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.thinning import Thinned, thinned
@@ -87,14 +92,14 @@ def update_map(
         stored.keyframes() as store,
     ):
         session = Session(config, store, progress)
-        known, old = known_map(stored), laid_out_of_stored(stored)
-        lessons = lessons_of_stored(stored, config)
+        known, old = stored_to_align(stored), laid_out_of_stored(stored)
+        kept = training_data_of_stored(stored, config)
         stream = SweepStream(log, config.log)
         with KeyframeStore() as own:
             alone = replace(session, store=own)
             new, prior = survey(alone, stream)
-            known_new = known_map_of(alone, new)
-            _refuse_known(old, new, store, own)
+            known_new = laid_out_to_align(alone, new)
+            _refuse_repeated(old, new, store, own)
             store.extend(own)
         alignment = _aligned(session, known, known_new)
         if alignment.old_from_new is None and not allow_apart:
@@ -107,10 +112,10 @@ def update_map(
         laid = replace(fewer.laid, counts=_added(stored.counts, new.counts))
         features = prior.features.among(store, fewer.old)
         left = fewer.left[: fewer.old]
-        lessons = lessons_left(lessons, stored.labels, laid.labels, left, config.grid.resolution_m)
+        kept = valid_training_data(kept, stored.labels, laid.labels, left, config.grid.resolution_m)
         prior = Prior(
-            features.knowing(lessons.raw.keyframes, lessons.raw.features),
-            lessons,
+            features.knowing(kept.raw.keyframes, kept.raw.features),
+            kept,
             comparable(known.classifiers, stored, config),
         )
         finished = finish(session, laid, prior)
@@ -165,10 +170,10 @@ def build_like(
         KeyframeStore() as store,
     ):
         session = Session(config, store, progress)
-        known, old = known_map(stored), laid_out_of_stored(stored)
+        known, old = stored_to_align(stored), laid_out_of_stored(stored)
         stream = SweepStream(log, config.log)
         new, prior = survey(session, stream)
-        alignment = _aligned(session, known, known_map_of(session, new))
+        alignment = _aligned(session, known, laid_out_to_align(session, new))
         if alignment.old_from_new is None:
             raise NoResultError(
                 f"{log.name}: fits nowhere in {stored.path}: {alignment.reason}: build it without "
@@ -213,7 +218,7 @@ def _joined(
     """
     session.progress.start("layout", None)
     with session.stage("layout"):
-        where = alignment.old_from_new or beside(old.whole, new.whole)
+        where = alignment.old_from_new or place_apart(old.whole, new.whole)
         found = closures_between(old, new, alignment.joints)
         joint = join(session, old, new, where, found)
     if len(old) in joint.layout.loose and not allow_apart:
@@ -268,7 +273,7 @@ def _alike(old: LaidOut, new: LaidOut, old_from_new: Pose2, config: Config) -> L
     )
 
 
-def _refuse_known(old: LaidOut, new: LaidOut, store: KeyframeStore, own: KeyframeStore) -> None:
+def _refuse_repeated(old: LaidOut, new: LaidOut, store: KeyframeStore, own: KeyframeStore) -> None:
     """Refuse a recording that the map was made of: its walls would count twice."""
     (log,) = new.logs
     scan = own.scan(0)

@@ -400,7 +400,7 @@ def test_a_merged_map_has_the_edits_of_both(
     (link,) = (edge for edge in second.record.edges if edge.target == max(second.ids))
     wish = {"forbid": [link.source, link.target], "at": [link.x, link.y]}
     names = {link.source: "Annex", link.target: "Annex 2"}
-    edit(second, names=names, changes=(wish,), out=tmp_path / "second")
+    edit(second, wish, names=names, out=tmp_path / "second")
     merge_maps([edited.out, tmp_path / "second"], tmp_path / "both", QUICK)
     both = read_map(tmp_path / "both")
     assert both.names[built.rooms[0]] == "Küche"
