@@ -72,12 +72,12 @@ def merge_maps(
     with OutputDirectory(target, overwrite, progress) as partial, KeyframeStore() as store:
         session = Session(config, store, progress)
         parts = [laid_out_of_stored(stored) for stored in ordered]
-        known = [stored_to_align(stored) for stored in ordered]
+        to_align = [stored_to_align(stored) for stored in ordered]
         _refuse_twice(ordered)
         kept = [training_data_of_stored(stored, config) for stored in ordered]
         progress.start("aligning", None)
         with session.stage("alignment"):
-            overlaps = overlaps_of(ordered, known, config, spread)
+            overlaps = overlaps_of(ordered, to_align, config, spread)
         progress.start("layout", None)
         with session.stage("layout"):
             merging = _Merging(session, ordered, parts, overlaps)

@@ -84,13 +84,13 @@ def align_pair(pair: PairOfMaps) -> Alignment:
 
 
 def overlaps_of(
-    maps: Sequence[StoredMap], known: Sequence[MapToAlign], config: Config, spread: Spread | None
+    maps: Sequence[StoredMap], to_align: Sequence[MapToAlign], config: Config, spread: Spread | None
 ) -> Overlaps:
     """The pairs of maps that can be aligned: here, or wherever `spread` has it done."""
     pairs = list(combinations(range(len(maps)), 2))
     found: Iterable[Alignment]
     if spread is None:
-        found = (align(known[i], known[j], config) for i, j in pairs)
+        found = (align(to_align[i], to_align[j], config) for i, j in pairs)
     else:
         paths = [stored.path.resolve() for stored in maps]
         found = spread(align_pair, [PairOfMaps(paths[i], paths[j], config) for i, j in pairs])

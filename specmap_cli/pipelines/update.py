@@ -91,34 +91,10 @@ def update_map(
         OutputDirectory(target, overwrite, progress) as partial,
         stored.keyframes() as store,
     ):
-        session = Session(config, store, progress)
-        known, old = stored_to_align(stored), laid_out_of_stored(stored)
-        kept = training_data_of_stored(stored, config)
+        session, old = Session(config, store, progress), laid_out_of_stored(stored)
         stream = SweepStream(log, config.log)
-        with KeyframeStore() as own:
-            alone = replace(session, store=own)
-            new, prior = survey(alone, stream)
-            known_new = laid_out_to_align(alone, new)
-            _refuse_repeated(old, new, store, own)
-            store.extend(own)
-        alignment = _aligned(session, known, known_new)
-        if alignment.old_from_new is None and not allow_apart:
-            raise NoResultError(
-                f"{log.name}: fits nowhere in {stored.path}: {alignment.reason}: build a map of "
-                "its own, or append it as a part of its own with --allow-apart",
-                code=NOT_ALIGNED,
-            )
-        fewer = _joined(session, old, new, alignment, log.name, allow_apart=allow_apart)
-        laid = replace(fewer.laid, counts=_added(stored.counts, new.counts))
-        features = prior.features.among(store, fewer.old)
-        left = fewer.left[: fewer.old]
-        kept = valid_training_data(kept, stored.labels, laid.labels, left, config.grid.resolution_m)
-        prior = Prior(
-            features.knowing(kept.raw.keyframes, kept.raw.features),
-            kept,
-            comparable(known.classifiers, stored, config),
-        )
-        finished = finish(session, laid, prior)
+        fewer, prior, alignment = _updated(session, stored, old, stream, allow_apart=allow_apart)
+        finished = finish(session, fewer.laid, prior)
         tell(session, finished)
         run = write_finished(
             session,
@@ -142,6 +118,41 @@ def update_map(
         dropped=fewer.dropped,
         unapplied=finished.unapplied,
     )
+
+
+def _updated(
+    session: Session, stored: StoredMap, old: LaidOut, stream: SweepStream, *, allow_apart: bool
+) -> tuple[Thinned, Prior, Alignment]:
+    """The map with the recording; its keyframes are added to those of the map in the store.
+
+    Also what is known before it is learned, and where the recording lies.
+    """
+    config, store, name = session.config, session.store, stream.log.name
+    old_to_align, data = stored_to_align(stored), training_data_of_stored(stored, config)
+    with KeyframeStore() as own:
+        alone = replace(session, store=own)
+        new, prior = survey(alone, stream)
+        new_to_align = laid_out_to_align(alone, new)
+        _refuse_repeated(old, new, store, own)
+        store.extend(own)
+    alignment = _aligned(session, old_to_align, new_to_align)
+    if alignment.old_from_new is None and not allow_apart:
+        raise NoResultError(
+            f"{name}: fits nowhere in {stored.path}: {alignment.reason}: build a map of its own, "
+            "or append it as a part of its own with --allow-apart",
+            code=NOT_ALIGNED,
+        )
+    fewer = _joined(session, old, new, alignment, name, allow_apart=allow_apart)
+    laid, left = fewer.laid, fewer.left[: fewer.old]
+    data = valid_training_data(data, old.labels, laid.labels, left, config.grid.resolution_m)
+    features = prior.features.among(store, fewer.old)
+    prior = Prior(
+        features.knowing(data.raw.keyframes, data.raw.features),
+        data,
+        comparable(old_to_align.classifiers, stored, config),
+    )
+    counted = replace(laid, counts=_added(stored.counts, new.counts))
+    return replace(fewer, laid=counted), prior, alignment
 
 
 @one_blas_thread()
@@ -170,10 +181,10 @@ def build_like(
         KeyframeStore() as store,
     ):
         session = Session(config, store, progress)
-        known, old = stored_to_align(stored), laid_out_of_stored(stored)
+        old_to_align, old = stored_to_align(stored), laid_out_of_stored(stored)
         stream = SweepStream(log, config.log)
         new, prior = survey(session, stream)
-        alignment = _aligned(session, known, laid_out_to_align(session, new))
+        alignment = _aligned(session, old_to_align, laid_out_to_align(session, new))
         if alignment.old_from_new is None:
             raise NoResultError(
                 f"{log.name}: fits nowhere in {stored.path}: {alignment.reason}: build it without "
