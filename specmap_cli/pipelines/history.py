@@ -33,6 +33,7 @@ from specmap_cli.maps.comparison import ThingRecord
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.building_series import BuildingSeries, Entry, Room, Step
+from specmap_cli.pipelines.overlaps import stored_to_align
 
 HISTORY, PAGE = "history.json", "history.html"
 
@@ -171,8 +172,7 @@ def _readable_until(stored: StoredMap) -> int:
     """The stamp of a map's last scan, once all that a comparison needs was read."""
     if not (stored.path / filenames.LABELS).exists() or not len(stored.labels.stamps_ns):
         raise MapError(f"{stored.path}: was not made of a recording: it knows no visits")
-    stored.topology  # noqa: B018 reads the grids of all submaps
-    stored.map_grid  # noqa: B018
+    stored_to_align(stored, learned=False)  # raises MapError where it cannot be compared
     return span_ns(stored)[1]
 
 
