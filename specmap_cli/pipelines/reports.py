@@ -177,7 +177,7 @@ class MapReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildReport(MapReport):
-    """What `build` did; without `--like` a map there are no edits."""
+    """What `build` did; only with `--like` there are edits of a person."""
 
     def made(self) -> list[str]:
         """Its submaps and the way of the robot."""
