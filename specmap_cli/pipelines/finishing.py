@@ -45,7 +45,7 @@ def finish(
         laid=laid,
         topology=topology,
         classifiers=learned.classifiers,
-        lessons=learned.lessons,
+        training_data=learned.training_data,
         quality=laid.quality if quality is None else quality,
         unapplied=(*unapplied, *laid.lost),
     )
@@ -118,7 +118,7 @@ def write_finished(
         trajectory=laid.trajectory,
         labels=laid.labels,
         classifiers=finished.classifiers.to_json(),
-        features=arrays_of(finished.lessons),
+        features=arrays_of(finished.training_data),
         logs=laid.logs,
         run=run,
         quality=finished.quality,
