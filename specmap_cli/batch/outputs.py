@@ -17,10 +17,8 @@ from pydantic import ValidationError
 from specmap_cli.batch.places import path_at, reaching, store_at
 from specmap_cli.batch.records import JobRecord
 from specmap_cli.batch.steps import JOB, MAP
-from specmap_cli.core.errors import UsageError
-from specmap_cli.core.files import read_bytes, write_together
-from specmap_cli.core.locks import lock
-from specmap_cli.core.shortage import reason
+from specmap_cli.core.errors import UsageError, reason
+from specmap_cli.core.files import lock, read_bytes, write_together
 from specmap_cli.core.text import to_json
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory

@@ -12,9 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError
-from specmap_cli.core.locks import lock
-from specmap_cli.core.shortage import reason
+from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError, reason
+from specmap_cli.core.files import lock
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)(://|::)")
 _LOCAL = ("file://", "local://")

@@ -18,7 +18,7 @@ from typing import IO, Any, Literal
 
 from specmap_cli.batch.records import Kind, Limits, Step, StepOutcome
 from specmap_cli.core.errors import BROKEN_RULE, MACHINE, MEMORY, PACKAGE, UsageError
-from specmap_cli.core.legible import legible
+from specmap_cli.core.text import legible
 
 _LOOK_S = 0.05  # how often memory and time are looked at: some 20 microseconds each
 _CHILDREN_S = 1.0  # how often its children are looked for, which takes longer

@@ -15,10 +15,9 @@ from pydantic import Field
 
 from specmap_cli.core import tables
 from specmap_cli.core.json_values import Record
-from specmap_cli.core.legible import legible
 from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.core.tables import Case, markdown_table, markdown_text
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, legible
 
 SCHEMA_VERSION = 1
 _SIGNS = {"most": "<=", "least": ">="}

@@ -30,56 +30,48 @@ class StepName(StrEnum):
     check = "check"
 
 
-Inputs = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="LOG|DIR|GLOB|JOBS.toml",
-        help="Recordings, directories and patterns of recordings, TOML files of jobs; paths or "
-        "URLs such as s3://bucket/logs.",
-        show_default=False,
-    ),
-]
-Workers = Annotated[
-    int | None, typer.Option(min=1, help="Worker processes; default: one a processor.")
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="Dask scheduler to use, such as tcp://host:8786."),
-]
-MemoryLimit = Annotated[
-    int | None,
-    typer.Option(
-        min=64, metavar="MB", help="Memory of a worker; default: its share of the machine's."
-    ),
-]
-TimeLimit = Annotated[
-    float | None,
-    typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job."),
-]
-Retries = Annotated[
-    int, typer.Option(min=0, help="How often to try again what a lost worker or disk made fail.")
-]
-Steps = Annotated[
-    list[StepName] | None,
-    typer.Option("--step", help="Step of each job; repeatable. Default: build, report, check."),
-]
-Scratch = Annotated[Path | None, typer.Option(help="Directory of the workers for temporary files.")]
-Redo = Annotated[bool, typer.Option("--redo", help="Do again what is complete.")]
-
-
 def batch(
-    inputs: Inputs,
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOG|DIR|GLOB|JOBS.toml",
+            help="Recordings, directories and patterns of recordings, TOML files of jobs; paths or "
+            "URLs such as s3://bucket/logs.",
+            show_default=False,
+        ),
+    ],
     out: Annotated[
         str, output("Directory, or URL such as s3://bucket/maps, to write.", metavar="DIR")
     ],
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    memory_limit: MemoryLimit = None,
-    time_limit: TimeLimit = None,
-    retries: Retries = 1,
-    step: Steps = None,
-    scratch: Scratch = None,
-    redo: Redo = False,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes; default: one a processor.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler to use, such as tcp://host:8786."),
+    ] = None,
+    memory_limit: Annotated[
+        int | None,
+        typer.Option(
+            min=64, metavar="MB", help="Memory of a worker; default: its share of the machine's."
+        ),
+    ] = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job."),
+    ] = None,
+    retries: Annotated[
+        int,
+        typer.Option(min=0, help="How often to try again what a lost worker or disk made fail."),
+    ] = 1,
+    step: Annotated[
+        list[StepName] | None,
+        typer.Option("--step", help="Step of each job; repeatable. Default: build, report, check."),
+    ] = None,
+    scratch: Annotated[
+        Path | None, typer.Option(help="Directory of the workers for temporary files.")
+    ] = None,
+    redo: Annotated[bool, typer.Option("--redo", help="Do again what is complete.")] = False,
     *,
     settings: Settings,
     common: Common,
@@ -143,7 +135,7 @@ def _listener(common: Common, progress: ConsoleProgress) -> Listener:
     """Events as lines of JSON on stdout; what a person should know, and a bar, on stderr."""
     from specmap_cli.batch.batch import Listener
     from specmap_cli.batch.ledger import EventRecord
-    from specmap_cli.cli.streams import print_text
+    from specmap_cli.cli.entry import print_text
 
     def tell(event: EventRecord) -> None:
         if common.as_json:

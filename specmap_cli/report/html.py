@@ -13,7 +13,7 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from specmap_cli import __version__
-from specmap_cli.core.legible import encodable, legible
+from specmap_cli.core.text import encodable, legible
 from specmap_cli.core.text import seconds as stamp_seconds
 
 PACKAGE = "specmap_cli.report"

@@ -9,11 +9,11 @@ from functools import cached_property
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Span
 from specmap_cli.core.records import BoolArray, Closure, IntArray, Labels
-from specmap_cli.core.sampling import evenly
 from specmap_cli.drawing.overview import drawn_as
 from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import extent_of
@@ -24,8 +24,8 @@ from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.tum import read_trajectory
 from specmap_cli.report.html import shown
 from specmap_cli.report.svg import Frame, fill_names, outlines, path_data
-from specmap_cli.topology.outlines import outline_of
 from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.shapes import outline_of
 from specmap_cli.topology.topological_map import starts_of
 
 MOST_REFUSED = 400  # refused closures that are drawn: those with the largest xi

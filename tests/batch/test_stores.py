@@ -23,8 +23,8 @@ from specmap_cli.batch.places import PlaceError, path_at, reaching, scratch_dire
 from specmap_cli.batch.records import Job, JobRecord, JobResult, Step, Terms, Turn
 from specmap_cli.batch.running import run_job
 from specmap_cli.batch.sources import bytes_of, fetched
-from specmap_cli.core import locks
 from specmap_cli.core.errors import LogError, MapError, UsageError
+from specmap_cli.core.files import lock
 from tests.batch import fake_specmap
 
 fsspec = pytest.importorskip("fsspec")
@@ -282,7 +282,7 @@ def test_a_directory_that_another_run_sweeps_away_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The other run has its lock already, and removes it only later."""
-    locked = locks.lock
+    locked = lock
     refused = iter([True])
     monkeypatch.setattr(places, "lock", lambda one: not next(refused, False) and locked(one))
     with scratch_directory(str(tmp_path)) as directory:

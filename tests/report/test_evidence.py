@@ -12,11 +12,9 @@ import pytest
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.progress import Silent
 from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.pipelines.map_evidence import evidence_of
-from specmap_cli.pipelines.report import report_map
+from specmap_cli.pipelines.report import evidence_of, report_map
 from specmap_cli.pipelines.segment import segment_map
-from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost
-from specmap_cli.recognition.learning.looks import feature_shares
+from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost, feature_shares
 from specmap_cli.report.evidence import Evidence
 from tests.flats import Explained
 
