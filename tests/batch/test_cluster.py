@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -176,15 +177,6 @@ def test_a_worker_of_another_version_makes_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "_ANSWER_S", 0.2)
-    with (
-        pytest.raises(UsageError, match=r"tcp://127\.0\.0\.1:9: no Dask scheduler answers"),
-        workers.opened(Cluster(scheduler="tcp://127.0.0.1:9")),
-    ):
-        pass
-
-
 def test_a_job_whose_worker_dies_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Real workers, one of which is killed by its job."""
     monkeypatch.setattr(workers, "on_worker", at_once)
@@ -215,13 +207,18 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
         process.wait()
 
 
-def test_a_scheduler_in_another_process(scheduler: str, tmp_path: Path) -> None:
+def test_a_scheduler_in_another_process(
+    scheduler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Without a worker it is refused; with one it does the jobs, which fail as their logs ask."""
-    with (
-        pytest.raises(UsageError, match=r"no worker has come in 0 s: start one with `dask worker`"),
-        workers.opened(Cluster(scheduler=scheduler, patience_s=0.1)),
+    for address, answer_s, told in (
+        ("tcp://127.0.0.1:9", 0.2, r"tcp://127\.0\.0\.1:9: no Dask scheduler answers"),
+        (scheduler, 10.0, "no worker has come in 0 s: start one with `dask worker`"),
     ):
-        pass
+        monkeypatch.setattr(workers, "_ANSWER_S", answer_s)
+        refused = workers.opened(Cluster(scheduler=address, patience_s=0.1))
+        with pytest.raises(UsageError, match=told), refused:
+            pass
     command = [sys.executable, "-m", "distributed.cli.dask_worker", scheduler, "--nthreads", "1"]
     command += ["--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path)]
     worker = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -251,24 +248,13 @@ def test_a_function_of_many_things_is_spread_over_the_workers() -> None:
         spread(Cluster(), _tripled, [1, -1])
 
 
-class _Failing:
-    """A cluster of Dask whose workers die while they start, the first `times` of them."""
-
-    def __init__(self, times: int) -> None:
-        self.left = times
-
-    def __call__(self, **_: Any) -> str:
-        self.left -= 1
-        if self.left >= 0:
-            raise RuntimeError("Nanny failed to start.") from RuntimeError("no worker process")
-        return "started"
-
-
 def test_a_worker_that_dies_while_it_starts_is_started_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(distributed, "LocalCluster", _Failing(1))
+    died = RuntimeError("Nanny failed to start.")
+    died.__cause__ = RuntimeError("no worker process")
+    monkeypatch.setattr(distributed, "LocalCluster", Mock(side_effect=[died, "started"]))
     assert workers._started(Cluster(1)) == "started"
-    monkeypatch.setattr(distributed, "LocalCluster", _Failing(9))
+    monkeypatch.setattr(distributed, "LocalCluster", Mock(side_effect=died))
     with pytest.raises(NoResultError, match=r"could not be started \(no worker process\): run "):
         workers._started(Cluster(1))
