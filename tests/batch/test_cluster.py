@@ -16,7 +16,7 @@ import pytest
 
 from specmap_cli import __version__
 from specmap_cli.batch import batch, workers
-from specmap_cli.batch.batch import Listener, run_batch, work_off
+from specmap_cli.batch.batch import run_batch, work_off
 from specmap_cli.batch.ledger import EventRecord, Ledger
 from specmap_cli.batch.places import PlaceError
 from specmap_cli.batch.records import Limits, Terms, Turn
@@ -63,7 +63,7 @@ def ran(out: Path, *names: str, retries: int = 0) -> tuple[Ledger, list[EventRec
     told: list[EventRecord] = []
     terms = Terms(str(out), Limits(memory_mb=500))
     jobs = [job(name) for name in names]
-    return run_batch(jobs, terms, Cluster(), retries, Listener(told.append)), told
+    return run_batch(jobs, terms, Cluster(), retries, told.append), told
 
 
 @pytest.mark.usefixtures("here")
@@ -97,7 +97,7 @@ class TestBatch:
 
         jobs = [job(name) for name in "abcd"]
         with pytest.raises(KeyboardInterrupt):
-            run_batch(jobs, Terms(str(tmp_path)), listener=Listener(show=interrupt))
+            run_batch(jobs, Terms(str(tmp_path)), show=interrupt)
         assert "2 of 4 jobs done, 2 waiting" in (tmp_path / "summary.md").read_text()
 
     def test_a_batch_without_workers_leaves_the_summaries_of_the_one_before(
@@ -136,7 +136,7 @@ class TestBatch:
             with pytest.raises(UsageError, match="another batch is writing there"):
                 ran(tmp_path, "b")
 
-        run_batch([job("a")], Terms(str(tmp_path)), listener=Listener(again))
+        run_batch([job("a")], Terms(str(tmp_path)), tell=again)
         ran(tmp_path, "b")
 
     def test_a_store_gets_summaries_and_the_journal_at_the_end(self) -> None:
@@ -160,7 +160,7 @@ class TestBatch:
         monkeypatch.setattr(fsspec.filesystem("memory"), "pipe_file", refuse)
         told: list[EventRecord] = []
         with pytest.raises(PlaceError, match=r"memory://closed: .*access denied"):
-            run_batch([job("a")], Terms("memory://closed"), listener=Listener(told.append))
+            run_batch([job("a")], Terms("memory://closed"), tell=told.append)
         assert told == []
 
 
