@@ -10,7 +10,6 @@ import numpy as np
 
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.grids.bent import BentMotion
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.report.layers import DrawnMap
@@ -49,12 +48,18 @@ def old_map(changes: Changes, map_: DrawnMap) -> dict[str, Any]:
     of the new map what they were in the old one.
     """
     old, record, frame = DrawnMap(changes.old), changes.record, map_.frame
-    grid, motion = old.regions.grid, changes.new_from_old
+
+    def carried(cells: BoolArray) -> str:
+        """Cells of the old map as path data in the drawing of the new one."""
+        rings = outlines(cells, old.regions.grid)
+        places = [frame.places(changes.new_from_old.apply(ring)) for ring in rings]
+        return path_data(places, closed=True)
+
     lost = [*record.submaps.gone, *record.submaps.unseen]
     return {
         "name": changes.old.path.resolve().name,
-        "walls": _carried(grid.occupied, grid, motion, frame),
-        "gone": _carried(np.isin(old.regions.owner, lost), grid, motion, frame),
+        "walls": carried(old.regions.grid.occupied),
+        "gone": carried(np.isin(old.regions.owner, lost)),
         "was": _was(record),
         "changes": list(_changes(changes, frame)),
         "lines": changes.lines,
@@ -70,12 +75,6 @@ def _was(record: ComparisonRecord) -> dict[int, str]:
     new = dict.fromkeys(submaps.new, "not there")
     redrawn = dict.fromkeys(submaps.redrawn_new, "divided otherwise")
     return redrawn | new | merged | split | same
-
-
-def _carried(cells: BoolArray, grid: GridMap, motion: BentMotion, frame: Frame) -> str:
-    """Cells of the old map as path data in the drawing of the new one."""
-    rings = [frame.places(motion.apply(ring)) for ring in outlines(cells, grid)]
-    return path_data(rings, closed=True)
 
 
 def _changes(changes: Changes, frame: Frame) -> Iterator[Change]:

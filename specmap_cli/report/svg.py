@@ -71,15 +71,12 @@ def path_data(lines: Iterable[IntArray], *, closed: bool = False) -> str:
         (x, y), *_ = line.tolist()
         steps = np.diff(line, axis=0)
         moved = steps[(steps != 0).any(axis=1)]
-        parts.append(f"M{x} {y}l{_joined(moved)}" if len(moved) else f"M{x} {y}h0")
+        # a minus sign parts numbers as well as a space does
+        joined = " ".join(map(str, moved.reshape(-1).tolist())).replace(" -", "-")
+        parts.append(f"M{x} {y}l{joined}" if len(moved) else f"M{x} {y}h0")
         if closed:
             parts.append("z")
     return "".join(parts)
-
-
-def _joined(steps: IntArray) -> str:
-    """Numbers in a row; a minus sign parts them as well as a space does."""
-    return " ".join(map(str, steps.reshape(-1).tolist())).replace(" -", "-")
 
 
 def outlines(cells: BoolArray, grid: GridMap) -> list[FloatArray]:
