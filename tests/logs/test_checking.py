@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,6 +15,7 @@ from specmap_cli.logs.readers.encoding import ODOMETRY, odometry_cdr, scan_cdr
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.summary import Pauses, TopicCheck
 from specmap_cli.logs.writer import LogWriter
+from tests.logs.recordings import write_db3
 from tests.turning import configured, turn
 
 SECOND = 1_000_000_000
@@ -65,8 +65,7 @@ def test_pauses_are_counted_and_the_longest_is_placed(tmp_path: Path) -> None:
     assert scans.pauses.count == 3
 
 
-def test_stamps_that_step_back_or_repeat(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_stamps_that_step_back_or_repeat(path: Path) -> None:
     with LogWriter(path) as log:
         for number, stamp in enumerate([0, 1, 2, 1, 2, 2, 3]):
             time = START + number * SECOND
@@ -80,8 +79,7 @@ def test_stamps_that_step_back_or_repeat(tmp_path: Path) -> None:
     )
 
 
-def test_messages_without_a_stamp_have_the_recorders_times(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_messages_without_a_stamp_have_the_recorders_times(path: Path) -> None:
     with LogWriter(path) as log:
         for number in range(4):
             data = scan_cdr("laser", 0, -1.0, 0.5, [2.0] * 5, range_max=8.0)
@@ -90,8 +88,7 @@ def test_messages_without_a_stamp_have_the_recorders_times(tmp_path: Path) -> No
     assert (scans.steps_back, scans.repeats, scans.pauses.count) == (0, 0, 0)
 
 
-def test_messages_that_cannot_be_decoded_are_unusable(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_messages_that_cannot_be_decoded_are_unusable(path: Path) -> None:
     with LogWriter(path) as log:
         log.raw("/scan", SCAN, b"\x00\x01\x00\x00rubbish", START)
         log.scan("/scan", "laser", START + 1, -1.0, 0.5, [2.0] * 5, range_max=8.0)
@@ -103,8 +100,7 @@ def test_messages_that_cannot_be_decoded_are_unusable(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("time_ns", [(1 << 64) - 1, 1 << 63, 1])
-def test_times_beyond_all_bounds_are_no_fault(tmp_path: Path, time_ns: int) -> None:
-    path = tmp_path / "log.mcap"
+def test_times_beyond_all_bounds_are_no_fault(path: Path, time_ns: int) -> None:
     with LogWriter(path) as log:
         for time in (0, time_ns):
             log.raw("/map", "nav_msgs/msg/OccupancyGrid", b"\x00\x01\x00\x00", time)
@@ -113,9 +109,8 @@ def test_times_beyond_all_bounds_are_no_fault(tmp_path: Path, time_ns: int) -> N
 
 
 def test_info_counts_what_is_lost_only_when_all_is_read(
-    tmp_path: Path, drive_messages: list[Message], write_db3: Callable[..., None]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.db3"
     write_db3(path, drive_messages)
     with sqlite3.connect(path) as db:
         last = "(SELECT MAX(id) FROM messages WHERE topic_id = 3)"
@@ -142,9 +137,8 @@ def test_info_counts_what_is_lost_only_when_all_is_read(
 
 
 def test_a_topic_of_which_nothing_is_left_is_listed(
-    tmp_path: Path, drive_messages: list[Message], write_db3: Callable[..., None]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.db3"
     write_db3(path, drive_messages)
     with sqlite3.connect(path) as db:
         db.execute("UPDATE messages SET data = 'no bytes' WHERE topic_id = 1")

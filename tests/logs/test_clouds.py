@@ -93,8 +93,7 @@ def test_the_first_full_sweep_settles_the_unit() -> None:
     assert whole.times_s.max() == pytest.approx(0.1)
 
 
-def test_a_foreign_clock_is_said_once(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_foreign_clock_is_said_once(path: Path) -> None:
     rng = np.random.default_rng(1)
     with LogWriter(path) as log:
         for number in range(3):

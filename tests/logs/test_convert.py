@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from specmap_cli.logs import open_log
 from specmap_cli.logs.readers.recording import Message, TopicInfo
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import convert
+from tests.logs.recordings import write_bag, write_db3
 
 
 class Steps(Silent):
@@ -34,7 +34,7 @@ class Steps(Silent):
 
 
 def test_a_bag_is_converted_and_reads_the_same(
-    tmp_path: Path, drive_messages: list[Message], write_bag: Callable[..., None]
+    tmp_path: Path, drive_messages: list[Message]
 ) -> None:
     write_bag(tmp_path / "log.bag", drive_messages)
     result = convert(tmp_path / "log.bag", tmp_path / "out.mcap")
@@ -67,7 +67,7 @@ def test_a_carmen_log_is_converted_and_gives_the_same_sweeps(tmp_path: Path) -> 
 
 
 def test_what_no_stage_reads_is_left_out_and_said(
-    tmp_path: Path, drive_messages: list[Message], write_db3: Callable[..., None]
+    tmp_path: Path, drive_messages: list[Message]
 ) -> None:
     extra = Message("/cmd_vel", "geometry_msgs/msg/Twist", drive_messages[-1].time_ns, bytes(52))
     write_db3(tmp_path / "log.db3", [*drive_messages, extra])
@@ -100,17 +100,6 @@ def test_what_was_converted_is_told(
         f"wrote {tmp_path / 'out.mcap'}: {kept} messages",
         *(f"  {t.name}  {t.count}  {t.type}" for t in result.written),
         f"damage: {damage[0]}",
-    ]
-
-
-def test_one_message_is_one_message(
-    tmp_path: Path, drive_messages: list[Message], write_db3: Callable[..., None]
-) -> None:
-    write_db3(tmp_path / "log.db3", drive_messages[:1])
-    result = convert(tmp_path / "log.db3", tmp_path / "out.mcap")
-    assert result.lines() == [
-        f"wrote {tmp_path / 'out.mcap'}: 1 message",
-        "  /tf_static  1  tf2_msgs/msg/TFMessage",
     ]
 
 

@@ -9,10 +9,8 @@ import pytest
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
-from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs import open_log
-from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
+from tests.logs.recordings import sweeps_of
 
 SWEEP_S = 0.08
 
@@ -37,12 +35,6 @@ def write(
             times = np.linspace(0.0, SWEEP_S, len(hit))[hit] if timed else None
             log.cloud("/points", "laser" if mounted else "base_link", sweep.stamp_ns, points, times)
     return path
-
-
-def sweeps_of(path: Path) -> tuple[list[Sweep], SweepStream]:
-    with open_log([path]) as log:
-        stream = SweepStream(log, LogConfig())
-        return list(stream), stream
 
 
 @pytest.mark.parametrize(("mounted", "height_m"), [(True, 0.0), (False, 0.1), (False, 2.0)])
@@ -74,9 +66,8 @@ def test_the_times_of_their_points_become_those_of_the_beams(
 
 
 def test_one_cloud_with_height_makes_it_a_lidar_in_space(
-    flat_tour: list[tuple[Sweep, Pose2]], tmp_path: Path
+    flat_tour: list[tuple[Sweep, Pose2]], path: Path
 ) -> None:
-    path = tmp_path / "log.mcap"
     with LogWriter(path) as log:
         for number, (sweep, _) in enumerate(flat_tour[:5]):
             points = np.column_stack([sweep.planar.hits(), np.full(len(sweep.planar.hits()), 0.5)])

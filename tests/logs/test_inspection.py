@@ -82,9 +82,8 @@ def test_times_that_have_not_come_yet_are_said(tmp_path: Path) -> None:
     )
 
 
-def test_odometry_of_another_time_is_said(tmp_path: Path) -> None:
+def test_odometry_of_another_time_is_said(path: Path) -> None:
     """The recorder's times are as far apart as the stamps: nothing tells where it belongs."""
-    path = tmp_path / "log.mcap"
     with LogWriter(path) as log:
         for number in range(5):
             log.odometry("/odom", "odom", "laser", number * SECOND, Pose2(0.0, 0.0, 0.0))
@@ -237,8 +236,7 @@ def test_every_line_has_its_place() -> None:
     ]
 
 
-def test_names_that_a_terminal_would_obey_are_shown_escaped(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_names_that_a_terminal_would_obey_are_shown_escaped(path: Path) -> None:
     with LogWriter(path) as log:
         log.static_transform("base_link", "las\x1b[31mER", stamp_ns=1)
         log.odometry("/odom\n/evil\u202e", "odom", "base_link", 1, Pose2(0.0, 0.0, 0.0))

@@ -15,6 +15,7 @@ from specmap_cli.core.errors import LogError
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message
+from tests.logs.recordings import read_rest
 
 
 def test_missing_paths_are_refused(tmp_path: Path) -> None:
@@ -38,8 +39,7 @@ def test_missing_paths_are_refused(tmp_path: Path) -> None:
         (b"\x1f\x8b" + bytes(40), "the file is empty (inside gzip compression)"),
     ],
 )
-def test_other_files_are_refused(tmp_path: Path, content: bytes, said: str) -> None:
-    path = tmp_path / "log.mcap"
+def test_other_files_are_refused(path: Path, content: bytes, said: str) -> None:
     path.write_bytes(content)
     with pytest.raises(LogError) as caught:
         open_log(path)
@@ -60,8 +60,7 @@ def test_a_directory_is_searched_for_recordings(tmp_path: Path, drive: Path) -> 
         assert log.given == (folder,)
 
 
-def test_an_unreadable_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "log.mcap"
+def test_an_unreadable_file_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path.write_bytes(b"x")
 
     def refuse(*_: object, **__: object) -> None:
@@ -132,9 +131,7 @@ def test_a_compressed_log_is_read_in_all_its_blocks(
 ) -> None:
     whole = drive.read_bytes()
     drive.write_bytes(pack(whole[:3000]) + pack(whole[3000:]))
-    with open_log(drive) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == []
+    assert read_rest(drive) == (drive_messages, [])
 
 
 @pytest.mark.parametrize(
@@ -146,9 +143,8 @@ def test_a_compressed_log_is_read_in_all_its_blocks(
     ],
 )
 def test_what_is_inside_a_compressed_file_is_told_under_its_name(
-    tmp_path: Path, content: bytes, said: str
+    path: Path, content: bytes, said: str
 ) -> None:
-    path = tmp_path / "log.gz"
     path.write_bytes(gzip.compress(content))
     with pytest.raises(LogError) as caught:
         open_log(path)
@@ -183,9 +179,10 @@ def test_a_damaged_file_beside_a_sound_one_is_no_error(
 ) -> None:
     rubble = tmp_path / "rubble.mcap"
     rubble.write_bytes(drive.read_bytes()[:40])
-    with open_log([rubble, drive]) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == [f"{rubble}: cut off at byte 40: everything is lost"]
+    assert read_rest([rubble, drive]) == (
+        drive_messages,
+        [f"{rubble}: cut off at byte 40: everything is lost"],
+    )
     with pytest.raises(LogError, match="cut off at byte 40: everything is lost; no message can be"):
         open_log(rubble)
 
@@ -194,8 +191,7 @@ def test_garbage_behind_a_compressed_log_is_told(
     drive: Path, drive_messages: list[Message]
 ) -> None:
     drive.write_bytes(gzip.compress(drive.read_bytes()) + b"garbage")
-    with open_log(drive) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == [
-            f"{drive}: what follows the gzip compression is no part of it and was left out"
-        ]
+    assert read_rest(drive) == (
+        drive_messages,
+        [f"{drive}: what follows the gzip compression is no part of it and was left out"],
+    )

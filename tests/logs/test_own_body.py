@@ -98,9 +98,8 @@ def test_a_beam_that_reads_farther_once_has_seen_a_wall(
 
 
 def test_the_scans_of_a_log_are_without_it_and_a_warning_tells(
-    flat_tour: list[tuple[Sweep, Pose2]], tmp_path: Path
+    flat_tour: list[tuple[Sweep, Pose2]], path: Path
 ) -> None:
-    path = tmp_path / "log.mcap"
     with LogWriter(path) as log:
         for (sweep, _), ranges in zip(flat_tour, scans(flat_tour, 6), strict=True):
             bearings = sweep.planar.bearings

@@ -51,8 +51,7 @@ def preview_of(path: Path, **options: object) -> Preview:
     return found
 
 
-def test_it_tells_the_spacing_and_what_is_blank(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_it_tells_the_spacing_and_what_is_blank(path: Path) -> None:
     write(path, [0.2 * n for n in range(10)])
     assert lines_of(path) == [
         "build would meet, in 10 scans:",
@@ -62,8 +61,7 @@ def test_it_tells_the_spacing_and_what_is_blank(tmp_path: Path) -> None:
     ]
 
 
-def test_scans_that_a_driver_repeats_while_the_robot_moves_are_told(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_scans_that_a_driver_repeats_while_the_robot_moves_are_told(path: Path) -> None:
     write(path, [0.2 * n for n in range(10)], hangs=range(5, 9))
     assert preview_of(path).stale_scans == 3
     told = "  scans that repeat the one before while the robot moves: 3"
@@ -73,24 +71,21 @@ def test_scans_that_a_driver_repeats_while_the_robot_moves_are_told(tmp_path: Pa
 
 
 @pytest.mark.parametrize(("limit", "sparse"), [(0.25, True), (0.5, False)])
-def test_scans_far_apart_are_called_sparse(tmp_path: Path, limit: float, sparse: bool) -> None:
-    path = tmp_path / "log.mcap"
+def test_scans_far_apart_are_called_sparse(path: Path, limit: float, sparse: bool) -> None:
     write(path, [0.2 * n for n in range(10)], step_m=0.4)
     (_, spacing, *_) = lines_of(path, sparse_step_m=limit)
     said = ": sparse, so that much depends on the odometry"
     assert spacing.endswith(said) is sparse
 
 
-def test_a_robot_that_stands_has_no_step(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_robot_that_stands_has_no_step(path: Path) -> None:
     write(path, [0.2 * n for n in range(10)], step_m=0.0)
     assert preview_of(path).spacing.step_m is None
     assert preview_of(path, use_odometry=False).spacing.step_m is None
     assert lines_of(path)[1] == "  5.0 scans a second"
 
 
-def test_gaps_are_told_with_their_places(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_gaps_are_told_with_their_places(path: Path) -> None:
     times = [0.0, 0.1, 0.2, 1.7, 1.8, 2.5, 2.6, 6.6, 6.7, 8.7, 8.8, 9.9]
     write(path, times)
     assert preview_of(path).gaps == (
@@ -112,8 +107,7 @@ def test_a_log_at_one_hertz_has_no_gaps(tmp_path: Path) -> None:
     assert preview_of(tmp_path / "log.mcap").gaps == ()
 
 
-def test_only_the_first_scans_are_read_unless_all_are_asked_for(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_only_the_first_scans_are_read_unless_all_are_asked_for(path: Path) -> None:
     write(path, [0.1 * n for n in range(30)])
     assert lines_of(path, look_scans=20)[0] == "build would meet, in the first 20 of 30 scans:"
     assert lines_of(path, complete=True, look_scans=20)[0] == "build would meet, in 30 scans:"
@@ -148,8 +142,7 @@ TODAY = START / SECOND
         ),
     ],
 )
-def test_faulty_stamps_are_counted(tmp_path: Path, stamps_s: list[float], said: str) -> None:
-    path = tmp_path / "log.mcap"
+def test_faulty_stamps_are_counted(path: Path, stamps_s: list[float], said: str) -> None:
     write_stamps(path, stamps_s)
     found = [line for line in lines_of(path) if "stamps on" in line]
     expected = f"  stamps on /scan, of {len(stamps_s)} messages: {said}"
@@ -161,8 +154,7 @@ def test_a_date_beyond_the_calendar_is_left_out() -> None:
     assert faults.text().endswith("such as 1000000000000000.000 s")
 
 
-def test_it_is_part_of_the_json(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_it_is_part_of_the_json(path: Path) -> None:
     write(path, [0.0, 0.1, 0.2])
     with open_log(path) as log:
         plain = summarize(log).to_dict()["preview"]

@@ -66,18 +66,10 @@ def test_an_ambiguous_log_gets_a_command_that_runs(tmp_path: Path) -> None:
         assert len(list(SweepStream(log_, options))) == 3
 
 
-def test_a_log_without_scans_has_no_next_command(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_log_without_scans_has_no_next_command(path: Path) -> None:
     with LogWriter(path) as log:
         log.odometry("/odom", "odom", "base", 1, Pose2(0.0, 0.0, 0.0))
     summary = summary_of(path)
     assert summary.outlook.next_command is None
     assert summary.outlook.problem is not None
     assert "problem: " in "\n".join(summary.lines())
-
-
-def test_damage_is_told(drive: Path) -> None:
-    drive.write_bytes(drive.read_bytes()[:-700])
-    summary = summary_of(drive)
-    assert len(summary.damage) == 1
-    assert any(line.startswith("damage: ") for line in summary.lines())

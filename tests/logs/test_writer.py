@@ -27,8 +27,7 @@ def write_small(path: Path) -> None:
         log.cloud("/points", "lidar", 2_000_000_012, np.eye(3), times_s=[0.0, 0.1, 0.2])
 
 
-def test_messages_are_read_back_by_other_readers(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_messages_are_read_back_by_other_readers(path: Path) -> None:
     write_small(path)
     found = {}
     with path.open("rb") as file:
@@ -110,8 +109,7 @@ def test_a_file_may_be_written_again_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("end", [LogWriter.close, LogWriter.discard])
-def test_a_closed_writer_takes_no_more(tmp_path: Path, end: Callable[[LogWriter], None]) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_closed_writer_takes_no_more(path: Path, end: Callable[[LogWriter], None]) -> None:
     log = LogWriter(path)
     end(log)
     with pytest.raises(ValueError, match="is closed: it takes no more messages"):
@@ -144,8 +142,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_only_static_transforms_are_kept_for_late_subscribers(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_only_static_transforms_are_kept_for_late_subscribers(path: Path) -> None:
     write_small(path)
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
@@ -155,8 +152,7 @@ def test_only_static_transforms_are_kept_for_late_subscribers(tmp_path: Path) ->
     assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
 
 
-def test_times_before_1970_are_written_as_its_beginning(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_times_before_1970_are_written_as_its_beginning(path: Path) -> None:
     with LogWriter(path) as log:
         log.odometry("/odom", "odom", "base_link", -5, Pose2(0.0, 0.0, 0.0))
     with path.open("rb") as file:
@@ -167,8 +163,7 @@ def test_times_before_1970_are_written_as_its_beginning(tmp_path: Path) -> None:
     assert header.stamp.sec * 10**9 + header.stamp.nanosec == -5
 
 
-def test_an_old_file_is_replaced_only_by_a_complete_one(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_an_old_file_is_replaced_only_by_a_complete_one(path: Path) -> None:
     path.write_text("old")
     log = LogWriter(path)
     log.discard()

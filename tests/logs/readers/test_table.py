@@ -16,7 +16,7 @@ from specmap_cli.core.errors import LogError, UsageError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs import Message, open_log
 from specmap_cli.logs.inspection import summarize
-from specmap_cli.logs.opening import BUILT_IN, format_names, known_readers
+from specmap_cli.logs.opening import BUILT_IN, known_readers
 from specmap_cli.logs.readers import Recording
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import convert
@@ -49,8 +49,7 @@ def range_lines(install: Install) -> None:
 
 
 @pytest.mark.usefixtures("range_lines")
-def test_a_reader_of_another_package_reads_its_log(tmp_path: Path) -> None:
-    path = tmp_path / "log.txt"
+def test_a_reader_of_another_package_reads_its_log(path: Path) -> None:
     path.write_bytes(LINES)
     with open_log(path) as log:
         assert log.format == "range lines"
@@ -119,9 +118,8 @@ def test_an_installed_reader_is_asked_before_the_built_in_ones(
 
 
 def test_what_no_reader_knows_is_refused_with_the_formats_known(
-    tmp_path: Path, install: Install
+    path: Path, install: Install
 ) -> None:
-    path = tmp_path / "log.txt"
     path.write_text("hello\n")
     expected = (
         "a text file, not a recording; expected {}MCAP, rosbag2 (SQLite), ROS 1 bag or CARMEN"
@@ -201,12 +199,6 @@ def test_a_reader_cannot_take_the_name_of_another(drive: Path, install: Install)
     install("mine", documented_reader(), entry="mine:RangeLines", name="mcap")
     with pytest.raises(UsageError, match="package mine: offers 'mcap'"):
         open_log(drive)
-
-
-def test_formats_are_named_in_a_phrase() -> None:
-    readers = list(BUILT_IN.values())
-    assert format_names(readers[:1]) == "MCAP"
-    assert format_names(readers[:2]) == "MCAP or rosbag2 (SQLite)"
 
 
 @pytest.mark.parametrize("name", sorted(BUILT_IN))
