@@ -277,12 +277,6 @@ def test_a_lidar_without_transforms_is_its_own_base(path: Path) -> None:
     ("log", "config", "said"),
     [
         ("log.mcap", LogConfig(), r"^log: expected .*Log, found 'log.mcap'$"),
-        (None, LogConfig(), r"^log: expected .*Log, found None$"),
-        (
-            Log([], [Path("spy")]),
-            {"use_odometry": False},
-            r"^config: expected .*LogConfig, found {",
-        ),
         (Log([], [Path("spy")]), Config(), r"^config: expected .*LogConfig, found Config"),
     ],
 )

@@ -120,18 +120,6 @@ def test_ros1_messages_in_mcap_are_read(tmp_path: Path, drive_messages: list[Mes
         assert list(log.messages()) == scans
 
 
-def test_other_encodings_are_listed_but_no_scans(path: Path) -> None:
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("foxglove.LaserScan", "protobuf", b"")
-        channel = writer.register_channel("/scan", "protobuf", schema)
-        writer.add_message(channel, 5, b"?", 5)
-        writer.finish()  # type: ignore[no-untyped-call]
-    with open_log(path) as log:
-        assert [t.type for t in log.topics()] == ["foxglove.LaserScan (protobuf)"]
-
-
 def test_a_wrong_checksum_of_the_index_makes_it_untrusted(
     path: Path, drive_messages: list[Message]
 ) -> None:
@@ -219,17 +207,6 @@ def test_a_damaged_head_of_an_indexed_chunk_costs_nothing(
             "messages are found"
         ],
     )
-
-
-def test_a_channel_without_a_schema_is_listed(path: Path) -> None:
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        channel = writer.register_channel("/note", "", 0)
-        writer.add_message(channel, 5, b"hello", 5)
-        writer.finish()  # type: ignore[no-untyped-call]
-    with open_log(path) as log:
-        assert log.topics() == [TopicInfo("/note", "unknown (no encoding)", 1)]
 
 
 def test_a_file_without_messages_is_a_log_without_messages(path: Path) -> None:
@@ -421,3 +398,24 @@ def test_a_message_shorter_than_its_head_is_damage(
             f"{9 + length} bytes is lost"
         )
         assert log.missing == {drive_messages[40].topic: 1}
+
+
+@pytest.mark.parametrize(
+    ("schema", "encoding", "kind"),
+    [
+        ("foxglove.LaserScan", "protobuf", "foxglove.LaserScan (protobuf)"),
+        (None, "", "unknown (no encoding)"),
+    ],
+)
+def test_messages_of_other_encodings_are_listed(
+    path: Path, schema: str | None, encoding: str, kind: str
+) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        number = writer.register_schema(schema, encoding, b"") if schema else 0
+        channel = writer.register_channel("/scan", encoding, number)
+        writer.add_message(channel, 5, b"?", 5)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with open_log(path) as log:
+        assert log.topics() == [TopicInfo("/scan", kind, 1)]

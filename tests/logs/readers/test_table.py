@@ -155,18 +155,6 @@ def test_a_reader_may_know_its_files_by_more_than_their_first_bytes(
     ("code", "entry", "said"),
     [
         (
-            "import no_such_module",
-            "broken:Reader",
-            "package broken: its specmap.readers entry 'broken' cannot be loaded: "
-            "ModuleNotFoundError: No module named 'no_such_module'; mend or remove the package",
-        ),
-        (
-            "x = 1",
-            "broken:Reader",
-            "package broken: its specmap.readers entry 'broken' cannot be loaded: "
-            "AttributeError: module 'broken' has no attribute 'Reader'; mend or remove the package",
-        ),
-        (
             "def reader(file, path): ...",
             "broken:reader",
             "the reader 'broken' of specmap.readers is no class derived from "
@@ -193,12 +181,6 @@ def test_a_broken_entry_point_is_one_clear_line(
     with pytest.raises(UsageError) as caught:
         open_log(drive)
     assert str(caught.value) == said
-
-
-def test_a_reader_cannot_take_the_name_of_another(drive: Path, install: Install) -> None:
-    install("mine", documented_reader(), entry="mine:RangeLines", name="mcap")
-    with pytest.raises(UsageError, match="package mine: offers 'mcap'"):
-        open_log(drive)
 
 
 @pytest.mark.parametrize("name", sorted(BUILT_IN))
