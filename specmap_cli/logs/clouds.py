@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import first_in_cells
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
 from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.thinning import first_in_cells
 from specmap_cli.logs.messages import CloudRecord
 from specmap_cli.logs.readers.encoding import NS_PER_S
 

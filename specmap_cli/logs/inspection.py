@@ -15,11 +15,10 @@ import numpy as np
 
 from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.errors import InputError, UsageError
-from specmap_cli.core.geometry import FloatArray, yaw_of
+from specmap_cli.core.geometry import FloatArray, step_lengths, yaw_of
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, Sweep
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.logs.clocks import odometry_of
 from specmap_cli.logs.frames import TransformTree, read_frames
 from specmap_cli.logs.messages import BadMessageError, decode_scan

@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, yaw_of
+from specmap_cli.core.geometry import FloatArray, Pose2, moved, yaw_of
 from specmap_cli.core.records import BoolArray, IntArray, PlanarScan, Sweep
-from specmap_cli.core.tracks import moved
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 
 

@@ -21,13 +21,11 @@ from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
 from specmap_cli.core.arguments import Paths, path_of, paths_of
-from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError
-from specmap_cli.core.files import partial_of, remove_leftovers
+from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError, reason
+from specmap_cli.core.files import lock, partial_of, remove_leftovers
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.locks import lock
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.core.text import counted, legible
 from specmap_cli.logs.opening import Log, open_log
 from specmap_cli.logs.readers.encoding import (

@@ -19,9 +19,8 @@ from typing import IO, Any, NamedTuple
 import lz4.frame
 import zstandard
 
-from specmap_cli.core.errors import TOO_LARGE
+from specmap_cli.core.errors import TOO_LARGE, reason
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.logs.readers.recording import refused, unreadable
 
 _SLICE_BYTES = 1 << 16  # compressed bytes taken at once

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
-from specmap_cli.core.errors import LogError
+from specmap_cli.core.errors import LogError, reason
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.core.text import counted, legible
 
 _LONGEST_CHARACTER_BYTES = 4  # of UTF-8
