@@ -145,12 +145,12 @@ class OwnBody:
 
     def _is_own(self, ranges: FloatArray) -> BoolArray:
         """Readings (B,) near those of the robot, on its beams and those beside: edges flicker."""
-        low = _beside(np.where(self._seen, self._low, np.inf), np.minimum)
-        high = _beside(np.where(self._seen, self._high, -np.inf), np.maximum)
+        low = _of_neighbours(np.where(self._seen, self._low, np.inf), np.minimum)
+        high = _of_neighbours(np.where(self._seen, self._high, -np.inf), np.maximum)
         return (ranges >= low - _MARGIN_M) & (ranges <= high + _MARGIN_M)
 
 
-def _beside(values: FloatArray, least: np.ufunc) -> FloatArray:
+def _of_neighbours(values: FloatArray, least: np.ufunc) -> FloatArray:
     """Each value (B,) or the ones beside it, by their minimum or maximum."""
     spread = values.copy()
     spread[1:] = least(spread[1:], values[:-1])

@@ -11,7 +11,7 @@ import pytest
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.clocks import Beside, Clock, choose_clock
+from specmap_cli.logs.clocks import Clock, StampPair, choose_clock
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
 from specmap_cli.logs.stream import SweepStream
@@ -72,9 +72,9 @@ def test_scans_by_order_leave_the_time_to_drive(
 ) -> None:
     """Otherwise the odometry of a sparse log would seem to jump."""
     zeros = [0] * 9
-    besides = [Beside((0, 0), (0, 0), (n * step_m, 0.0)) for n in range(3)]
+    pairs = [StampPair((0, 0), (0, 0), (n * step_m, 0.0)) for n in range(3)]
     turn("logs", order_speed_mps=speed_mps)
-    clock = choose_clock(glimpses(zeros, zeros), besides)
+    clock = choose_clock(glimpses(zeros, zeros), pairs)
     assert clock.interval_ns == round(interval_s * SECOND)
 
 
@@ -86,9 +86,9 @@ def test_the_settings_say_how_far_apart_the_clocks_may_be(
 ) -> None:
     times = tenths(9)
     ahead = [t + round(apart_s * SECOND) for t in times]
-    besides = [Beside((t, t), (s, t)) for s, t in zip(ahead, times, strict=True)]
+    pairs = [StampPair((t, t), (s, t)) for s, t in zip(ahead, times, strict=True)]
     turn("logs", clocks_apart_s=limit_s)
-    clock = choose_clock(glimpses(ahead, times), besides)
+    clock = choose_clock(glimpses(ahead, times), pairs)
     assert clock.odometry_shift_ns == round(shift_s * SECOND)
 
 
