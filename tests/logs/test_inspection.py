@@ -19,7 +19,6 @@ from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.summary import (
     LogSummary,
-    Outlook,
 )
 from specmap_cli.logs.writer import LogWriter
 from tests.turning import configured
@@ -152,17 +151,17 @@ def test_a_log_of_unreadable_scans_has_no_next_command(tmp_path: Path) -> None:
         for number in range(2):
             log.scan("/scan", "laser", START + number, -1.0, 0.5, [], range_max=8.0)
     summary = summary_of(tmp_path / "log.mcap")
-    assert summary.outlook.problem == "no usable scan on /scan"
-    assert summary.outlook.next_command is None
-    assert summary.outlook.chosen is not None
+    assert summary.problem == "no usable scan on /scan"
+    assert summary.next_command is None
+    assert summary.chosen is not None
     assert summary.scan is None
 
 
 def test_a_named_frame_that_is_not_there_is_a_problem_with_a_command(drive: Path) -> None:
     summary = summary_of(drive, base_frame="body", scan_topic="/scan")
-    assert summary.outlook.problem is not None
-    assert "--base-frame body: no transform joins it" in summary.outlook.problem
-    assert summary.outlook.next_command == f"specmap build {drive} --scan-topic /scan"
+    assert summary.problem is not None
+    assert "--base-frame body: no transform joins it" in summary.problem
+    assert summary.next_command == f"specmap build {drive} --scan-topic /scan"
     assert [frame.child for frame in summary.frames] == ["laser"]
 
 
@@ -174,7 +173,7 @@ def test_many_files_are_named_in_short(tmp_path: Path) -> None:
     first = ", ".join(str(path) for path in paths[:3])
     assert summary.lines()[0].startswith(f"{first} ...: MCAP, 0.0 MB")
     quoted = " ".join(f"'{path}'" for path in paths)
-    assert summary.outlook.next_command == f"specmap build {quoted}"
+    assert summary.next_command == f"specmap build {quoted}"
 
 
 def test_names_that_a_terminal_would_obey_are_shown_escaped(path: Path) -> None:
@@ -191,15 +190,15 @@ def test_names_that_a_terminal_would_obey_are_shown_escaped(path: Path) -> None:
     assert all(line.isprintable() for line in lines)
     assert any("/odom\\n/evil\\u202e" in line for line in chosen.lines())
     assert any("frame las\\x1b[31mER" in line for line in chosen.lines())
-    assert both.outlook.problem is not None
-    assert "`--scan-topic /scan\\x07`" in both.outlook.problem
+    assert both.problem is not None
+    assert "`--scan-topic /scan\\x07`" in both.problem
     assert {t.name for t in both.topics} >= {"/scan\x07", "/odom\n/evil\u202e"}
 
 
 def test_a_drive_is_summed_up(drive: Path) -> None:
     summary = summary_of(drive)
-    assert summary.extent.messages == 91
-    assert summary.extent.duration_s == pytest.approx(2.95)
+    assert summary.messages == 91
+    assert summary.duration_s == pytest.approx(2.95)
     rates = {t.name: t.rate_hz for t in summary.topics}
     assert rates["/odom"] == pytest.approx(59 / 2.95)
     assert rates["/tf_static"] == 0.0
@@ -209,8 +208,8 @@ def test_a_drive_is_summed_up(drive: Path) -> None:
     assert summary.scan.beams == 40
     assert summary.scan.field_of_view_deg == pytest.approx(171.89, abs=0.01)
     assert summary.scan.range_max_m == 8.0
-    assert summary.outlook.next_command == f"specmap build {drive}"
-    assert summary.outlook.problem is None
+    assert summary.next_command == f"specmap build {drive}"
+    assert summary.problem is None
     assert json.loads(json.dumps(summary.to_dict()))["topics"][0]["name"] == "/odom"
 
 
@@ -225,9 +224,9 @@ def test_an_ambiguous_log_gets_a_command_that_runs(tmp_path: Path) -> None:
         for i in range(2):
             log.odometry("/visual", "odom", "base", i, Pose2(0.0, 0.0, 0.0))
     summary = summary_of(path)
-    assert summary.outlook.problem is not None
-    assert "3 topics carry scans" in summary.outlook.problem
-    assert summary.outlook.next_command == (
+    assert summary.problem is not None
+    assert "3 topics carry scans" in summary.problem
+    assert summary.next_command == (
         f"specmap build '{path}' --scan-topic /rear --odom-topic /visual"
     )
     with open_log(path) as log_:
@@ -239,14 +238,21 @@ def test_a_log_without_scans_has_no_next_command(path: Path) -> None:
     with LogWriter(path) as log:
         log.odometry("/odom", "odom", "base", 1, Pose2(0.0, 0.0, 0.0))
     summary = summary_of(path)
-    assert summary.outlook.next_command is None
-    assert summary.outlook.problem is not None
+    assert summary.next_command is None
+    assert summary.problem is not None
     assert "problem: " in "\n".join(summary.lines())
 
 
 def test_every_line_has_its_place(drive: Path) -> None:
-    outlook = Outlook(chosen="all", problem="none", next_command="go", warnings=("w1", "w2"))
-    summary = replace(summary_of(drive), outlook=outlook, damage=("d",), preview=None)
+    summary = replace(
+        summary_of(drive),
+        chosen="all",
+        problem="none",
+        next_command="go",
+        warnings=("w1", "w2"),
+        damage=("d",),
+        preview=None,
+    )
     rates = zip(summary.topics, (0.04, 0.05, 9.8), strict=True)
     summary = replace(summary, topics=tuple(replace(topic, rate_hz=hz) for topic, hz in rates))
     size = f"{drive.stat().st_size / 1e6:.1f} MB"

@@ -112,7 +112,7 @@ def test_it_is_found_after_the_first_look_too(coded_log: Path) -> None:
 def test_info_tells_it(coded_log: Path) -> None:
     with open_log([coded_log]) as log:
         summary = summarize(log)
-    assert any("2.8 m" in warning for warning in summary.outlook.warnings)
+    assert any("2.8 m" in warning for warning in summary.warnings)
 
 
 POST = slice(13, 19)  # beams that see a post of the robot

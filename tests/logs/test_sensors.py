@@ -156,8 +156,8 @@ def test_info_lists_the_sensors_and_the_command_that_chooses(path: Path) -> None
     with open_log(path) as log:
         summary = summarize(log)
         chosen = summarize(log, LogConfig(scan_frame="rear"))
-    assert summary.outlook.problem is not None
-    assert "2 sensors on one topic" in summary.outlook.problem
-    assert summary.outlook.next_command == f"specmap build {path} --scan-frame front"
-    assert chosen.outlook.next_command == f"specmap build {path} --scan-frame rear"
+    assert summary.problem is not None
+    assert "2 sensors on one topic" in summary.problem
+    assert summary.next_command == f"specmap build {path} --scan-frame front"
+    assert chosen.next_command == f"specmap build {path} --scan-frame rear"
     assert "  several sensors on the topic: front (20 scans), rear (10 scans)" in chosen.lines()

@@ -58,11 +58,9 @@ def test_a_reader_of_another_package_reads_its_log(path: Path) -> None:
         summary = summarize(log)
     assert stream.expected == len(sweeps) == 5
     assert [s.planar.ranges.tolist() for s in sweeps] == [[1, 2, 3, n + 0.5] for n in range(1, 6)]
-    assert (
-        summary.outlook.chosen == "scans from /scan (LaserScan, 5), no odometry, base frame laser"
-    )
-    assert summary.outlook.next_command == f"specmap build {path}"
-    assert summary.extent.duration_s == pytest.approx(0.4)
+    assert summary.chosen == "scans from /scan (LaserScan, 5), no odometry, base frame laser"
+    assert summary.next_command == f"specmap build {path}"
+    assert summary.duration_s == pytest.approx(0.4)
 
 
 @pytest.mark.usefixtures("range_lines")
