@@ -1,4 +1,4 @@
-"""Which frames a log has and how the laser sits on the base, found before the scans are read."""
+"""The tree of frames of a log, and how the laser sits on the base, found before scans are read."""
 
 from __future__ import annotations
 
