@@ -120,24 +120,16 @@ def decode_odometry(message: Message) -> OdometryRecord:
 
 def decode_transforms(message: Message) -> Transforms:
     """The transforms in a TFMessage; raises BadMessageError."""
-    records = [
-        TransformRecord(
-            _stamp(stamped.header),
-            frame_name(stamped.header.frame_id),
-            frame_name(stamped.child_frame_id),
-            _matrix(stamped.transform.translation, stamped.transform.rotation),
-        )
-        for stamped in _decoded(message, TF_MESSAGE).transforms
-    ]
-    possible = [_possible(record.parent_from_child) for record in records]
-    return Transforms(
-        records=tuple(record for record, good in zip(records, possible, strict=True) if good),
-        absurd=tuple(
-            (record.parent, record.child)
-            for record, good in zip(records, possible, strict=True)
-            if not good
-        ),
-    )
+    records: list[TransformRecord] = []
+    absurd: list[tuple[str, str]] = []
+    for stamped in _decoded(message, TF_MESSAGE).transforms:
+        parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
+        matrix = _matrix(stamped.transform.translation, stamped.transform.rotation)
+        if _possible(matrix):
+            records.append(TransformRecord(_stamp(stamped.header), parent, child, matrix))
+        else:
+            absurd.append((parent, child))
+    return Transforms(tuple(records), tuple(absurd))
 
 
 def frame_name(frame: str) -> str:

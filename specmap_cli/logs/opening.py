@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from specmap_cli.core.arguments import Paths, instance_of, paths_of
-from specmap_cli.core.errors import LOG_DAMAGED, LOG_MISSING, PACKAGE, LogError, UsageError
+from specmap_cli.core.errors import LOG_DAMAGED, PACKAGE, LogError, UsageError
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible
@@ -102,8 +102,6 @@ def is_directory(path: Path) -> bool:
     """
     try:
         mode = path.stat().st_mode
-    except FileNotFoundError:
-        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
     except OSError as error:
         raise unreadable(path, error) from None
     if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
@@ -119,8 +117,6 @@ def head_of(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
             return file.read(HEAD_BYTES)
-    except FileNotFoundError:
-        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
     except OSError as error:
         raise unreadable(path, error) from None
 

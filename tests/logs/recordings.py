@@ -146,3 +146,10 @@ def sweeps_of(path: Path, **options: object) -> tuple[list[Sweep], SweepStream]:
     with open_log(path) as log:
         stream = SweepStream(log, configured(LogConfig, "logs", options))
         return list(stream), stream
+
+
+def overwrite(path: Path, place: int, by: bytes) -> None:
+    """Put other bytes in the place of some of a file."""
+    data = bytearray(path.read_bytes())
+    data[place : place + len(by)] = by
+    path.write_bytes(data)

@@ -209,15 +209,3 @@ def test_a_link_to_itself_is_one_line(tmp_path: Path) -> None:
         with pytest.raises(LogError) as caught:
             open_log(path)
         assert str(caught.value) == (f"{path}: cannot read: Too many levels of symbolic links")
-
-
-def test_a_directory_that_cannot_be_searched_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "stat", refuse)
-    with pytest.raises(LogError) as caught:
-        open_log(tmp_path / "locked" / "log.mcap")
-    assert str(caught.value) == f"{tmp_path}/locked/log.mcap: cannot read: Permission denied"

@@ -62,17 +62,6 @@ def test_a_directory_is_searched_for_recordings(tmp_path: Path, drive: Path) -> 
         assert log.given == (folder,)
 
 
-def test_an_unreadable_file_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path.write_bytes(b"x")
-
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(LogError, match=r"log\.mcap: cannot read: Permission denied"):
-        open_log(path)
-
-
 @pytest.mark.parametrize(
     ("paths", "found"), [(None, "None"), (7, "7"), ([Path("a"), None], "None"), (b"log", "")]
 )
@@ -113,18 +102,6 @@ def test_hidden_files_and_folders_in_a_directory_are_passed_over(
         f"{folder}: no recording in this directory; "
         "expected MCAP, rosbag2 (SQLite), ROS 1 bag or CARMEN log"
     )
-
-
-def test_a_directory_that_cannot_be_listed_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(_: Path) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "iterdir", refuse)
-    with pytest.raises(LogError) as caught:
-        open_log(tmp_path)
-    assert str(caught.value) == f"{tmp_path}: cannot read: Permission denied"
 
 
 @pytest.mark.parametrize("pack", [gzip.compress, lz4.frame.compress])
@@ -222,3 +199,17 @@ def test_text_is_text_wherever_its_head_ends(text: str, length: int) -> None:
 @pytest.mark.parametrize("head", [b"\xff\xfe plain", b"plain \x80 and plain", b"\xc3 (cut) again"])
 def test_other_bytes_are_no_text(head: bytes) -> None:
     assert not is_text(head)
+
+
+@pytest.mark.parametrize("step", ["open", "iterdir", "stat"])
+def test_what_the_system_refuses_is_one_line(
+    drive: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    path = drive.parent if step == "iterdir" else drive
+    monkeypatch.setattr(Path, step, refuse)
+    with pytest.raises(LogError) as caught:
+        open_log(path)
+    assert str(caught.value) == f"{path}: cannot read: Permission denied"

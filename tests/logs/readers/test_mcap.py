@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, IndexType, Writer
 
 from specmap_cli.logs.opening import open_log
@@ -15,7 +16,7 @@ from specmap_cli.logs.readers.chunked import ChunkRef
 from specmap_cli.logs.readers.compression import Unpacked
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message, TopicInfo
-from tests.logs.recordings import cut_in_tenths, read_rest, spoil, write_mcap
+from tests.logs.recordings import cut_in_tenths, overwrite, read_rest, spoil, write_mcap
 
 STYLES: list[dict[str, object]] = [
     {"compression": CompressionType.ZSTD},
@@ -26,6 +27,14 @@ STYLES: list[dict[str, object]] = [
     {"use_chunking": False},
     {"enable_crcs": False},
 ]
+
+
+def chunks_of(path: Path) -> list[ChunkIndex]:
+    """The chunks by the reference reader."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return summary.chunk_indexes
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -71,13 +80,9 @@ def test_a_damaged_chunk_costs_only_itself(
     path: Path, drive_messages: list[Message], compression: CompressionType
 ) -> None:
     write_mcap(path, drive_messages, compression=compression)
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    middle = summary.chunk_indexes[3].chunk_start_offset + 200
-    data = bytearray(path.read_bytes())
-    data[middle : middle + 35] = b"damaged" * 5
-    path.write_bytes(data)
+    chunks = chunks_of(path)
+    middle = chunks[3].chunk_start_offset + 200
+    overwrite(path, middle, b"damaged" * 5)
     with open_log(path) as log:
         found = list(log.messages())
         assert len(log.damage) == 1
@@ -174,11 +179,9 @@ def test_where_no_record_follows_the_reading_ends_and_it_is_said(
 
 def test_an_unknown_compression_costs_its_chunks(path: Path, drive_messages: list[Message]) -> None:
     write_mcap(path, drive_messages, compression=CompressionType.ZSTD)
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
+    chunks = chunks_of(path)
     data = bytearray(path.read_bytes())
-    for chunk in summary.chunk_indexes[1:]:
+    for chunk in chunks[1:]:
         place = data.index(b"zstd", chunk.chunk_start_offset)
         data[place : place + 4] = b"best"
     path.write_bytes(data)
@@ -186,20 +189,16 @@ def test_an_unknown_compression_costs_its_chunks(path: Path, drive_messages: lis
         found = list(log.messages())
         assert found == drive_messages[: len(found)]
         assert 0 < len(found) < len(drive_messages)
-        assert len(log.damage) == min(len(summary.chunk_indexes) - 1, 21)
+        assert len(log.damage) == min(len(chunks) - 1, 21)
 
 
 def test_a_damaged_head_of_an_indexed_chunk_costs_nothing(
     path: Path, drive_messages: list[Message]
 ) -> None:
     write_mcap(path, drive_messages, compression=CompressionType.NONE)
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    chunk = summary.chunk_indexes[2]
-    data = bytearray(path.read_bytes())
-    data[chunk.chunk_start_offset] = 0x05  # no chunk any more
-    path.write_bytes(data)
+    chunks = chunks_of(path)
+    chunk = chunks[2]
+    overwrite(path, chunk.chunk_start_offset, b"\x05")  # no chunk any more
     assert read_rest(path) == (
         drive_messages,
         [
@@ -248,9 +247,8 @@ def test_a_damaged_record_in_a_chunk_without_checksum_is_told(
     index = IndexType.ALL if indexed else IndexType.NONE
     plain = CompressionType.NONE
     write_mcap(path, drive_messages, enable_crcs=False, compression=plain, index_types=index)
-    data = bytearray(path.read_bytes())
-    data[data.index(drive_messages[50].data) - 31 + place] = value
-    path.write_bytes(data)
+    record = path.read_bytes().index(drive_messages[50].data) - 31
+    overwrite(path, record + place, bytes([value]))
     with open_log(path) as log:
         found = list(log.messages())
         assert len(found) + log.missing.total() >= len(drive_messages)
@@ -348,9 +346,7 @@ def test_damage_behind_the_end_of_the_data_is_told(
 ) -> None:
     write_mcap(path, drive_messages, use_chunking=False)
     behind, _ = end_of_data_moved_up(path)
-    data = bytearray(path.read_bytes())
-    data[behind : behind + 9] = b"\x05" + b"\xff" * 8  # a message longer than any file
-    path.write_bytes(data)
+    overwrite(path, behind, b"\x05" + b"\xff" * 8)  # a message longer than any file
     with open_log(path) as log:
         assert len(list(log.messages())) == len(drive_messages) - 1
         assert f"{path}: damaged in the index at byte {behind}: " in log.damage[-1]

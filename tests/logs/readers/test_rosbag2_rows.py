@@ -13,7 +13,7 @@ from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message
-from tests.logs.recordings import write_db3
+from tests.logs.recordings import overwrite, write_db3
 
 PAGE = 512  # bytes: small ones, so that a drive takes many of them and messages flow over
 INDEX_LEAF, TABLE_LEAF = 0x0A, 0x0D  # the first byte of a page
@@ -58,12 +58,6 @@ def leaf(path: Path, name: str, share: float) -> int:
     """The byte where a leaf of a table or an index begins, that share of the way through it."""
     found = list(leaves(path.read_bytes(), root_of(path, name)))
     return (found[int(share * len(found))] - 1) * PAGE
-
-
-def overwrite(path: Path, place: int, by: bytes) -> None:
-    data = bytearray(path.read_bytes())
-    data[place : place + len(by)] = by
-    path.write_bytes(data)
 
 
 def read(path: Path, config: LogConfig | None = None) -> tuple[list[Message], list[str]]:
