@@ -13,10 +13,10 @@ from itertools import islice, pairwise
 from statistics import median_low
 from typing import Literal
 
-from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.text import nanoseconds
 from specmap_cli.logs.messages import (
     BadMessageError,
+    TransformRecord,
     decode_odometry,
     decode_scan,
     decode_transforms,
@@ -174,7 +174,9 @@ def stamp_pairs(
             if message.topic != scan_topic:
                 heard = odometry_of(message, odom_frame)
                 if heard is not None:
-                    last, place = (heard[0], message.time_ns), heard[1]
+                    last = heard.stamp_ns, message.time_ns
+                    x, y = heard.parent_from_child[:2, 3].tolist()
+                    place = x, y
             elif last is not None:
                 record = decode_scan(message)
                 if sensor.made(record):
@@ -186,21 +188,12 @@ def stamp_pairs(
     return found
 
 
-def odometry_of(
-    message: Message, odometry_frame: str | None
-) -> tuple[int, tuple[float, float]] | None:
-    """Header stamp and (x, y) of odometry, None in a message of other transforms.
+def odometry_of(message: Message, odometry_frame: str | None) -> TransformRecord | None:
+    """The odometry in a message, None in one of other transforms.
 
     Raises BadMessageError for a message that cannot be read.
     """
     if message.type != TF_MESSAGE:
-        pose = decode_odometry(message)
-        return pose.stamp_ns, _place(pose.frame_from_child)
-    for record in decode_transforms(message).records:
-        if record.parent == odometry_frame:
-            return record.stamp_ns, _place(record.parent_from_child)
-    return None
-
-
-def _place(matrix: FloatArray) -> tuple[float, float]:
-    return float(matrix[0, 3]), float(matrix[1, 3])
+        return decode_odometry(message)
+    records = decode_transforms(message).records
+    return next((record for record in records if record.parent == odometry_frame), None)

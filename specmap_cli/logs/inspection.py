@@ -262,7 +262,7 @@ class _Reading:
             return decode_scan(message).stamp_ns
         if message.type in (ODOMETRY, TF_MESSAGE):
             pose = odometry_of(message, self._frame)
-            return None if pose is None else pose[0]
+            return None if pose is None else pose.stamp_ns
         return None
 
 

@@ -66,18 +66,8 @@ class CloudRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class OdometryRecord:
-    """frame_from_child (4, 4) at a stamp."""
-
-    stamp_ns: int
-    frame: str
-    child: str
-    frame_from_child: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class TransformRecord:
-    """parent_from_child (4, 4) at a stamp."""
+    """parent_from_child (4, 4) at a stamp, by a transform or by odometry."""
 
     stamp_ns: int
     parent: str
@@ -105,7 +95,7 @@ def decode_scan(message: Message) -> ScanRecord | CloudRecord:
     return _scan(decoded, decoded.ranges)
 
 
-def decode_odometry(message: Message) -> OdometryRecord:
+def decode_odometry(message: Message) -> TransformRecord:
     """The pose in an Odometry message; raises BadMessageError."""
     decoded = _decoded(message, ODOMETRY)
     pose = decoded.pose.pose
@@ -113,7 +103,7 @@ def decode_odometry(message: Message) -> OdometryRecord:
     if not _possible(matrix):
         raise BadMessageError("odometry is not finite or beyond all bounds")
     header = decoded.header
-    return OdometryRecord(
+    return TransformRecord(
         _stamp(header), frame_name(header.frame_id), frame_name(decoded.child_frame_id), matrix
     )
 

@@ -217,8 +217,8 @@ def test_the_first_echo_counts() -> None:
 def test_odometry_and_transforms_are_matrices() -> None:
     data = odometry_cdr("odom", "base", STAMP, Pose2(1.0, 2.0, 0.5))
     odometry = decode_odometry(Message("/odom", ODOMETRY, 1, data))
-    assert (odometry.frame, odometry.child, odometry.stamp_ns) == ("odom", "base", STAMP)
-    assert Pose2.from_matrix(odometry.frame_from_child) == pytest.approx((1.0, 2.0, 0.5))
+    assert (odometry.parent, odometry.child, odometry.stamp_ns) == ("odom", "base", STAMP)
+    assert Pose2.from_matrix(odometry.parent_from_child) == pytest.approx((1.0, 2.0, 0.5))
     turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.0])
     data = transform_cdr("base", "/laser", STAMP, (1.0, 2.0, 3.0), turn.as_quat())
     (transform,) = decode_transforms(Message("/tf", TF_MESSAGE, 1, data)).records
@@ -313,7 +313,7 @@ def test_messages_of_another_type_on_a_topic_are_refused(
 @pytest.mark.parametrize("far", [1.1e8, 1e20, 1e308, -1e9, math.nan, math.inf])
 def test_places_that_are_not_on_earth_are_refused(far: float) -> None:
     near = odometry_cdr("odom", "base", STAMP, Pose2(4e7, -4e7, 0.5))
-    assert decode_odometry(Message("/odom", ODOMETRY, 1, near)).frame_from_child[0, 3] == 4e7
+    assert decode_odometry(Message("/odom", ODOMETRY, 1, near)).parent_from_child[0, 3] == 4e7
     data = odometry_cdr("odom", "base", STAMP, Pose2(0.0, far, 0.5))
     with pytest.raises(BadMessageError, match="beyond all bounds"):
         decode_odometry(Message("/odom", ODOMETRY, 1, data))
