@@ -29,11 +29,10 @@ from specmap_cli.grids.map_server import write_png
 from specmap_cli.grids.pictures import read_picture
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words
-from specmap_cli.maps.edits_text import written
+from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words, written
 from specmap_cli.maps.schema import EditsRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.maps.text_files import read_trajectory
 from specmap_cli.pipelines.edits import (
     Drawn,
     RequestedEdits,

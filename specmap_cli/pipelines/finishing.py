@@ -15,7 +15,7 @@ from specmap_cli.core.findings import Quality, summary
 from specmap_cli.drawing.overview import render_overview
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.g2o import write_g2o
-from specmap_cli.maps.edits_text import written
+from specmap_cli.maps.edits import written
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.edits import drawn, named, tell_unapplied
 from specmap_cli.pipelines.learning import Prior, arrays_of, learn

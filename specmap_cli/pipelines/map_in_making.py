@@ -28,9 +28,8 @@ from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, edits_text
-from specmap_cli.maps.json_files import map_text
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.maps.text_files import map_text, read_trajectory
 from specmap_cli.pipelines.edits import edits_of_stored
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.verdict import LAYOUT_CODES, of_layout, quality_of

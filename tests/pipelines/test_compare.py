@@ -50,7 +50,7 @@ def test_what_changed_is_told(told: Comparison) -> None:
     assert len(found.opened) == 1
     assert len(found.appeared) == 1
     assert not found.vanished
-    cabinet = found.appeared[0].thing
+    cabinet = found.appeared[0]
     assert cabinet.length_m == pytest.approx(0.8, abs=0.2)
     assert 0.05 < cabinet.area_m2 < 0.5
     assert found.appeared[0].old_submap is not None
@@ -67,7 +67,7 @@ def test_names_that_a_person_gave_are_told(told: Comparison) -> None:
 
 def test_places_are_those_of_the_old_map(told: Comparison) -> None:
     grid = told.old.map_grid
-    cabinet = told.differences.appeared[0].thing
+    cabinet = told.differences.appeared[0]
     assert (grid.values_at(cabinet.centre[None]) == FREE).all()
     for way in told.differences.closed:
         assert (grid.values_at(way.place[None]) == FREE).all()
