@@ -24,14 +24,14 @@ from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.calibration import Calibration, HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
-from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M, HeldOutMisfit, held_out_misfit
+from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
 from specmap_cli.recognition.learning.sampling import (
     augmented_samples,
     cast_samples,
     raw_samples,
     track_samples,
 )
-from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_raw, train_virtual
+from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_and_test
 from specmap_cli.recognition.learning.training_data import NO_TRAINING_DATA, Samples, TrainingData
 from specmap_cli.segmentation.refinement import regions_of
 from specmap_cli.topology.graph import build_topology, settle_labels, stays_of
@@ -147,7 +147,7 @@ class Known:
         """How the classifiers before the last recording tell its scans, where there are any."""
         if self.before is None:
             return None
-        return Revisits(self.before, self.starts[-1], poses, labels, HELD_OUT_REACH_M)
+        return Revisits(self.before, self.starts[-1], poses, labels)
 
 
 def known_of(
@@ -188,7 +188,9 @@ def learn(
                     submaps, poses, grids, config.localization, virtual_rng, known.lessons.cast
                 )
                 along = next(meanwhile)
-                learned = train_virtual(along, cast, poses, config, virtual_rng, revisits)
+                learned = train_and_test(
+                    along, cast, poses, config, virtual_rng, revisits, virtual=True
+                )
                 virtual = _Virtual(along, cast, *learned)
             taught = meanwhile.result
             classifiers = ClassifierSet(
@@ -254,7 +256,7 @@ def _without_grids(
         )
     samples = raw_samples(store, submaps, config, known.features, known.starts)
     beside = augmented_samples(store, submaps, poses, config, rng, known.lessons.beside)
-    raw, held_out = train_raw(samples, beside, poses, config, rng, revisits)
+    raw, held_out = train_and_test(samples, beside, poses, config, rng, revisits, virtual=False)
     misfit = held_out_misfit(store, submaps, poses)
     return _Taught(raw, _single(samples), _single(beside), held_out, misfit)
 

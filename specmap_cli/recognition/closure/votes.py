@@ -19,10 +19,7 @@ from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.closure.prepared import MapToAlign, PreparedMap
 from specmap_cli.recognition.closure.verification import (
-    LEAST_OVERLAP,
     MIN_LEAD,
-    MIN_OVERLAP,
-    MIN_WALL_M,
     Check,
     verify,
 )
@@ -164,10 +161,18 @@ def votes_of(
     votes = []
     for i, j in sorted(pairs, key=lambda pair: (pair[1], pair[0])):  # few grids are kept prepared
         one, other = old.of(i), new.of(j)
-        check = None if one is None or other is None else verify(one, other)
-        if check is not None and _is_sure(check, config):
-            frames = old.known.frames[i], new.known.frames[j]
-            votes.append(_vote((i, j), check, frames, new.known.grids[j].free_area_m2))
+        check = None if one is None or other is None else verify(one.grid, other.grid)
+        if one and other and check and check.matches(config.min_score) and check.lead >= MIN_LEAD:
+            radius_m = math.sqrt(new.map.grids[j].free_area_m2 / math.pi)
+            vote = Vote(
+                old=i,
+                new=j,
+                old_from_new=one.frame @ check.old_from_new @ other.frame.inverse(),
+                centre=np.array(other.frame[:2]),
+                radius_m=max(_LEAST_RADIUS_M, radius_m),
+                check=check,
+            )
+            votes.append(vote)
     return votes
 
 
@@ -178,44 +183,20 @@ def parties_of(votes: Sequence[Vote]) -> list[Party]:
         seeds = sorted(left, key=lambda vote: -vote.check.confirmed_m)[:_SEEDS]
         party = max((_party(vote, left) for vote in seeds), key=_weight)
         parties.append(party)
-        inside = {id(vote) for vote in party.votes}
-        left = [vote for vote in left if id(vote) not in inside]
+        left = [vote for vote in left if not any(vote is other for other in party.votes)]
     return sorted(parties, key=_weight, reverse=True)
 
 
-def fitted(transforms: Sequence[Pose2], centres: FloatArray, radii: FloatArray) -> Pose2:
-    """The one transform nearest to several, each known at its centre (n, 2) and radius (n,) round.
+def fitted(votes: Sequence[Vote]) -> Pose2:
+    """The one transform nearest to those of several votes, by least squares.
 
-    Least squares over four points of each place.
+    Each counts at four points round its submap's centre, a radius away.
     """
     corners = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-    source = centres[:, None, :] + corners[None] * radii[:, None, None]
-    pairs = zip(transforms, source, strict=True)
-    target = np.concatenate([pose.apply(points) for pose, points in pairs])
-    return nearest_motion(source.reshape(-1, 2), target)
-
-
-def _is_sure(check: Check, config: RecognitionConfig) -> bool:
-    """Whether two grids match, well and in one way only."""
-    return (
-        check.score >= config.min_score
-        and check.confirmed_m >= MIN_WALL_M
-        and check.overlap >= MIN_OVERLAP
-        and check.least_overlap >= LEAST_OVERLAP
-        and check.lead >= MIN_LEAD
-    )
-
-
-def _vote(pair: Pair, check: Check, frames: tuple[Pose2, Pose2], area_m2: float) -> Vote:
-    old_frame, new_frame = frames
-    return Vote(
-        old=pair[0],
-        new=pair[1],
-        old_from_new=old_frame @ check.old_from_new @ new_frame.inverse(),
-        centre=np.array(new_frame[:2]),
-        radius_m=max(_LEAST_RADIUS_M, math.sqrt(area_m2 / math.pi)),
-        check=check,
-    )
+    source = [vote.centre + corners * vote.radius_m for vote in votes]
+    pairs = zip(votes, source, strict=True)
+    target = [vote.old_from_new.apply(points) for vote, points in pairs]
+    return nearest_motion(np.concatenate(source), np.concatenate(target))
 
 
 def _party(seed: Vote, votes: Sequence[Vote]) -> Party:
@@ -225,10 +206,7 @@ def _party(seed: Vote, votes: Sequence[Vote]) -> Party:
         found = tuple(vote for vote in votes if _agree(vote, party))
         if not found or found == party.votes:
             break
-        transforms = [vote.old_from_new for vote in found]
-        centres = np.array([vote.centre for vote in found])
-        radii = np.array([vote.radius_m for vote in found])
-        party = Party(old_from_new=fitted(transforms, centres, radii), votes=found)
+        party = Party(old_from_new=fitted(found), votes=found)
     return party
 
 

@@ -11,20 +11,20 @@ learned from scans of pieces of the way that were held out (`recognition.learnin
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.sampling import evenly
-from specmap_cli.recognition.learning.json_fields import number, refuse
 
 _BLUNDERS = 0.01  # share of scans that say nothing: people all around, a door shut before the laser
 MOST_VIEWS = 400  # held out, of either kind
 _LEAST_RATIO, _MOST_RATIO = 1.0 / 32.0, 32.0  # of a fit
+_Ratio = Annotated[float, Field(ge=_LEAST_RATIO, le=_MOST_RATIO)]
 _STEPS_AN_OCTAVE = 16  # of the search, which is over a grid: the same on every processor
 _DECIMALS = 6  # of what is compared there
 # A fit is drawn to what is usual: by this standard deviation, in natural logarithms, and as if one
@@ -72,9 +72,9 @@ class Calibration:
     `views` scans that were held out say so; without any it is as usual.
     """
 
-    raw: float = 1.0
-    virtual: float = 1.0
-    views: int = 0
+    raw: _Ratio = 1.0
+    virtual: _Ratio = 1.0
+    views: Annotated[int, Field(ge=0, le=2 * MOST_VIEWS)] = 0
 
     def alone(self, raw: NDArray[Any]) -> FloatArray:
         """(n, m) log probabilities of the submaps by single scans of margins `raw` (n, m)."""
@@ -86,19 +86,6 @@ class Calibration:
             return self.alone(raw)
         claims = RAW.log(raw, self.raw) + VIRTUAL.log(virtual, self.virtual)
         return _probabilities(claims)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        return {"raw": self.raw, "virtual": self.virtual, "views": self.views}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Calibration:
-        """What `to_dict` described; MapError names what makes no sense."""
-        raw, virtual, views = (number(data, key, "calibration") for key in cls.__slots__)
-        bounded = all(_LEAST_RATIO <= ratio <= _MOST_RATIO for ratio in (raw, virtual))
-        if not bounded or not 0.0 <= views <= 2 * MOST_VIEWS or views % 1.0:
-            raise refuse("calibration", "a ratio or the number of views is out of bounds")
-        return cls(raw, virtual, int(views))
 
 
 def calibrated(

@@ -26,7 +26,7 @@ def samples(centre: float, keyframes: np.ndarray) -> Samples:
 
 
 def test_a_piece_in_four_is_held_out_but_not_the_first() -> None:
-    held = Pieces(straight(60.0), 1.5).held_out
+    held = Pieces(straight(60.0)).held_out
     assert not held[:49].any()
     assert held[52:98].all()
     assert not held[102:248].any()
@@ -34,20 +34,20 @@ def test_a_piece_in_four_is_held_out_but_not_the_first() -> None:
 
 
 def test_only_places_that_the_rest_shows_are_tested() -> None:
-    pieces, line = Pieces(straight(60.0), 1.5), samples(0.0, np.arange(600))
+    pieces, line = Pieces(straight(60.0)), samples(0.0, np.arange(600))
     tested = pieces.tested(line).keyframes
     assert set(tested) < set(np.flatnonzero(pieces.held_out))
     assert {51, 97} <= set(tested)
     assert not {75} & set(tested)
     assert len(pieces.rest(line).keyframes) == (~pieces.held_out).sum()
     there_and_back = np.vstack([straight(30.0), straight(30.0)[::-1]])
-    both = Pieces(there_and_back, 1.5)
+    both = Pieces(there_and_back)
     again = both.tested(samples(0.0, np.arange(600))).keyframes
     assert len(again) == both.held_out.sum()
 
 
 def test_a_submap_of_which_nothing_is_left_is_not_tested() -> None:
-    pieces = Pieces(straight(60.0), 1.5)
+    pieces = Pieces(straight(60.0))
     assert not len(pieces.tested(samples(0.0, np.arange(55, 90))).keyframes)
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
@@ -69,16 +68,3 @@ def test_near_returns_are_those_in_reach_or_the_nearer_half() -> None:
         ranges = np.hypot(*near_returns(scan, reach).T)
         assert ranges.max() == pytest.approx(farthest)
     assert len(near_returns(PlanarScan(0, bearings, np.full(41, np.inf), 30.0, False), 8.0)) == 0
-
-
-@pytest.mark.parametrize(
-    ("typical", "views"), [(-0.1, 3), (1.1, 3), (0.1, -1), (0.1, 61), (0.1, 2.5)]
-)
-def test_a_file_out_of_bounds_is_refused(typical: float, views: float) -> None:
-    with pytest.raises(MapError, match="misfit: its median or its number of views is out of"):
-        HeldOutMisfit.from_dict({"typical": typical, "views": views})
-
-
-def test_a_file_gives_it_back() -> None:
-    found = HeldOutMisfit(0.0371, 55)
-    assert HeldOutMisfit.from_dict(found.to_dict()) == found

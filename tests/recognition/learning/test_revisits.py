@@ -42,7 +42,6 @@ def revisits(
         first=FIRST,
         poses=np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), *places]),
         submaps=np.array([1, 4, *[1] * len(places)]),
-        reach_m=1.5,
     )
 
 

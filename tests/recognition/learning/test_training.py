@@ -35,7 +35,7 @@ from specmap_cli.recognition.learning.sampling import (
     raw_samples,
     track_samples,
 )
-from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_raw
+from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_and_test
 from specmap_cli.recognition.learning.training_data import NO_TRAINING_DATA
 from specmap_cli.recognition.localization.localizer import Localizer
 from tests.turning import turn
@@ -145,7 +145,8 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
     known = KeyframeFeatures(store, "table1")
     known.of(range(50))
     shared = raw_samples(store, SUBMAPS, config, known)
-    again, _ = train_raw(shared, beside, store.poses, config, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    again, _ = train_and_test(shared, beside, store.poses, config, rng, virtual=False)
     assert again.to_dict() == learned.to_dict()
 
 
@@ -183,7 +184,8 @@ def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
     """What raw scans teach."""
     samples = raw_samples(store, SUBMAPS, config)
     beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
-    return train_raw(samples, beside, store.poses, config, np.random.default_rng(0))[0]
+    rng = np.random.default_rng(0)
+    return train_and_test(samples, beside, store.poses, config, rng, virtual=False)[0]
 
 
 def samples_of(
@@ -331,5 +333,7 @@ def test_a_file_of_an_older_edition_of_the_package_is_refused(
         raw=raw_of(store, config),
     )
     text = learned.to_json().replace('"rings_far"', '"rings_farthest"')
-    with pytest.raises(MapError, match="'rings_farthest', which is not known; build the map again"):
+    with pytest.raises(
+        MapError, match="'rings_farthest' is no feature of the set; build"
+    ):
         ClassifierSet.from_json(text)

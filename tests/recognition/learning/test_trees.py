@@ -9,8 +9,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import IntArray
 from specmap_cli.recognition.learning.boosting import TreeBoost
-from specmap_cli.recognition.learning.trees import BINS, CodeArray, Forest, Quantiser
+from specmap_cli.recognition.learning.trees import (
+    BINS,
+    CodeArray,
+    Forest,
+    Growth,
+    Quantiser,
+    Question,
+    grown,
+)
 from tests.strategies import few, seeds
 
 BoolArray = NDArray[np.bool_]
@@ -99,22 +108,15 @@ def test_both_classes_weigh_alike_however_many_samples_they_have() -> None:
     X, y = data(3)
     quantiser = Quantiser.of(X)
     many = np.concatenate([np.arange(len(y)), np.repeat(np.flatnonzero(y < 0.0), 4)])
-    once, often = (
-        TreeBoost(NAMES, 1, feature_share=1.0).fit_codes(
-            quantiser.codes(X[rows]), quantiser, y[rows]
-        )
-        for rows in (np.arange(len(y)), many)
-    )
-    assert often.forest_.features.tolist() == once.forest_.features.tolist()
-    assert often.forest_.thresholds.tolist() == once.forest_.thresholds.tolist()
 
+    def first_tree(rows: IntArray) -> Forest:
+        question = Question(np.arange(len(rows)), y[rows] > 0.0)
+        codes = quantiser.codes(X[rows])
+        return grown(codes, quantiser, [question], Growth(1, 0.3, 1.0, 0))[0]
 
-def test_features_cut_beforehand_give_the_same_trees() -> None:
-    X, y = data(4)
-    quantiser = Quantiser.of(X)
-    direct = TreeBoost(NAMES, 20, seed=5).fit(X, y)
-    cut = TreeBoost(NAMES, 20, seed=5).fit_codes(quantiser.codes(X), quantiser, y)
-    assert cut.to_dict() == direct.to_dict()
+    once, often = first_tree(np.arange(len(y))), first_tree(many)
+    assert often.features.tolist() == once.features.tolist()
+    assert often.thresholds.tolist() == once.thresholds.tolist()
 
 
 def test_a_smaller_share_of_the_features_is_drawn_anew_each_round() -> None:
@@ -128,17 +130,6 @@ def test_shrinkage_scales_the_first_votes() -> None:
     X, y = data(6)
     whole, half = (TreeBoost(NAMES, 1, shrink, 1.0).fit(X, y) for shrink in (1.0, 0.5))
     assert half.forest_.votes == pytest.approx(0.5 * whole.forest_.votes, abs=1e-6)
-
-
-def test_more_rounds_separate_what_can_be_separated() -> None:
-    X, _ = data(7, n=300)
-    y = np.where(X[:, 0] * X[:, 1] > 0.0, 1.0, -1.0)
-    shares = [
-        ((TreeBoost(NAMES, rounds, feature_share=1.0).fit(X, y).margins(X) > 0.0) == (y > 0)).mean()
-        for rounds in (1, 10, 200)
-    ]
-    assert shares == sorted(shares)
-    assert shares[-1] > 0.98
 
 
 def test_samples_of_one_class_alone_are_all_of_it() -> None:
