@@ -333,7 +333,5 @@ def test_a_file_of_an_older_edition_of_the_package_is_refused(
         raw=raw_of(store, config),
     )
     text = learned.to_json().replace('"rings_far"', '"rings_farthest"')
-    with pytest.raises(
-        MapError, match="'rings_farthest' is no feature of the set; build"
-    ):
+    with pytest.raises(MapError, match="'rings_farthest' is no feature of the set; build"):
         ClassifierSet.from_json(text)
