@@ -209,9 +209,7 @@ class ClaimRanker:
             )
             for end, scans, rows in zip(ends[1:].tolist(), own, others, strict=True)
         ]
-        return self._boosters(_Scans.joined([pool.scans, *own]), questions)
-
-    def _boosters(self, scans: _Scans, questions: Sequence[Question]) -> list[Booster]:
+        scans = _Scans.joined([pool.scans, *own])
         names, rounds = feature_names(self.config.feature_set), self.config.closure_rounds
         if self._quantiser is None or scans.codes is None:
             return boosted(names, scans.features, questions, rounds)

@@ -212,18 +212,14 @@ def _party(seed: Vote, votes: Sequence[Vote]) -> Party:
 
 def _agree(vote: Vote, party: Party) -> bool:
     """Whether a vote is for a party's transform, where it is cast and where the party's are."""
-    turn = abs(wrap_angle(vote.old_from_new.theta - party.old_from_new.theta))
-    if turn > _APART_RAD:
+    mine, theirs = vote.old_from_new, party.old_from_new
+    if abs(wrap_angle(mine.theta - theirs.theta)) > _APART_RAD:
         return False
     middle = np.mean([other.centre for other in party.votes], axis=0)
-    gaps = [_gap(vote.old_from_new, party.old_from_new, place) for place in (vote.centre, middle)]
+    places = np.stack([vote.centre, middle])
+    gaps = map(math.dist, mine.apply(places), theirs.apply(places))
     far = math.dist(vote.centre, middle)
     return max(gaps) <= _APART_M + _APART_PER_M * far
-
-
-def _gap(a: Pose2, b: Pose2, place: FloatArray) -> float:
-    """How far apart two transforms place a point (2,), metres."""
-    return math.dist(a.apply(place[None])[0], b.apply(place[None])[0])
 
 
 def _weight(party: Party) -> tuple[int, float]:

@@ -122,15 +122,10 @@ def _ratio(held_out: HeldOutMargins, claim: Claim, usual: float) -> float:
     margins, column = held_out.margins[rows], held_out.column[rows]
     octaves = math.log2(_MOST_RATIO)
     tried = 2.0 ** np.linspace(-octaves, octaves, 2 * round(octaves) * _STEPS_AN_OCTAVE + 1)
-    told = [_worth(margins, column, claim, usual * ratio) for ratio in tried.tolist()]
-    worth = np.array(told) / _VIEWS_ALIKE - 0.5 * (np.log(tried) / _USUAL_SPREAD) ** 2
+    told = [_probabilities(claim.log(margins, usual * ratio)) for ratio in tried.tolist()]
+    likelihoods = [float(one[np.arange(len(column)), column].sum()) for one in told]
+    worth = np.array(likelihoods) / _VIEWS_ALIKE - 0.5 * (np.log(tried) / _USUAL_SPREAD) ** 2
     return round(float(tried[int(np.argmax(np.round(worth, _DECIMALS)))]), _DECIMALS)
-
-
-def _worth(margins: FloatArray, column: NDArray[np.intp], claim: Claim, ratio: float) -> float:
-    """The log likelihood of the true columns (n,)."""
-    told = _probabilities(claim.log(margins, ratio))
-    return float(told[np.arange(len(column)), column].sum())
 
 
 def _probabilities(claims: FloatArray) -> FloatArray:

@@ -58,7 +58,8 @@ def held_out_misfit(
     for k in evenly(np.array(sorted(owner), dtype=np.intp), _MOST_VIEWS).tolist():
         numbers = np.asarray(submaps[owner[k]], dtype=np.intp)
         others = numbers[np.abs(way[numbers] - way[k]) > _HELD_OUT_M]
-        if _is_known(poses[k], poses[others]):
+        away = np.hypot(*(poses[others] - poses[k])[:, :2].T)
+        if float(away.min(initial=math.inf)) < HELD_OUT_REACH_M:  # else it is no place of the map
             found.append(_misfit(store, k, evenly(others, _MOST_OTHERS), poses))
     if not found:
         return HeldOutMisfit(0.0, 0)
@@ -74,11 +75,6 @@ def near_returns(scan: PlanarScan, near_m: float) -> FloatArray:
     ranges = np.hypot(hits[:, 0], hits[:, 1])
     reach = max(near_m, float(np.median(ranges))) if len(ranges) else near_m
     return np.asarray(evenly(hits[ranges <= reach], _MOST_POINTS))
-
-
-def _is_known(pose: FloatArray, others: FloatArray) -> bool:
-    """Whether one of the other poses is near: else what was held out is no place of the map."""
-    return bool(len(others)) and float(np.hypot(*(others - pose)[:, :2].T).min()) < HELD_OUT_REACH_M
 
 
 def _misfit(

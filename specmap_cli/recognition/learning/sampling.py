@@ -111,17 +111,14 @@ def track_samples(
     for own, share in zip(_by_recording(numbers, starts), wanted, strict=True):
         before = of_keyframes(known, own.tolist())
         if len(before.keyframes):
-            found.append(_some(before, len(share)))
+            # not every other one, as these are of equal windows
+            order = np.random.default_rng(len(before.keyframes)).permutation(len(before.keyframes))
+            found.append(before.rows(np.sort(order[: len(share)])))
         elif len(share):
-            found.append(_along_the_track(store, own, share, poses, localization))
+            scans = _in_windows(store, own, set(share.tolist()), poses)
+            found.append(Samples(scans_features(scans, localization.feature_set), share))
     every = together(dict(enumerate(found)))
     return {i: every.rows(owner[every.keyframes] == i) for i in sorted(submaps)}
-
-
-def _some(samples: Samples, most: int) -> Samples:
-    """At most so many of the samples; not every other one, as these are of equal windows."""
-    order = np.random.default_rng(len(samples.keyframes)).permutation(len(samples.keyframes))
-    return samples.rows(np.sort(order[:most]))
 
 
 def cast_samples(
@@ -165,28 +162,16 @@ def owners_of(submaps: Mapping[int, Sequence[int]], count: int) -> NDArray[np.in
     return owner
 
 
-def _along_the_track(
-    store: KeyframeStore,
-    numbers: NDArray[np.intp],
-    sampled: NDArray[np.intp],
-    poses: FloatArray,
-    localization: LocalizationConfig,
-) -> Samples:
-    """What the window showed at the keyframes `sampled`, of several lengths.
-
-    It moves over the keyframes `numbers` of a recording, in turn.
-    """
-    scans = _in_windows(store, numbers, set(sampled.tolist()), poses)
-    return Samples(scans_features(scans, localization.feature_set), sampled)
-
-
 def _in_windows(
     store: KeyframeStore,
     numbers: NDArray[np.intp],
     sampled: Collection[int],
     poses: FloatArray,
 ) -> Iterator[PlanarScan]:
-    """The virtual scan of each of the keyframes `sampled`."""
+    """What the window showed at each of the keyframes `sampled`, of several lengths.
+
+    It moves over the keyframes `numbers` of a recording, in turn.
+    """
     window = RecentScans()
     turn = 0
     for number in numbers.tolist():
@@ -248,8 +233,12 @@ def augmented_samples(
         kept = of_keyframes(known, submaps[i])
         kept = kept.rows(evenly(np.arange(len(kept.keyframes)), lacking))
         lacking -= len(kept.keyframes)
-        sources = _repeated(np.asarray(submaps[i], dtype=np.intp), lacking)
-        placed = poses[sources] + _steps(len(sources), rng)
+        own_keyframes = np.asarray(submaps[i], dtype=np.intp)
+        evenly_spread = np.linspace(0, len(own_keyframes) - 1, lacking).astype(np.intp)
+        sources = own_keyframes[evenly_spread]  # some of them several times if need be
+        aside = rng.normal(0.0, _ASIDE_M, (lacking, 2))
+        turned = rng.uniform(-_TURNED_RAD, _TURNED_RAD, lacking)
+        placed = poses[sources] + np.column_stack([aside, turned])
         nearest = around.nearest(placed)
         own = owner[nearest] == i
         scans = around.scans(sources[own], placed[own])
@@ -257,17 +246,6 @@ def augmented_samples(
         made = Samples(features, nearest[own])
         samples[i] = together({0: kept, 1: made}) if len(kept.keyframes) else made
     return samples
-
-
-def _repeated(items: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-    """So many of the items, evenly spread, some of them several times if need be."""
-    return items[np.linspace(0, len(items) - 1, count).astype(np.intp)]
-
-
-def _steps(count: int, rng: np.random.Generator) -> FloatArray:
-    """(count, 3) small random motions."""
-    aside = rng.normal(0.0, _ASIDE_M, (count, 2))
-    return np.column_stack([aside, rng.uniform(-_TURNED_RAD, _TURNED_RAD, count)])
 
 
 class _Around:

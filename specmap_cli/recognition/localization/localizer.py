@@ -28,7 +28,6 @@ from specmap_cli.recognition.localization.tracking import PlaceTracker
 from specmap_cli.recognition.localization.unknown import UnknownOdds, WallCheck
 from specmap_cli.recognition.localization.wall_fit import Ratio, Surroundings, WallFit
 
-_TRUST = 1.0  # in what scans say; 1: as sure as the map's classifiers proved to be
 _STRANGE_ALONE = 1.0  # a single scan is unknown beyond this share of the limit
 _TOGETHER = 32  # scans whose features are computed at once
 
@@ -118,17 +117,14 @@ class Localizer:
             self.places.restart()
         again = not self._views.begins(posed)
         log_likelihoods = self._log_likelihoods(posed, evidence, again)
-        belief = self._placed(posed, self.filter.update(log_likelihoods, again))
+        belief = self.filter.update(log_likelihoods, again)
+        known = self.places.update(posed, self.walls.view, belief[:-1])
+        belief = np.append(known, belief[-1])
         label = self._filtered(self._raw_label(posed.stamp_ns, evidence), belief)
         self._labels.append(label)
         self._leads.add(posed, self.places.lead)
         self._views.keep(log_likelihoods)
         return label
-
-    def _placed(self, posed: PosedScan, belief: FloatArray) -> FloatArray:
-        """(m + 1,) belief of the filter with what the places say that are followed."""
-        known = self.places.update(posed, self.walls.view, belief[:-1])
-        return np.append(known, belief[-1])
 
     def smoothed(self) -> list[Label]:
         """All labels so far, the filtered ones given the whole track that they belong to.
@@ -161,17 +157,13 @@ class Localizer:
     ) -> FloatArray:
         """(m + 1,) log likelihoods of every submap and, last, of unknown, of the scan's view."""
         known = self._views.mean(evidence.all)
-        known = _TRUST * self._share_of_new(known) * known
+        known = min(1.0, self._views.motion / steadiness(known)) * known
         worth = -math.inf
         if self._uses_walls:
             worth = self._doubt.worth(posed, evidence, self._likely(evidence, again), again)
         if not self.config.unknown:
             return np.append(known, -math.inf)
         return self.filter.with_unknown(known, worth, again)
-
-    def _share_of_new(self, said: FloatArray) -> float:
-        """How much of what a view says, log probabilities (m,), was not said by the view before."""
-        return min(1.0, self._views.motion / steadiness(said))
 
     def _likely(self, evidence: ClassifiedScan, again: bool) -> list[int]:
         """The submaps, the one first that is likeliest by all scans, then by this one's margins."""

@@ -19,13 +19,12 @@ from specmap_cli.core.tracks import moved
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M
 from specmap_cli.recognition.localization.classification import ClassifiedScan
 from specmap_cli.recognition.localization.filtering import (
-    INDEPENDENT_M,
-    INDEPENDENT_RAD,
     VIEW_M,
     VIEW_RAD,
+    novelty,
 )
 from specmap_cli.recognition.localization.places import Place
-from specmap_cli.recognition.localization.wall_fit import Fitted, View, WallFit
+from specmap_cli.recognition.localization.wall_fit import View, WallFit
 
 FIT_SEARCH_M = 1.0  # path between searches while a scan fits no walls
 _FIT_STEP_M = 0.2  # motion between looks at walls while a scan fits where it leads
@@ -75,8 +74,10 @@ class WallCheck:
             if followed is not None and followed.fits:
                 self._place = followed.place
                 return followed.against
-        elif self._place is not None and self._is_far(self._place, posed.map_from_base):
-            self._place = None
+        elif self._place is not None:
+            # nearer, a robot that comes back from where the map saw little is known again
+            away = self._place.map_from_base.inverse() @ posed.map_from_base
+            self._place = None if away.distance > _BACK_M else self._place
         self._fits = False
         due = self._patience.due(likely, at_once=before is not None)
         return self._sought(view, due) if due else None
@@ -90,13 +91,6 @@ class WallCheck:
         left = moved(before, map_from_base, VIEW_M, VIEW_RAD)
         return left and not moved(before, map_from_base, _FIT_STEP_M, _FIT_STEP_RAD)
 
-    def _is_far(self, place: Place, map_from_base: Pose2) -> bool:
-        """Whether the robot is farther from the last place that fitted than a few metres.
-
-        Nearer than that, a robot that comes back from where the map saw little is known again.
-        """
-        return (place.map_from_base.inverse() @ map_from_base).distance > _BACK_M
-
     def _sought(self, view: View, likely: Sequence[int]) -> float | None:
         """What the best place says, where motion leads or in the likely submaps; None: nothing.
 
@@ -104,7 +98,10 @@ class WallCheck:
         """
         found = [] if self._place is None else self.fit.led(view, self._place)
         if not any(each.fits for each in found):
-            found += self._anywhere(view, likely)
+            for submap in likely:  # up to one where the view fits
+                found += self.fit.anywhere(view, submap)
+                if any(each.fits for each in found):
+                    break
             found = [self.fit.best(found)] if found else []
         if not found:
             return None
@@ -114,15 +111,6 @@ class WallCheck:
         again = self._patience.goes_on and not self.found  # the likeliest said it already
         self._patience.searched(self.found)
         return None if again else best.against
-
-    def _anywhere(self, view: View, likely: Sequence[int]) -> list[Fitted]:
-        """Places in the likely submaps, in their order, up to one where the view fits."""
-        found: list[Fitted] = []
-        for submap in likely:
-            found += self.fit.anywhere(view, submap)
-            if any(each.fits for each in found):
-                break
-        return found
 
 
 class _Patience:
@@ -242,10 +230,7 @@ class _Clue:
             self._weight, self._sum, self._scans = 0.0, 0.0, 0
         if posed.lost:
             return
-        if self._at is not None:
-            step = self._at.inverse() @ posed.map_from_base
-            self._motion += step.distance / INDEPENDENT_M
-            self._motion += abs(step.theta) / INDEPENDENT_RAD
+        self._motion = novelty(self._at, posed.map_from_base, self._motion)
         self._at = posed.map_from_base
 
     def add(self, said: float | None, instead: bool = False) -> None:

@@ -22,7 +22,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMa
 from specmap_cli.grids.matching import Match, ScoreField, refine, search_everywhere
 from specmap_cli.grids.ray_casting import cast_rays
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
-from specmap_cli.recognition.localization.places import Place
+from specmap_cli.recognition.localization.places import BESIDE, Place
 
 
 class Surroundings:
@@ -243,7 +243,7 @@ class WallFit:
         best = min(found, key=attrgetter("misfit"))
         if best.fits:
             return best
-        others = [f.misfit for f in found if not best.place.is_beside(f.place, self.frames)]
+        others = [f.misfit for f in found if not best.place.is_near(f.place, self.frames, *BESIDE)]
         if not others:
             return best
         gap = min(others) - best.misfit
@@ -265,7 +265,9 @@ class WallFit:
         """The place near a guess where points (N, 2) fit best."""
         field = self.around.field(submap)
         place = Place(submap, refine(field, points, guess).pose, view.posed.map_from_base)
-        behind = self._behind(view.posed, place)
+        # beyond what doors, people and moved things explain
+        behind = self._sight.behind(submap, view.posed, place.pose) - _BEHIND_USUAL
+        behind = max(0.0, behind) / (1.0 - _BEHIND_USUAL)
         misfit = 1.0 - self._on_walls(field, points, place) * (1.0 - behind)
         return Fitted(place, misfit, self.ratio.of(misfit))
 
@@ -275,12 +277,6 @@ class WallFit:
         off = 1.0 - np.asarray(field.at(placed), dtype=np.float64)
         unseen = (self._sight.grids[place.submap].values_at(placed) == UNKNOWN) & (off > _OFF)
         return 1.0 - float(np.mean(np.where(unseen, _UNSEEN_WEIGHT, 1.0) * off))
-
-    def _behind(self, posed: PosedScan, place: Place) -> float:
-        """Share of a scan behind walls, beyond what doors, people and moved things explain."""
-        usual = _BEHIND_USUAL
-        behind = self._sight.behind(place.submap, posed, place.pose) - usual
-        return max(0.0, behind) / (1.0 - usual)
 
 
 def _searched(field: ScoreField, points: FloatArray) -> list[Match]:
