@@ -170,17 +170,6 @@ def test_a_stay_that_was_forgotten_does_not_grow(building: Any) -> None:
     assert loop.consider_again(gone) == []
 
 
-def test_merging_may_name_any_visit(building: Any) -> None:
-    loop = closer()
-    for number, room in enumerate([0, 1, 0]):
-        loop.consider(building.visit(number, room, seed=number))
-    loop.merge(0, 2)
-    loop.merge(2, 0)
-    considered = loop.consider(building.visit(3, 0, seed=5))
-    merged = next(c for c in considered if c.merged)
-    assert merged.old in (0, 2)
-
-
 def test_the_paper_s_rule_waits_for_two_submaps_and_takes_the_best_xi(building: Any) -> None:
     config = load_config(preset="paper").recognition.model_copy(update={"closure_rounds": 8})
     loop = closer(config)
@@ -209,18 +198,6 @@ def test_the_right_submap_ranks_first(building: Any, booster: str) -> None:
     claims = ranker.claims(building.visit(9, 2, seed=4).features)
     assert max(claims, key=lambda k: claims[k].rank) == 2
     assert all(0.0 <= c.xi <= 1.0 for c in claims.values())
-
-
-def test_a_classifier_is_kept_until_the_map_has_grown(building: Any) -> None:
-    ranker = ClaimRanker(QUICK, np.random.default_rng(0))
-    for k in range(5):
-        ranker.remember(k, building.visit(k, k % 4, seed=k).features)
-    new = building.visit(9, 2, seed=4).features
-    ranker.claims(new)
-    kept = {k: c.booster for k, c in ranker._classifiers.items()}
-    ranker.remember(5, building.visit(5, 1, seed=8).features)
-    ranker.claims(new)
-    assert all(ranker._classifiers[k].booster is kept[k] for k in range(5))
 
 
 class Oracle:

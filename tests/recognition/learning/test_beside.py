@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.config import load_config
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.sets import scans_features
@@ -17,6 +17,7 @@ from specmap_cli.recognition.features.virtual import seen_from
 from specmap_cli.recognition.learning import sampling
 from specmap_cli.recognition.learning.sampling import augmented_samples
 from specmap_cli.recognition.learning.training_data import together
+from tests.recognition.posed import posed
 
 SUBMAPS = {1: list(range(0, 30)), 4: list(range(32, 38))}  # keyframes 30 and 31 are in none
 
@@ -32,15 +33,7 @@ def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
     building = request.getfixturevalue("building")
     with KeyframeStore() as made:
         for number, pose in enumerate(building.path(0, 1)[:38]):
-            made.append(
-                PosedScan(
-                    index=number,
-                    stamp_ns=number,
-                    map_from_base=Pose2(*pose.tolist()),
-                    planar=building.scans(pose[None])[0],
-                    base_from_laser=IDENTITY,
-                )
-            )
+            made.append(posed(building.scans(pose[None])[0], Pose2(*pose.tolist()), number))
         yield made
 
 

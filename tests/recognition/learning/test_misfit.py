@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit, near_returns
+from tests.recognition.posed import posed
 
 CONFIG = LocalizationConfig()
 
@@ -21,12 +22,10 @@ def stored(building: Any, poses: FloatArray, noise_m: float = 0.0) -> KeyframeSt
     for k, (pose, scan) in enumerate(zip(poses, building.scans(poses), strict=True)):
         ranges = scan.ranges + rng.normal(0.0, noise_m, len(scan.ranges))
         store.append(
-            PosedScan(
-                index=k,
-                stamp_ns=k,
-                map_from_base=Pose2(*pose.tolist()),
-                planar=PlanarScan(k, scan.bearings, ranges, 20.0, full_circle=True),
-                base_from_laser=IDENTITY,
+            posed(
+                PlanarScan(k, scan.bearings, ranges, 20.0, full_circle=True),
+                Pose2(*pose.tolist()),
+                k,
             )
         )
     return store

@@ -10,9 +10,8 @@ import pytest
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.progress import Silent
-from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
@@ -38,6 +37,7 @@ from specmap_cli.recognition.learning.sampling import (
 from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_and_test
 from specmap_cli.recognition.learning.training_data import NO_TRAINING_DATA
 from specmap_cli.recognition.localization.localizer import Localizer
+from tests.recognition.posed import posed
 from tests.turning import turn
 
 SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 are in none
@@ -64,15 +64,7 @@ def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
                 at = Pose2(*pose.tolist())
                 number = len(made)
                 scan = building.scans(pose[None])[0]
-                made.append(
-                    PosedScan(
-                        index=number,
-                        stamp_ns=number,
-                        map_from_base=at,
-                        planar=scan,
-                        base_from_laser=IDENTITY,
-                    )
-                )
+                made.append(posed(scan, at, number))
         yield made
 
 
@@ -297,18 +289,7 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
     for room in (0, 2):
         for k, pose in enumerate(building.path(room, 5)):
             at, scan = Pose2(*pose.tolist()), building.scans(pose[None])[0]
-            labels.append(
-                guide.update(
-                    PosedScan(
-                        index=k,
-                        stamp_ns=k,
-                        map_from_base=at,
-                        planar=scan,
-                        base_from_laser=IDENTITY,
-                        restarted=k == 0,
-                    )
-                )
-            )
+            labels.append(guide.update(posed(scan, at, k, restarted=k == 0)))
     right = [label.filtered_submap == (0, 2)[k // 40] for k, label in enumerate(labels)]
     assert np.mean(right) > 0.8
 

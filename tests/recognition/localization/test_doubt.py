@@ -13,7 +13,7 @@ from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.localization.classification import ClassifiedScan
 from specmap_cli.recognition.localization.unknown import UnknownOdds, WallCheck
-from tests.recognition.localization.posed import EMPTY, at
+from tests.recognition.posed import EMPTY, at
 from tests.turning import turn
 
 CONFIG = LocalizationConfig()

@@ -14,6 +14,7 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.matching import ScoreField
 from specmap_cli.recognition.localization.metric import Fix, MetricTracker
 from specmap_cli.recognition.localization.places import Place
+from tests.recognition.posed import posed
 from tests.turning import turn
 
 CONFIG = LocalizationConfig()
@@ -28,10 +29,7 @@ def walk(building: Any, room: int, steps: int = 6) -> list[PosedScan]:
         start @ Pose2(way.x * t, way.y * t, 0.1 * t) for t in np.linspace(0.0, 1.0, steps).tolist()
     ]
     scans = building.scans(np.array(along))
-    return [
-        PosedScan(index=k, stamp_ns=k, map_from_base=p, planar=s, base_from_laser=IDENTITY)
-        for k, (p, s) in enumerate(zip(along, scans, strict=True))
-    ]
+    return [posed(s, p, k) for k, (p, s) in enumerate(zip(along, scans, strict=True))]
 
 
 def frames_of(building: Any) -> dict[int, Pose2]:
