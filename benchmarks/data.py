@@ -8,7 +8,7 @@ from pathlib import Path
 
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import read_grid
-from specmap_cli.simulation.room_truth import RoomTruth, read_rooms
+from specmap_cli.simulation.worlds import RoomTruth, read_rooms
 
 RESOLUTION_M = 0.05  # of every plan
 TRUTH = "_gt_segmentation.png"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.ray_casting import cast_rays
+from specmap_cli.grids.gridmap import GridMap, cast_rays
 
 
 def ranges_at(plan: GridMap, poses: FloatArray, bearings: FloatArray, reach: float) -> FloatArray:

@@ -16,15 +16,15 @@ from hypothesis import HealthCheck, settings
 
 from specmap_cli.core import plugins
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.records import Sweep
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
-from specmap_cli.simulation.room_truth import RoomTruth, read_rooms
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from specmap_cli.simulation.worlds import RoomTruth, read_rooms
 from tests.flats import TRAINED, Explained, Mapped, mapped, record_tour
 from tests.house import result
 from tests.sharing import made_once

@@ -26,14 +26,12 @@ from benchmarks.scores import map_scores
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
 from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.ray_casting import cast_rays
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, cast_rays
 from specmap_cli.maps.store import read_map
 from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.simulation.room_truth import RoomTruth
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.simulation.tours import reachable_space
-from specmap_cli.simulation.worlds import World
+from specmap_cli.simulation.worlds import RoomTruth, World
 
 PLANS = (
     *("Freiburg52_scan", "Freiburg79_scan", "lab_c_scan", "lab_intel", "office_a", "office_h"),

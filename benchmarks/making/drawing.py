@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, BoolArray, GridMap
-from specmap_cli.segmentation.kmeans import LabelArray
+from specmap_cli.segmentation.visibility import LabelArray
 
 RESOLUTION_M = 0.05
 _MARGIN_M = 0.5  # of wall around the plan

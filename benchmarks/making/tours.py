@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from benchmarks.data import RESOLUTION_M, plan, rooms_of
 from specmap_cli.core.records import PosedScan
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.room_truth import RoomTruth
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from specmap_cli.simulation.worlds import RoomTruth
 
 
 def tour_options(view: float, seed: int, **more: Any) -> SimulationOptions:

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.tracks import path_length, travelled
+from specmap_cli.core.geometry import FloatArray, Pose2, path_length, travelled
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.driving import Limits, drive
 from specmap_cli.simulation.lasers import Laser, OdometryErrors, drifting_odometry, laser_bearings
 from specmap_cli.simulation.simulator import SimulatedTour
+from specmap_cli.simulation.tours import Limits, drive
 from specmap_cli.simulation.worlds import World
 
 Place = tuple[float, float]

@@ -18,8 +18,8 @@ from benchmarks.paper import ring
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.simulation.room_truth import RoomTruth, read_rooms
 from specmap_cli.simulation.simulator import SimulationOptions
+from specmap_cli.simulation.worlds import RoomTruth, read_rooms
 
 FREIBURG, STATA = "Freiburg", "Stata"
 SAMPLES = Path(__file__).parent.parent.parent / "sample_logs"

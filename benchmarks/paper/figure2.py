@@ -16,7 +16,7 @@ from benchmarks.scores import RoomScores, room_scores
 from specmap_cli.core.config import load_config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.segmentation.division import segment
-from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.worlds import RoomTruth
 
 _HEAD = ("map", "choices", "regions", "recall", "precision", "IoU", "regions per room")
 

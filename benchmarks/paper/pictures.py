@@ -25,8 +25,7 @@ from specmap_cli.drawing.palette import (
     darker,
     touching,
 )
-from specmap_cli.drawing.sheet import MARGIN, TITLE, Sheet, extent_of, round_length
-from specmap_cli.drawing.strokes import strokes
+from specmap_cli.drawing.sheet import MARGIN, TITLE, Sheet, extent_of, round_length, strokes
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.topology.regions import Regions, divide
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.worlds import RoomTruth
 
 RESOLUTION_M = 0.05
 SIZE_M = (25.0, 19.0)

@@ -12,8 +12,12 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import RecognitionConfig
-from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
-from specmap_cli.evaluation.protocols import nearest_labels, poses_at
+from specmap_cli.evaluation.protocols import (
+    ClassificationScores,
+    classification_scores,
+    nearest_labels,
+    poses_at,
+)
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.boosting import OneVsAll

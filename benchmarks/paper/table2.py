@@ -9,8 +9,7 @@ from benchmarks.paper.blocks import Block, Found, Row, Table, figure
 from benchmarks.paper.cases import FREIBURG, STATA, Case
 from benchmarks.paper.samples import fitted, samples_of, scored, the_papers
 from benchmarks.paper.workshop import OURS, PAPER, WORDS, Workshop
-from specmap_cli.evaluation.classification import ClassificationScores
-from specmap_cli.evaluation.protocols import HoldOut
+from specmap_cli.evaluation.protocols import ClassificationScores, HoldOut
 
 _HEAD = (
     "recording",

@@ -1,4 +1,4 @@
-"""Sections of the scoreboard in processes of their own: timed ones alone, others two at a time."""
+"""Sections of the scoreboard in processes of their own: timed ones alone, others three at once."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from benchmarks.data import missing
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.digest import ROOT, digest
 from benchmarks.scoreboard.rows import Figure, Row, Section, figure
-from specmap_cli.core.threads import one_blas_thread
+from specmap_cli.core.process import one_blas_thread
 
-AT_ONCE = 2
+AT_ONCE = 3  # of two processors: one may wait for a map that another builds
 _POLL_S = 0.2
 
 
@@ -49,7 +49,7 @@ def measure(section: Section, folder: Path) -> Done:
     if lacking:
         return Done({}, why=f"no data: {lacking}")
     told = _Both()
-    cv2.setNumThreads(1)  # two sections run at a time
+    cv2.setNumThreads(1)  # several sections run at a time
     with contextlib.redirect_stdout(told), one_blas_thread():
         found = importlib.import_module(section.module).measure(Bench(folder))
     figures = {key: figure(value) for key, value in found.items()}

@@ -27,10 +27,10 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.store import read_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
-from specmap_cli.pipelines.known_maps import align_maps
+from specmap_cli.pipelines.overlaps import align_maps
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import simulation_options
-from specmap_cli.topology.blocked import Crossing
+from specmap_cli.topology.differences import Crossing
 
 Box = tuple[float, float, float, float]  # left, low, right, high; metres of the plan, y up
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.gridmap import BoolArray, GridMap
-from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.worlds import RoomTruth
 
 # Of a strip: narrower ones are holes in a painted wall; wider ones may count as doors or as open
 # borders, whatever a map says of them.

@@ -25,8 +25,8 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.registration import FrontEnd
 from specmap_cli.segmentation.online import OnlineSegmenter, Region
-from specmap_cli.simulation.room_truth import RoomTruth
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from specmap_cli.simulation.worlds import RoomTruth
 
 CASES = (
     ("Freiburg79_scan_furnitures", 180.0, 361, 8.0),

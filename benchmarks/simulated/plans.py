@@ -20,9 +20,8 @@ from benchmarks.simulated.door_truth import true_doors
 from benchmarks.simulated.doors import DoorScores, Truth, against, checked
 from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.core.settings import Config, WaysConfig
-from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.floorplan import segment_floorplan
-from specmap_cli.segmentation.kmeans import LabelArray
+from specmap_cli.segmentation.division import segment, segment_floorplan
+from specmap_cli.segmentation.visibility import LabelArray
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import Submap, TopologicalMap
@@ -101,7 +100,7 @@ def means(kind: str, rows: list[RoomScores]) -> dict[str, Figure | float]:
 def drawn(name: str, bare: str) -> tuple[RoomScores, DoorScores]:
     """Rooms and doors of a plan; `bare` is its name without furniture."""
     grid, config = plan(name), Config()
-    labels = segment_floorplan(grid, config.segmentation).segmentation.labels
+    labels = segment_floorplan(grid, config.segmentation).labels
     regions = Regions.of(grid, labels.astype(np.int64))
     topology = with_ways(without_edges(regions), regions, WaysConfig(), kind="doorway")
     truth = Truth(true_doors(plan(bare), rooms_of(bare)), grid, plan(bare), IDENTITY)

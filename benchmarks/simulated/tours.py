@@ -31,8 +31,8 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.tum import planar_trajectory_text
 from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.simulation.room_truth import RoomTruth
 from specmap_cli.simulation.simulator import SimulationOptions, simulated_tour, stamp_of
+from specmap_cli.simulation.worlds import RoomTruth
 
 TOURS = ("Freiburg79_scan_furnitures", "lab_c_scan")
 RANDOM = (("office", 1001), ("ring", 1002), ("hall", 1003), ("flat", 1004))

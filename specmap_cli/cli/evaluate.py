@@ -15,7 +15,7 @@ from specmap_cli.core.errors import UsageError
 
 if TYPE_CHECKING:
     from specmap_cli.core.settings import Config
-    from specmap_cli.evaluation.classification import ClassificationScores
+    from specmap_cli.evaluation.protocols import ClassificationScores
 
 
 class Protocol(StrEnum):
@@ -116,19 +116,16 @@ class Found:
     scores: ClassificationScores | None = None
 
 
-Logs = Annotated[
-    list[Path] | None,
-    typer.Argument(
-        metavar="[LOG] [LOG2]",
-        help="holdout: a log. revisit: a log or its map directory, and the other log. "
-        "room-hallway: the log to learn from, and the log to name.",
-        show_default=False,
-    ),
-]
-
-
 def evaluate(
-    logs: Logs = None,
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[LOG] [LOG2]",
+            help="holdout: a log. revisit: a log or its map directory, and the other log. "
+            "room-hallway: the log to learn from, and the log to name.",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         output("PNG of the confusion matrix to write (with --protocol).", "--confusion"),
@@ -179,7 +176,7 @@ def _need(condition: bool, usage: str) -> None:
 
 def _draw(path: Path, scores: ClassificationScores) -> None:
     """Write the confusion matrix."""
-    from specmap_cli.drawing.confusion import render_confusion
+    from specmap_cli.drawing.predictions import render_confusion
     from specmap_cli.grids.map_server import write_png
 
     names = [str(id_) for id_ in scores.ids]
@@ -188,7 +185,7 @@ def _draw(path: Path, scores: ClassificationScores) -> None:
 
 def _score_trajectory(trajectory: Path, truth: Truth) -> Found:
     from specmap_cli.evaluation import trajectories
-    from specmap_cli.evaluation.reports import reference_lines, relation_lines
+    from specmap_cli.evaluation.trajectories import reference_lines, relation_lines
 
     _need(
         (truth.relations is None) == (len(truth.references) == 1),
@@ -204,8 +201,7 @@ def _score_trajectory(trajectory: Path, truth: Truth) -> Found:
 
 
 def _hold_out(logs: list[Path], drawing: Drawing, config: Config, common: Common) -> Found:
-    from specmap_cli.evaluation.protocols import HoldOut, hold_out
-    from specmap_cli.evaluation.reports import hold_out_lines
+    from specmap_cli.evaluation.protocols import HoldOut, hold_out, hold_out_lines
 
     _need(len(logs) == 1, "--protocol holdout needs one log: specmap evaluate LOG --protocol ...")
     choice = HoldOut(
@@ -217,7 +213,7 @@ def _hold_out(logs: list[Path], drawing: Drawing, config: Config, common: Common
 
 
 def _revisit(logs: list[Path], truth: Truth, config: Config, common: Common) -> Found:
-    from specmap_cli.evaluation.reports import revisit_lines, revisit_logs
+    from specmap_cli.evaluation.protocols import revisit_lines, revisit_logs
 
     references = truth.references
     _need(
@@ -230,9 +226,8 @@ def _revisit(logs: list[Path], truth: Truth, config: Config, common: Common) -> 
 
 
 def _name_places(logs: list[Path], truth: Truth, config: Config, common: Common) -> Found:
-    from specmap_cli.evaluation.reports import semantic_lines
-    from specmap_cli.evaluation.semantic import Labelled, room_hallway
-    from specmap_cli.simulation.room_truth import read_rooms
+    from specmap_cli.evaluation.semantic import Labelled, room_hallway, semantic_lines
+    from specmap_cli.simulation.worlds import read_rooms
 
     _need(
         len(logs) == len(truth.references) == 2 and len(truth.pictures) in (1, 2),

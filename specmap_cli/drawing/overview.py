@@ -13,8 +13,7 @@ from specmap_cli.core.text import counted, legible
 from specmap_cli.drawing import symbols
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.palette import Colour, colours_of
-from specmap_cli.drawing.sheet import Sheet, extent_of
-from specmap_cli.drawing.strokes import strokes
+from specmap_cli.drawing.sheet import Sheet, extent_of, strokes
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import Edge, LogInfo, TopologicalMap, driven_m
 

@@ -1,16 +1,21 @@
-"""A sheet of paper with a map on it: ground, title, scale bar and legend."""
+"""A sheet of paper with a map on it: ground, title, scale bar and legend.
+
+Also which pieces of a trajectory are drawn on it as one line.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.arrays import runs
+from specmap_cli.core.geometry import FloatArray, step_lengths
+from specmap_cli.core.records import IntArray
 from specmap_cli.drawing.canvas import Canvas, fitting_height, text_width
 from specmap_cli.drawing.palette import BORDER, INK, PAPER, QUIET, SHADE, Colour
 from specmap_cli.drawing.symbols import Legend, Symbol
@@ -35,6 +40,10 @@ _WALL_STRENGTH = 1.6  # a wall of one cell is drawn as if it were at least this 
 _SQUARES_FROM = 16.0  # larger cells have sharp edges: smooth ones would blur over the margin
 _STRIP = 64  # rows that are coloured at a time
 _LEAST_EXTENT_M = 0.5  # a map of a few cells, or of none, is drawn as if it were this large
+# A longer step from scan to scan is no way driven: the robot was lost and turned up elsewhere.
+# Logs with few scans have long steps throughout, so a jump is longer than nearly all of them, too.
+_JUMP_M = 1.5
+_USUAL_STEPS, _USUAL_PERCENTILE = 3.0, 90.0
 
 
 class Sheet:
@@ -246,3 +255,35 @@ def round_length(length: float) -> tuple[float, int]:
     power = 10.0 ** math.floor(math.log10(length))
     step = max(step for step in _PARTS if step * power <= length * (1 + 1e-9))
     return float(power * step), _PARTS[step]
+
+
+class Stroke(NamedTuple):
+    """Scans first..end - 1 share one label; their line is drawn up to scan drawn_to - 1."""
+
+    first: int
+    end: int
+    drawn_to: int
+
+
+def strokes(places: FloatArray, labels: NDArray[Any] | None = None) -> list[Stroke]:
+    """Runs of one of the `labels` (n,) along `places` (n, 2), broken where the robot jumps.
+
+    The line of a stroke reaches the first place of the next one, unless the robot jumped there.
+    Without labels only jumps break the line.
+    """
+    values = np.zeros(len(places), dtype=np.int64) if labels is None else np.asarray(labels)
+    return [
+        Stroke(first + start, first + stop, min(first + stop + 1, end))
+        for first, end in runs(_passages(places))
+        for start, stop in runs(values[first:end])
+    ]
+
+
+def _passages(places: FloatArray) -> IntArray:
+    """(n,) the number 0, 1, ... of the way without a jump that each place lies on."""
+    steps = step_lengths(places)
+    if not len(steps):
+        return np.zeros(len(places), dtype=np.int64)
+    usual = float(np.percentile(steps, _USUAL_PERCENTILE))
+    jumps = steps > max(_JUMP_M, _USUAL_STEPS * usual)
+    return np.concatenate([[0], np.cumsum(jumps)]).astype(np.int64)

@@ -7,10 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.labels import runs
+from specmap_cli.core.arrays import runs
+from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.tracks import step_lengths
 
 # A longer step from scan to scan is no way driven: the robot was lost and turned up elsewhere.
 # Logs with few scans have long steps throughout, so a jump is longer than nearly all of them, too.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -11,20 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from specmap_cli.core.arrays import neighbours
 from specmap_cli.core.errors import LogError, NoResultError
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.labels import neighbours
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, nearest_motion
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, PosedScan, Trajectory
 from specmap_cli.core.settings import Config, KeyframeConfig
-from specmap_cli.core.threads import one_blas_thread
-from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
-from specmap_cli.evaluation.trajectories import associate
+from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.pipelines.build import map_log
-from specmap_cli.pipelines.finished_map import FinishedMap
+from specmap_cli.maps.filenames import TOPOLOGY
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.build import build_map, map_log
+from specmap_cli.pipelines.localize import localize_log
+from specmap_cli.pipelines.map_in_making import FinishedMap
+from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Label, Localizer
@@ -32,6 +36,108 @@ from specmap_cli.recognition.localization.localizer import Label, Localizer
 Split = Literal["random", "blocks"]
 STAMP_REACH_NS = 50_000_000  # given poses need not be at the stamps of the scans
 _TRUTH_REACH_M = 1.0
+# Mean distance between the true poses and those of the map from which they hardly belong together;
+# a tenth of it is usual.
+_FITTING_M = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class ClassificationScores:
+    """Predictions against truth over the classes `ids`.
+
+    `confusion` (m, m + 1) counts scans by true class (row) and predicted one (column), the last
+    column those called unknown, or given a label that is no class.
+    """
+
+    ids: tuple[int, ...]
+    confusion: NDArray[np.int64]
+
+    @property
+    def scans(self) -> int:
+        """How many scans were scored."""
+        return int(self.confusion.sum())
+
+    @property
+    def recall_of(self) -> dict[int, float]:
+        """Share of each class's scans that were labelled so; classes with scans only."""
+        rows = self.confusion.sum(axis=1)
+        return {
+            i: float(self.confusion[k, k] / rows[k]) for k, i in enumerate(self.ids) if rows[k] > 0
+        }
+
+    @property
+    def precision_of(self) -> dict[int, float]:
+        """Share of the scans labelled so that are of the class; nought when it was never called.
+
+        Of the classes with scans only: another cannot be right.
+        """
+        called = self.confusion.sum(axis=0)
+        return {
+            i: float(self.confusion[k, k] / called[k]) if called[k] else 0.0
+            for k, i in enumerate(self.ids)
+            if self.confusion[k].any()
+        }
+
+    @property
+    def recall(self) -> float:
+        """Macro average: every class counts alike, as in the paper's Table II."""
+        return _mean(self.recall_of.values())
+
+    @property
+    def precision(self) -> float:
+        """Macro average: every class counts alike, as in the paper's Table II."""
+        return _mean(self.precision_of.values())
+
+    @property
+    def accuracy(self) -> float:
+        """Share of all scans that were labelled right."""
+        return float(np.trace(self.confusion)) / self.scans if self.scans else 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """The macro averages and the count of scans."""
+        return {
+            "recall": round(self.recall, 6),
+            "precision": round(self.precision, 6),
+            "accuracy": round(self.accuracy, 6),
+            "scans": self.scans,
+        }
+
+
+def classification_scores(
+    truth: Sequence[int] | NDArray[Any],
+    predicted: Sequence[int | None] | NDArray[Any],
+    ids: Iterable[int],
+) -> ClassificationScores:
+    """Score `predicted` (n,) against `truth` (n,); scans whose truth is no class are left out.
+
+    A prediction of None, or of anything that is no class, counts as unknown: wrong, but no other
+    class's fault.
+    """
+    classes = tuple(sorted(ids))
+    number = {submap: k for k, submap in enumerate(classes)}
+    confusion = np.zeros((len(classes), len(classes) + 1), dtype=np.int64)
+    for true, guess in zip(truth, predicted, strict=True):
+        row = number.get(int(true))
+        if row is not None:
+            column = len(classes) if guess is None else number.get(int(guess), len(classes))
+            confusion[row, column] += 1
+    return ClassificationScores(classes, confusion)
+
+
+def score_lines(scores: ClassificationScores) -> list[str]:
+    """A table of recall and precision per class."""
+    lines = [f"{'submap':>8} {'scans':>7} {'recall':>7} {'precision':>10}"]
+    precision = scores.precision_of
+    counts = dict(zip(scores.ids, scores.confusion.sum(axis=1).tolist(), strict=True))
+    for submap, recall in scores.recall_of.items():
+        lines.append(f"{submap:>8} {counts[submap]:7,} {recall:7.3f} {precision[submap]:10.3f}")
+    lines.append(f"{'mean':>8} {scores.scans:7,} {scores.recall:7.3f} {scores.precision:10.3f}")
+    return lines
+
+
+def _mean(values: Iterable[float]) -> float:
+    listed = list(values)
+    return sum(listed) / len(listed) if listed else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +214,8 @@ def hold_out(
     ):
         selector = HoldingOut(config.keyframes, options.chooser(), held_out)
         stream = SweepStream(log, config.log)
-        finished = map_log(stream, config, store, progress, accepts=selector.accepts)
+        session = Session(config, store, progress)
+        finished = map_log(session, stream, accepts=selector.accepts)
         if not len(held_out):
             raise NoResultError("no keyframe was held out: the log is too short for this share")
         return score_hold_out(finished, store, held_out, config)
@@ -246,3 +353,82 @@ def revisit(
 
 def _rounded(value: float | None) -> float | None:
     return None if value is None else round(value, 6)
+
+
+def revisit_logs(
+    first: str | Path,
+    second: str | Path,
+    references: tuple[str | Path, str | Path],
+    config: Config,
+    progress: Progress,
+) -> RevisitResult:
+    """Localise a second log in the map of a first and score it by given poses (Figure 6).
+
+    `first` is a log, of which a map is built for the purpose, or a map directory. `references` are
+    TUM files of both logs in one frame. Raises what `build_map` and `localize_log` raise.
+    """
+    first, second = Path(first), Path(second)
+    if (first / TOPOLOGY).is_file():
+        return _revisit_map(read_map(first, config.limits), second, references, config, progress)
+    with tempfile.TemporaryDirectory(prefix="specmap-") as folder:
+        build_map([first], Path(folder) / "map", config, progress=progress)
+        stored = read_map(Path(folder) / "map")
+        return _revisit_map(stored, second, references, config, progress)
+
+
+def _revisit_map(
+    stored: StoredMap,
+    second: Path,
+    references: tuple[str | Path, str | Path],
+    config: Config,
+    progress: Progress,
+) -> RevisitResult:
+    map_from_reference = _alignment(stored, references[0], progress)
+    reference = read_tum(references[1])
+    report = localize_log([second], stored, config, progress=progress)
+    return revisit(
+        [scan.label for scan in report.scans],
+        reference,
+        (stored.labels.poses, stored.labels.submaps),
+        map_from_reference,
+    )
+
+
+def _alignment(stored: StoredMap, reference: str | Path, progress: Progress) -> Pose2:
+    """The motion that takes the reference poses of the map's own log to the map."""
+    given = read_tum(reference)
+    joined, rows = associate(given.stamps_ns, stored.labels.stamps_ns, STAMP_REACH_NS)
+    if len(joined) < 2:
+        raise LogError(f"{reference}: no pose at the stamps of the map's keyframes: another log?")
+    places, known = given.poses[rows, :2], stored.labels.poses[joined, :2]
+    map_from_reference = nearest_motion(places, known)
+    away = np.hypot(*(map_from_reference.apply(places) - known).T).mean()
+    if away > _FITTING_M:
+        progress.warn(
+            f"{reference}: its poses are {away:.1f} m off the map on average: of another log, or "
+            "is the map bent? the scores mean little"
+        )
+    return map_from_reference
+
+
+def hold_out_lines(result: HoldOutResult) -> list[str]:
+    """Table II: macro averages, the filtered labels beside them, and every submap."""
+    lines = [f"{'':22} {'scans':>7} {'recall':>7} {'precision':>10}"]
+    for name, scores in (
+        ("training scans", result.train),
+        ("held-out scans", result.test),
+        ("held-out, filtered", result.filtered),
+    ):
+        lines.append(f"{name:22} {scores.scans:7,} {scores.recall:7.4f} {scores.precision:10.4f}")
+    return [*lines, "", "held-out scans by submap", *score_lines(result.test)]
+
+
+def revisit_lines(result: RevisitResult) -> list[str]:
+    """Recall, precision and accuracy of raw and filtered labels."""
+    lines = [f"{'':22} {'scans':>7} {'recall':>7} {'precision':>10} {'accuracy':>9}"]
+    for name, scores in (("raw, single scans", result.raw), ("filtered", result.filtered)):
+        lines.append(
+            f"{name:22} {scores.scans:7,} {scores.recall:7.4f} {scores.precision:10.4f} "
+            f"{scores.accuracy:9.4f}"
+        )
+    return lines

@@ -18,20 +18,24 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray, PlanarScan
 from specmap_cli.core.settings import Config
-from specmap_cli.core.threads import one_blas_thread
-from specmap_cli.evaluation.classification import ClassificationScores, classification_scores
-from specmap_cli.evaluation.protocols import STAMP_REACH_NS
+from specmap_cli.evaluation.protocols import (
+    STAMP_REACH_NS,
+    ClassificationScores,
+    classification_scores,
+)
 from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.pipelines.build import map_log
+from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import feature_names, scans_features
 from specmap_cli.recognition.learning.boosting import StumpBoost
-from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.worlds import RoomTruth
 
 ROOM, HALLWAY = 0, 1
 _FEATURES = "table1"
@@ -143,7 +147,7 @@ def room_hallway(
     """
     model = _trained(learned, config, progress)
     with open_log(asked.log, config.log) as log, KeyframeStore() as store:
-        finished = map_log(SweepStream(log, config.log), config, store, progress)
+        finished = map_log(Session(config, store, progress), SweepStream(log, config.log))
         predicted = model.predict(store.scan(k) for k in range(len(store)))
         truth = asked.kinds(np.array(store.stamps_ns, dtype=np.int64))
     return semantic_scores(predicted, truth, finished.labels.submaps, finished.topology.joined)
@@ -172,3 +176,14 @@ def _scans_of(
             progress.advance()
             stamps.append(sweep.stamp_ns)
             yield sweep.planar
+
+
+def semantic_lines(result: SemanticResult) -> list[str]:
+    """Rooms and hallways by the baseline, and which borders of the map it can see."""
+    recall = result.scores.recall_of
+    return [
+        f"{result.scores.scans:,} scans: rooms recognised {recall.get(ROOM, 0.0):.3f}, "
+        f"hallways {recall.get(HALLWAY, 0.0):.3f}, all {result.scores.accuracy:.3f}",
+        f"{result.borders} borders between submaps, {100 * result.borders_seen:.0f} % between "
+        "a room and a hallway: no other can be seen",
+    ]

@@ -24,11 +24,11 @@ from specmap_cli.core.geometry import (
     invert,
     nearest_motion,
     rotation_from_quaternion,
+    travelled,
     yaw_of,
 )
 from specmap_cli.core.records import IntArray, Trajectory
 from specmap_cli.core.text import stamp_ns
-from specmap_cli.core.tracks import travelled
 
 PATH_LENGTHS_M = (1.0, 5.0, 20.0)  # a room's details, a room, a wing of a building
 _LATEST_S = 9.2e9  # the year 2261: later stamps in nanoseconds overflow 64 bits
@@ -271,3 +271,30 @@ def _numbers(path: Path, number: int, words: list[str]) -> list[float]:
 
 def _malformed(path: Path, number: int, found: str) -> InputError:
     return InputError(f"{path}:{number}: {found}; mend or remove the line")
+
+
+def relation_lines(errors: RelativeErrors) -> list[str]:
+    """Errors over all relations."""
+    return [
+        f"{errors.matched:,} of {errors.total:,} relations matched",
+        *_spread_lines(errors.translation_m, errors.rotation_deg),
+    ]
+
+
+def reference_lines(errors: ReferenceErrors) -> list[str]:
+    """Relative errors at each length of path, the absolute error, the error from end to end."""
+    lines = [f"{errors.matched:,} of {errors.total:,} poses matched"]
+    for length, relative in errors.relative.items():
+        lines.append(f"relative errors over {length:g} m of path")
+        lines += _spread_lines(relative.translation_m, relative.rotation_deg)
+    lines.append(f"absolute error (rmse, aligned)  {errors.ate_m:.4f} m")
+    lines.append(f"from first to last pose         {errors.end_m:.4f} m, {errors.end_deg:.3f} deg")
+    return lines
+
+
+def _spread_lines(translation: Spread, rotation: Spread) -> list[str]:
+    return [
+        f"  {name:14} mean {spread.mean:.4f}  std {spread.std:.4f}  median {spread.median:.4f}  "
+        f"p95 {spread.p95:.4f}  max {spread.max:.4f}"
+        for name, spread in (("translation m", translation), ("rotation deg", rotation))
+    ]

@@ -2,11 +2,12 @@
 
 Segmentation, recognition and the matcher work on it, and a map file is read into it. Cell
 (row, column) covers [x0 + column r, x0 + (column + 1) r) x [y0 + row r, y0 + (row + 1) r): row 0
-is the lowest y.
+is the lowest y. Below are what a laser would measure in it, and where labelled regions of it touch.
 """
 
 from __future__ import annotations
 
+import math
 import zlib
 from dataclasses import dataclass
 from typing import Any
@@ -17,10 +18,15 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray as BoolArray
+from specmap_cli.core.records import IntArray
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 NO_OBSTACLE_M = 1e3  # the distance to an obstacle where there is none: beyond any laser's range
 CellArray = NDArray[np.uint8]
+_RAYS_AT_ONCE = 1 << 16  # bounds the memory: some 10 MB
+_BORDER = 1e-6  # cells a ray steps past a border, to stand in the next cell
+_TINY = 1e-12  # takes the place of a direction of 0, so that its borders are far away
+_DIAGONAL = math.sqrt(2.0)  # cells between two points, each half a diagonal off its cell's centre
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,3 +156,123 @@ def cell_distances(picture: CellArray) -> FloatArray:
     pixels = cv2.distanceTransform(picture, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     squares = np.rint(np.square(pixels, dtype=np.float64))
     return np.asarray(np.sqrt(squares), dtype=np.float64)
+
+
+def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float32]]:
+    """Each cell's value (H, W), or that of the nearest non-zero cell where it is zero; how far.
+
+    The distance (H, W) to that cell is in cells.
+    """
+    zero = (values == 0).astype(np.uint8)
+    away, source = cv2.distanceTransformWithLabels(
+        zero, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    of_source = np.zeros(int(source.max(initial=0)) + 1, dtype=values.dtype)
+    of_source[source[zero == 0]] = values[zero == 0]
+    return of_source[source], np.asarray(away, dtype=np.float32)
+
+
+def cast_ranges(
+    distance: NDArray[Any],
+    grid: GridMap,
+    origins: NDArray[Any],
+    bearings: NDArray[Any],
+    max_range: float,
+) -> FloatArray:
+    """Virtual scans: ranges (N, B) from origins (N, 2) along bearings (B,), +inf past `max_range`.
+
+    `distance` is `grid.obstacle_distance()`; see `cast_rays`.
+    """
+    origins = np.asarray(origins, dtype=np.float64).reshape(-1, 2)
+    starts = np.repeat(origins, len(bearings), axis=0)
+    angles = np.tile(np.asarray(bearings, dtype=np.float64), len(origins))
+    ranges = cast_rays(distance, grid, starts, angles, max_range)
+    return ranges.reshape(len(origins), len(bearings))
+
+
+def cast_rays(
+    distance: NDArray[Any],
+    grid: GridMap,
+    origins: NDArray[Any],
+    angles: NDArray[Any],
+    max_range: float,
+) -> FloatArray:
+    """Ranges (N,) of single rays from origins (N, 2) along angles (N,), +inf past `max_range`.
+
+    `distance` is `grid.obstacle_distance()`. A ray leaps by the free distance it stands in and
+    walks from cell border to cell border near obstacles, so that its range is where it enters the
+    first occupied cell it touches, exact to a thousandth of a millimetre. Rays that leave the grid
+    return +inf.
+    """
+    ranges = np.full(len(angles), np.inf)
+    for first in range(0, len(angles), _RAYS_AT_ONCE):
+        part = slice(first, first + _RAYS_AT_ONCE)
+        starts = (np.asarray(origins[part], dtype=np.float64) - grid.origin) / grid.resolution
+        cells = _march(distance, grid.resolution, starts, angles[part], max_range / grid.resolution)
+        ranges[part] = cells * grid.resolution
+    return ranges
+
+
+def _march(
+    distance: NDArray[Any],
+    resolution: float,
+    starts: FloatArray,
+    angles: NDArray[Any],
+    limit: float,
+) -> FloatArray:
+    """`cast_rays` in cells: starts (N, 2) column and row; lengths (N,), +inf past `limit`."""
+    height, width = distance.shape
+    flat = distance.reshape(-1)
+    lengths = np.full(len(angles), np.inf)
+    alive = np.arange(len(angles))
+    x, y = starts[:, 0].copy(), starts[:, 1].copy()
+    dx, dy = _nonzero(np.cos(angles)), _nonzero(np.sin(angles))
+    travelled = np.zeros(len(angles))
+    while len(alive):
+        column, row = np.floor(x), np.floor(y)
+        on = (column >= 0) & (row >= 0) & (column < width) & (row < height) & (travelled <= limit)
+        index = np.where(on, row * width + column, 0).astype(np.intp)
+        room = flat[index] / resolution
+        stopped = on & (room <= 0.0)
+        lengths[alive[stopped]] = travelled[stopped]
+        border = np.minimum((column + (dx > 0) - x) / dx, (row + (dy > 0) - y) / dy)
+        # neither the ray nor the obstacle need be at the centre of its cell
+        step = np.maximum(room - _DIAGONAL, border + _BORDER)
+        on &= ~stopped
+        alive, step, dx, dy = alive[on], step[on], dx[on], dy[on]
+        x, y = x[on] + dx * step, y[on] + dy * step
+        travelled = travelled[on] + step
+    return lengths
+
+
+def _nonzero(direction: FloatArray) -> FloatArray:
+    """The same components with those next to zero replaced by a tiny one of a sure sign."""
+    return np.where(np.abs(direction) < _TINY, _TINY, direction)
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts:
+    """Pairs of cells that share a side and have different labels, none of them -1.
+
+    `labels` (m, 2) of each pair, the smaller one first; `one` and `other` (m, 2) rows and columns
+    of its cells. Cells above each other come first, then cells side by side, each in row order.
+    """
+
+    labels: IntArray
+    one: IntArray
+    other: IntArray
+
+
+def contacts(labels: NDArray[np.signedinteger[Any]]) -> Contacts:
+    """All contacts between regions of `labels` (H, W), where -1 is no region."""
+    one, other = [], []
+    for here, there, step in (
+        (labels[:-1], labels[1:], (1, 0)),
+        (labels[:, :-1], labels[:, 1:], (0, 1)),
+    ):
+        cells: NDArray[np.int64] = np.argwhere((here != there) & (here >= 0) & (there >= 0))
+        one.append(cells)
+        other.append(cells + step)
+    first, second = np.concatenate(one), np.concatenate(other)
+    pairs = np.column_stack([labels[tuple(first.T)], labels[tuple(second.T)]])
+    return Contacts(np.sort(pairs, axis=1).astype(np.int64), first, second)

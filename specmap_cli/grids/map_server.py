@@ -7,6 +7,11 @@ row of the image is the highest y.
 from __future__ import annotations
 
 import errno
+import os
+import re
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,32 +27,33 @@ from pydantic import (
     model_validator,
 )
 
-from specmap_cli.core.errors import MapError
+from specmap_cli.core.errors import TOO_LARGE, MapError, reason
 from specmap_cli.core.files import read_bytes, write_bytes, write_text
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.core.yaml import read_yaml
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
-from specmap_cli.grids.pictures import read_picture
 
 # What map_server and Nav2 read the greys 0, 254 and 205 back with as they are; a free threshold
 # above 0.196, such as the often seen 0.25, would make the unknown 205 free.
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
-
 # In a bare picture only white (above 250) is free: light greys are edges of lines drawn smoothly,
 # or furniture and hatching in a floor plan. A YAML beside the picture can say otherwise.
 PICTURE_FREE_THRESHOLD = 0.0196
-
 _LARGEST_YAML_MB = 0.066  # such a file has some hundred: anything larger is something else
 _DECIMALS = 6  # of lengths written: a micrometre
 _FARTHEST_M = 1e8  # twice around the earth: no place of a map is farther off
 _LARGEST_TURN = 1e-9  # rad; more than rounding, so meant
-
 _GREY = np.zeros(256, dtype=np.uint8)
 _GREY[[FREE, OCCUPIED, UNKNOWN]] = (254, 0, 205)
 # the defaults of zlib, written down: those of OpenCV have changed between its versions
 _PNG_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 6, cv2.IMWRITE_PNG_STRATEGY, 0]
+_PICTURE_MAX_MB = 268.0  # a picture of a map or a plan, even one without compression
+_PIXELS_PER_MPIXEL = 1_000_000
+# Where width and height stand in the formats that maps come in, by the definition of each.
+_PNG = re.compile(rb"\x89PNG\r\n\x1a\n.{4}IHDR(.{8})", re.DOTALL)
+_BMP = re.compile(rb"BM.{16}(.{8})", re.DOTALL)
+_PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(?:#[^\n]*\n\s*)*(\d+)")
 
 
 def write_png(path: str | Path, image: NDArray[Any]) -> None:
@@ -153,6 +159,8 @@ def _written(value: Any) -> str:
 
 
 _Metres = Annotated[float, Field(ge=-_FARTHEST_M, le=_FARTHEST_M)]
+
+
 _Share = Annotated[float, Field(ge=0.0, le=1.0, description="a number from 0 to 1")]
 
 
@@ -219,3 +227,70 @@ def _percent(picture: FloatArray) -> FloatArray:
     """(H, W) 0 to 1 of values that are percent as they stand, NaN above a hundred."""
     percent = picture[..., 0]
     return np.where(percent <= 100.0, percent / 100.0, np.nan)
+
+
+def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]:
+    """(H, W, C) 8 or 16 bit, lowest row first.
+
+    Raises MapError for what is no such picture or beyond the limits, MemoryError for one that does
+    not fit into memory.
+    """
+    limits = LimitsConfig() if limits is None else limits
+    try:
+        data = read_bytes(path, _PICTURE_MAX_MB)
+    except OSError as error:
+        raise MapError(f"{path}: cannot read the image: {reason(error)}") from None
+    width, height = _size(data)
+    if width * height > limits.picture_max_mpixel * _PIXELS_PER_MPIXEL:
+        raise MapError(
+            f"{path}: {width} x {height} pixels are more than {limits.picture_max_mpixel:g} "
+            "million: scale it down, or raise limits.picture_max_mpixel",
+            code=TOO_LARGE,
+        )
+    try:
+        with _silence():
+            picture: NDArray[Any] | None = cv2.imdecode(
+                np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED
+            )
+    except cv2.error as error:  # no bytes at all, or more pixels than OpenCV takes
+        if error.code == cv2.Error.StsNoMem:
+            raise MemoryError(f"for the {width} x {height} pixels of {path}") from None
+        picture = None
+    if picture is None:
+        raise MapError(f"{path}: not an image that can be read: expected PNG, PGM or BMP")
+    return np.atleast_3d(picture)[::-1]
+
+
+def _size(data: bytes) -> tuple[int, int]:
+    """Width and height as the header says; 0, 0 when it is of another format."""
+    head = data[:4096]
+    if (found := _PNG.match(head)) is not None:
+        width, height = struct.unpack(">II", found[1])
+    elif (found := _BMP.match(head)) is not None:
+        width, height = struct.unpack("<ii", found[1])
+    elif (found := _PNM.match(head)) is not None:
+        width, height = (int(digits[:20]) for digits in found.groups())
+    else:
+        return 0, 0
+    return abs(width), abs(height)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep C libraries from writing to stderr in the block: errors are told by one line of ours."""
+    try:
+        kept = os.dup(2)
+    except OSError as error:
+        if error.errno != errno.EBADF:  # with stderr closed nothing is to be kept from it
+            raise
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        for descriptor in (kept, nowhere):
+            with suppress(OSError):
+                os.close(descriptor)

@@ -11,7 +11,9 @@ Typical use, when the pose is known roughly (`search`) or not at all (`search_ev
     match = refine(field, points, search(field, points, guess, window).pose)
 
 The search is the correlative scan matching of Olson (ICRA 2009), the refinement the Gauss-Newton
-step on an interpolated field of Kohlbrecher et al. (SSRR 2011).
+step on an interpolated field of Kohlbrecher et al. (SSRR 2011). How sure a match is, its covariance
+says, and which directions the walls in sight fix at all, `observability`: along a bare corridor, no
+place is fixed.
 """
 
 from __future__ import annotations
@@ -28,35 +30,26 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.correlation import Target, cell_counts, local_maxima, peaks
-from specmap_cli.grids.gauss_newton import descend
-from specmap_cli.grids.score_field import ScoreField, thinned
-
-__all__ = [
-    "Match",
-    "ScoreField",
-    "Window",
-    "covariance",
-    "refine",
-    "search",
-    "search_everywhere",
-    "thinned",
-]
+from specmap_cli.grids.occupancy import SURFACE_GAP_M
+from specmap_cli.grids.score_field import ScoreField, descend
 
 REFINE_ITERATIONS = 20  # of Gauss-Newton, which ends by itself after some five near the truth
 REFINE_SHIFT_M = 0.3  # three sigma of the usual field: it pulls from no farther
-
 # the score surface round a match: 2 % of the score is what a change of a few points makes
 SPREAD_TEMPERATURE = 0.02
 SPREAD_M, SPREAD_RAD = 0.3, 0.09  # looked at: beyond the errors of a match that is right
 _SPREAD_STEPS = 6  # of the lattice, from the match to either end
-
 PLACES, PLACES_STEP_M = 5, 0.2  # looked for everywhere: a wall is still seen in cells of 0.2 m
 APART_M = 1.0  # of two places found: nearer ones lead `refine` to the same pose
 _APART_RAD = 0.3  # likewise of two headings
-
 _FAR_PERCENTILE = 80.0  # of the ranges: the few farthest points may move by more than a step
 _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.01, 0.05  # between two angles that are tried
 _SLACK = 1e-9  # scores and lengths this close are equal
+_DISTINCT_M = 1e-6  # between points of which the direction of a surface can be had
+# Of smoothed surfaces: pieces so long that 3 cm of noise turn their normals by less than 0.1 rad,
+# which makes a hundredth of the information; whoever stands in a room has ten times that.
+_PIECE_M, _SMOOTHED_GAP_M, _NOISE_SHARE = 0.25, 0.5, 0.02
+_FEWEST_SURFACES = 3  # as many as unknowns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -276,3 +269,75 @@ def _differ(a: Pose2, b: Pose2, apart: float) -> bool:
     """Whether two poses are two different answers."""
     turn = abs(wrap_angle(a.theta - b.theta))
     return math.hypot(a.x - b.x, a.y - b.y) >= apart or turn >= _APART_RAD
+
+
+def observability(points: FloatArray, range_noise_m: float) -> FloatArray:
+    """Fisher information (3, 3) of a scan's own pose, from points (N, 2) in order of bearing.
+
+    Sum of J^T J / sigma^2 with J = (n, p x n) for the surface normal n at p and the error sigma of
+    a range (Censi, "On achievable accuracy for range-finder localization", ICRA 2007). Points
+    without a neighbour on either side within reach of one surface say nothing.
+    """
+    if len(points) < 3:
+        return np.zeros((3, 3))
+    tangent = points[2:] - points[:-2]
+    length = np.hypot(tangent[:, 0], tangent[:, 1])
+    good = (length > _DISTINCT_M) & (length < 2 * SURFACE_GAP_M)
+    tangent, p = tangent[good] / length[good, None], points[1:-1][good]
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    rows = np.column_stack([normal, p[:, 0] * normal[:, 1] - p[:, 1] * normal[:, 0]])
+    return product(rows.T, rows) / range_noise_m**2
+
+
+@dataclass(frozen=True, slots=True)
+class WeakestDirection:
+    """The direction in which the walls in sight fix a place least.
+
+    `share` of what they fix in all directions together is fixed in this one: 0 along a bare
+    corridor, 0.5 where all are alike. `heading` in radians, in the frame of the points.
+    """
+
+    share: float
+    heading: float
+
+    @property
+    def open(self) -> bool:
+        """Whether nothing but noise fixes the place in this direction."""
+        return self.share < _NOISE_SHARE
+
+
+def weakest_direction(points: FloatArray) -> WeakestDirection:
+    """Of points (N, 2) in order of bearing.
+
+    As `observability`, but of walls smoothed over some decimetres: the noise of single readings
+    turns the normals of dense points so much that a bare corridor would seem to have ends.
+    """
+    places, normals, counts = _smoothed_surfaces(points)
+    if len(places) < _FEWEST_SURFACES:
+        return WeakestDirection(0.0, 0.0)
+    turns = places[:, 0] * normals[:, 1] - places[:, 1] * normals[:, 0]
+    rows = np.column_stack([normals, turns])
+    fisher = np.einsum("na,n,nb->ab", rows, counts, rows)
+    arm, moment = fisher[:2, 2], float(fisher[2, 2])
+    place = fisher[:2, :2] - np.outer(arm, arm) / moment if moment > 0.0 else fisher[:2, :2]
+    (xx, xy), (_, yy) = place.tolist()
+    middle, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+    heading = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi  # across the strongest one
+    return WeakestDirection(max(0.0, (middle - half) / (2.0 * middle)), heading)
+
+
+def _smoothed_surfaces(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Places (k, 2), unit normals (k, 2) and numbers of points (k,) of pieces of surfaces."""
+    if len(points) < _FEWEST_SURFACES:
+        return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    apart = np.where(steps < _SMOOTHED_GAP_M, steps, 2.0 * _SMOOTHED_GAP_M)
+    piece = np.floor(np.concatenate([[0.0], np.cumsum(apart)]) / _PIECE_M)
+    _, start, count = np.unique(piece, return_index=True, return_counts=True)
+    middle = np.add.reduceat(points, start, axis=0) / count[:, None]
+    tangent = middle[2:] - middle[:-2]
+    length = np.hypot(tangent[:, 0], tangent[:, 1])
+    good = (length > _DISTINCT_M) & (length < 2 * _SMOOTHED_GAP_M)
+    tangent = tangent[good] / length[good, None]
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    return middle[1:-1][good], normal, count[1:-1][good].astype(np.float64)

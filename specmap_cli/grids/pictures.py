@@ -15,10 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.errors import TOO_LARGE, MapError
+from specmap_cli.core.errors import TOO_LARGE, MapError, reason
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.shortage import reason
 
 _PICTURE_MAX_MB = 268.0  # a picture of a map or a plan, even one without compression
 _PIXELS_PER_MPIXEL = 1_000_000

@@ -15,7 +15,7 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.observability import observability
+from specmap_cli.grids.matching import observability
 from specmap_cli.layout.pose_graph import Link, LinkKind
 
 _STEP_SHARE = 0.03  # error of a motion, metres per metre driven

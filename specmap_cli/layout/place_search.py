@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.records import IntArray
-from specmap_cli.grids.matching import Match, ScoreField
+from specmap_cli.grids.matching import Match
+from specmap_cli.grids.score_field import ScoreField
 
 _TOP = 3  # level the search begins on: blocks of 8 cells, wide rooms still rule them out
 _FULL = 255  # of a byte: a cell whose score is 1

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert
 from specmap_cli.core.records import BoolArray
-from specmap_cli.grids.matching import Match, ScoreField, Window, search, thinned
+from specmap_cli.grids.matching import Match, Window, search
+from specmap_cli.grids.score_field import ScoreField, thinned
 from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.parts import place_part
 from specmap_cli.layout.path_graph import LOOP_EVERY_M, Draft, Graph

@@ -7,15 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
-from specmap_cli.grids.matching import (
-    SPREAD_M,
-    ScoreField,
-    Window,
-    covariance,
-    refine,
-    search,
-    thinned,
-)
+from specmap_cli.grids.matching import SPREAD_M, Window, covariance, refine, search
+from specmap_cli.grids.score_field import ScoreField, thinned
 from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.pose_graph import Link

@@ -14,11 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import TOO_LARGE, LogError, MapError
+from specmap_cli.core.errors import TOO_LARGE, LogError, MapError, reason
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs.messages import (
     BadMessageError,
@@ -29,11 +28,17 @@ from specmap_cli.logs.messages import (
     decode_transforms,
 )
 from specmap_cli.logs.planar import covers_circle, increment
-from specmap_cli.logs.readers.alike_transforms import AlikeTransforms
-from specmap_cli.logs.readers.encoding import Transform, in_space, scan_cdr, transforms_cdr
+from specmap_cli.logs.readers.encoding import (
+    LASER_SCAN,
+    TF_MESSAGE,
+    AlikeTransforms,
+    Transform,
+    in_space,
+    scan_cdr,
+    transforms_cdr,
+)
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.readers.typestore import LASER_SCAN, TF_MESSAGE
 from specmap_cli.logs.writer import TF_STATIC, LogWriter
 from specmap_cli.maps.even_bearings import EvenSpacing
 

@@ -20,8 +20,7 @@ from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.logs.writer import LogWriter
 from specmap_cli.maps.tum import planar_trajectory_text
-from specmap_cli.simulation.lasers import Laser
-from specmap_cli.simulation.lidars import Cloud
+from specmap_cli.simulation.lasers import Cloud, Laser
 from specmap_cli.simulation.simulator import (
     START_NS,
     SimulatedTour,

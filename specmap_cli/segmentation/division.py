@@ -6,37 +6,47 @@ node's label. docs/segmentation.md says what each step of the default settings a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
+from scipy import ndimage
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.errors import NoResultError
+from specmap_cli.core.geometry import FloatArray, step_lengths
+from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import BoolArray, GridMap
-from specmap_cli.segmentation.clutter import (
-    FURNITURE_THICK_M,
-    WorkingGrid,
-    coarse_step,
-    furniture,
-    working_grid,
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
+from specmap_cli.segmentation.cells import (
+    RINGS,
+    border_widths,
+    consensus,
+    flood_labels,
+    join_wide,
+    local_widths,
+    nearest_labels,
+    spread_labels,
 )
-from specmap_cli.segmentation.consensus import consensus
-from specmap_cli.segmentation.cupboards import fill_cupboards, pieces_at_walls
-from specmap_cli.segmentation.flood import RINGS, flood_labels, nearest_labels, spread_labels
-from specmap_cli.segmentation.halving import split_again
-from specmap_cli.segmentation.kmeans import LabelArray
-from specmap_cli.segmentation.merging import border_widths, join_wide, local_widths
-from specmap_cli.segmentation.orientation import canonical
-from specmap_cli.segmentation.spectral import Spectrum, spectral_clusters
+from specmap_cli.segmentation.furniture import (
+    FURNITURE_THICK_M,
+    fill_cupboards,
+    furniture,
+    pieces_at_walls,
+)
+from specmap_cli.segmentation.graph_division import spectral_clusters, split_again
+from specmap_cli.segmentation.spectral import Spectrum
 from specmap_cli.segmentation.visibility import (
     IndexArray,
+    LabelArray,
     VisibilityGraph,
     sample_nodes,
     visibility_graph,
 )
 from specmap_cli.segmentation.wide_doors import with_narrow_doors
+from specmap_cli.segmentation.working_grid import WorkingGrid, canonical, coarse_step, working_grid
 
 _WIDTH_PERCENTILE = 60.0  # of the local widths in a room is the room's width
+_WALL_CELLS = 2  # obstacles this near belong to the picture of a region: a wall drawn in cells
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +79,10 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     step = coarse_step(grid.resolution, config.cell_m)
     upright = canonical(grid.free, step * _block(step * grid.resolution, config))
     free = upright.apply(grid.free)
-    opened, narrowed = _without_furniture(free, grid.resolution, config)
+    small = furniture(free, grid.resolution, config)
+    opened = narrowed = free | small
+    if config.wide_door_m:
+        opened, narrowed = with_narrow_doors(free, small, grid.resolution, config.wide_door_m)
     work = working_grid(narrowed, grid.resolution, config.cell_m)
     found = [_placement(work, config, number) for number in range(config.placements)]
     cells = consensus([one.cells for one in found])
@@ -106,7 +119,10 @@ def _placement(work: WorkingGrid, config: SegmentationConfig, number: int) -> _P
     clusters = spectrum.labels
     if config.halve:
         clusters = split_again(graph, clusters, config.neighbours, config.halve_eigenvalue)
-    cells = _label_cells(work, graph, clusters, config)
+    if config.labels == "nearest":
+        cells = nearest_labels(work.free, graph.nodes, clusters)
+    else:
+        cells = flood_labels(work.clearance, graph.nodes, clusters)
     if config.merge and len(clusters):
         cells = _merged(work, graph, cells, clusters, config)
     return _Placement(graph, spectrum, cells)
@@ -130,25 +146,6 @@ def build_graph(
 def _block(cell_m: float, config: SegmentationConfig) -> int:
     """The side of a block with one node, in coarse cells of `cell_m`."""
     return max(1, round(config.node_step_m / cell_m))
-
-
-def _without_furniture(
-    free: BoolArray, resolution: float, config: SegmentationConfig
-) -> tuple[BoolArray, BoolArray]:
-    """(h, w) free space with the isolated obstacles; and with wide openings narrowed besides."""
-    small = furniture(free, resolution, config)
-    if not config.wide_door_m:
-        return free | small, free | small
-    return with_narrow_doors(free, small, resolution, config.wide_door_m)
-
-
-def _label_cells(
-    work: WorkingGrid, graph: VisibilityGraph, clusters: LabelArray, config: SegmentationConfig
-) -> LabelArray:
-    """Labels (h, w) of the coarse cells from those of the nodes (n,), -1 unlabelled."""
-    if config.labels == "nearest":
-        return nearest_labels(work.free, graph.nodes, clusters)
-    return flood_labels(work.clearance, graph.nodes, clusters)
 
 
 def _merged(
@@ -178,3 +175,68 @@ def _by_area(labels: LabelArray) -> tuple[LabelArray, LabelArray]:
     if not len(names):
         return labels, names
     return np.where(labels < 0, np.int32(-1), names[np.maximum(labels, 0)]), names
+
+
+def regions_of(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> IntArray:
+    """The region (n,) of `grid` that each keyframe at `poses` (n, 3) was taken in.
+
+    Regions the robot only grazed, on less than `region_min_m` of way in all, go to the region that
+    it came from.
+    """
+    found = segment(grid, config).labels
+    if (found < 0).all():
+        return np.zeros(len(poses), dtype=np.int64)
+    rows, columns = np.clip(grid.cells_of(poses[:, :2]), 0, np.array(found.shape) - 1).T
+    if (found[rows, columns] < 0).any():
+        nearest = ndimage.distance_transform_edt(
+            found < 0, return_distances=False, return_indices=True
+        )
+        rows, columns = nearest[:, rows, columns]
+    labels = found[rows, columns].astype(np.int64)
+    return _without_grazed(labels, poses, config.region_min_m)
+
+
+def _without_grazed(labels: IntArray, poses: FloatArray, way_m: float) -> IntArray:
+    """Labels without those driven less than `way_m`, each keyframe in the last label that stays."""
+    way = np.bincount(labels[1:], weights=step_lengths(poses), minlength=int(labels.max()) + 1)
+    stays = way[labels] >= way_m
+    if not stays.any():
+        return np.full_like(labels, np.bincount(labels).argmax())
+    first = int(np.argmax(stays))
+    source = np.where(stays, np.arange(len(labels)), first)
+    return np.asarray(labels[np.maximum.accumulate(source)], dtype=np.int64)
+
+
+def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation:
+    """Divide `grid` into regions of one piece; NoResultError when no free space holds a node."""
+    found = _in_one_piece(segment(grid, config))
+    if not found.count:
+        raise NoResultError(
+            f"no free space wider than {2 * config.clearance_m:g} m in the map "
+            f"({grid.free_area_m2:.1f} m2 free): check the resolution and the thresholds"
+        )
+    return found
+
+
+def _in_one_piece(found: Segmentation) -> Segmentation:
+    """Regions without scraps: of each only its largest connected piece stays labelled."""
+    labels = np.full_like(found.labels, -1)
+    for label, window in enumerate(ndimage.find_objects(found.labels + 1)):
+        if window is not None:
+            mine = (found.labels[window] == label).astype(np.uint8)
+            _, piece, stats, _ = cv2.connectedComponentsWithStats(mine, connectivity=8)
+            largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+            labels[window][piece == largest] = label
+    return replace(found, labels=labels)
+
+
+def region_grid(grid: GridMap, region: BoolArray) -> GridMap:
+    """The cells `region` (H, W) of a grid with the obstacles round them, cropped; else unknown."""
+    reach = np.ones((2 * _WALL_CELLS + 1, 2 * _WALL_CELLS + 1), dtype=np.uint8)
+    shown = cv2.dilate(region.astype(np.uint8), reach).astype(bool)
+    rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
+    window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    cells: CellArray = np.full(grid.cells.shape, UNKNOWN, dtype=np.uint8)
+    cells[shown & (grid.cells == OCCUPIED)] = OCCUPIED
+    cells[region & (grid.cells == FREE)] = FREE
+    return GridMap(cells, grid.resolution, grid.origin).window(*window)

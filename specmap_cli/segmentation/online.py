@@ -10,8 +10,7 @@ import numpy as np
 from specmap_cli.core.records import BoolArray
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.segmentation.coarse_submap import CoarseSubmap, way_driven
-from specmap_cli.segmentation.splitting import SplitTest, examine
+from specmap_cli.segmentation.splitting import CoarseSubmap, SplitTest, examine, way_driven
 
 _TEST_METRES = 1.0  # travelled between two tests
 

@@ -10,10 +10,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.segmentation.division import segment
 

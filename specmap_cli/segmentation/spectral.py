@@ -1,26 +1,32 @@
-"""Algorithm 2 of the paper: the nodes of a visibility graph into clusters.
+"""Algorithm 2 of the paper on a connected graph: similarity, eigenvectors, k-means.
 
 Brunskill, Kollar and Roy, "Topological Mapping Using Spectral Clustering and Classification",
-IROS 2007, section II-A. Lines 1 and 2 stand in `affinity.py`, the eigenvectors in `spectrum.py`,
-k-means in `kmeans.py`; what the default settings add (docs/segmentation.md) stands in
-`division.py`, around the algorithm and not in it.
+IROS 2007, section II-A. A whole map is clustered in parts, by `graph_division.py`; what the default
+settings add (docs/segmentation.md) stands in `division.py`, around the algorithm and not in it.
+Nothing here is random: equal input gives equal output.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy import sparse
+from scipy.linalg import eigh
+from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.segmentation.affinity import local_scales, normalised, similarity
-from specmap_cli.segmentation.kmeans import LabelArray, kmeans_unit, unit_rows
-from specmap_cli.segmentation.parts import parts_of, touched
-from specmap_cli.segmentation.spectrum import eigenpairs_above
-from specmap_cli.segmentation.visibility import IndexArray, VisibilityGraph
+from specmap_cli.segmentation.visibility import IndexArray, LabelArray
+
+_NARROW = 1 << 16  # nodes whose numbers fit 16 bits: numpy sorts such numbers in linear time
+_DENSE = 160  # rows up to which solving for all eigenpairs is quicker than iterating
+_TOLERANCE = 1e-6  # far below what moves a count of eigenvalues
+_FIRST, _NODES_A_CLUSTER = 12, 80  # eigenpairs asked for at first: a guess that is seldom short
+_START_SEED, _START_RANGE = 0, (0.5, 1.5)  # positive, so never at right angles to the first vector
+_ROUNDS = 100  # of Lloyd's iteration, which ends by itself after some ten
+_TIE = 1e-9  # costs this close are a tie
+_TINY = 1e-12  # keeps a row of zeros from dividing by zero
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,39 +42,6 @@ class Spectrum:
     used: int
 
 
-def spectral_clusters(graph: VisibilityGraph, config: SegmentationConfig) -> Spectrum:
-    """Algorithm 2 on `graph`, lines 3 to 7 for each of its parts by itself.
-
-    Parts are connected components, which no eigenvector joins, and of components with more than
-    `part_nodes` nodes what is left when they are cut at their necks. Clusters that a cut touches
-    are dissolved and found once more, together with those beyond the cut.
-    """
-    nodes = len(graph.nodes)
-    scales = local_scales(graph.lengths, graph.pairs, nodes, config.neighbours)
-    S = similarity(graph.lengths, graph.pairs, scales, nodes)  # Algorithm 2, line 1
-    L, degrees = normalised(S)  # Algorithm 2, line 2
-    parts = parts_of(S, config.part_nodes)
-    first = _clusters_of_parts(L, degrees, parts, config)
-    cut = touched(graph.pairs, parts, first.labels)
-    if not len(cut):
-        return first
-    again = [cut[part] for part in parts_of(S[cut][:, cut], config.part_nodes)]
-    second = _clusters_of_parts(L, degrees, again, config)
-    labels = np.where(second.labels < 0, first.labels, first.labels.max() + 1 + second.labels)
-    return replace(first, labels=_numbered(labels))
-
-
-def _clusters_of_parts(
-    L: Any, degrees: FloatArray, parts: Sequence[IndexArray], config: SegmentationConfig
-) -> Spectrum:
-    """Lines 3 to 7 for some parts of a graph of which L (n, n) is the whole's; -1 outside them.
-
-    What a cut takes from the row of a node stays in its degree: it goes to a neighbour elsewhere.
-    """
-    found = [clusters_of(L[part][:, part], degrees[part], config.eigenvalue_min) for part in parts]
-    return _together(len(degrees), parts, found)
-
-
 def clusters_of(L: Any, degrees: FloatArray, least: float) -> Spectrum:
     """Lines 3 to 7 of Algorithm 2 for a connected part: L (n, n) sparse, its D_ii `degrees` (n,).
 
@@ -81,24 +54,193 @@ def clusters_of(L: Any, degrees: FloatArray, least: float) -> Spectrum:
     Y = unit_rows(X)  # Algorithm 2, line 5
     starts = [int(degrees.argmax()), int(degrees.argmin())]
     labels = kmeans_unit(Y, k, starts)  # Algorithm 2, lines 6 and 7
-    return Spectrum(labels=_numbered(labels), eigenvalues=values, used=k)
+    return Spectrum(labels=numbered(labels), eigenvalues=values, used=k)
 
 
-def _together(nodes: int, parts: Sequence[IndexArray], found: Sequence[Spectrum]) -> Spectrum:
-    """One spectrum of a graph from those of its parts, which hold the nodes `parts`."""
-    labels = np.full(nodes, -1, dtype=np.int32)
-    clusters = 0
-    for part, spectrum in zip(parts, found, strict=True):
-        labels[part] = clusters + spectrum.labels
-        clusters += int(spectrum.labels.max()) + 1
-    values = np.concatenate([np.zeros(0), *(spectrum.eigenvalues for spectrum in found)])
-    return Spectrum(
-        labels=labels,
-        eigenvalues=np.sort(values)[::-1],
-        used=sum(spectrum.used for spectrum in found),
-    )
-
-
-def _numbered(labels: LabelArray) -> LabelArray:
+def numbered(labels: LabelArray) -> LabelArray:
     """The labels (n,) renamed 0, 1, ... without empty clusters."""
     return np.unique(labels, return_inverse=True)[1].astype(np.int32)
+
+
+def local_scales(
+    lengths: FloatArray, pairs: IndexArray, nodes: int, neighbours: int = 0
+) -> FloatArray:
+    """(n,) sigma of eq. 1: the median distance to the `neighbours` nearest visible nodes, 0: all.
+
+    `pairs` (m, 2) are visible nodes i < j and `lengths` (m,) their distances, in any one unit.
+    Nodes that see no other get 1, which is never used.
+    """
+    rising = np.argsort(lengths)
+    owner, distance = pairs[rising].ravel(), np.repeat(lengths[rising], 2)
+    numbers = owner.astype(np.uint16) if nodes <= _NARROW else owner
+    distance = distance[np.argsort(numbers, kind="stable")]
+    count = np.bincount(owner, minlength=nodes)
+    start = np.cumsum(count) - count
+    used = np.minimum(count, neighbours) if neighbours else count
+    scales = np.ones(nodes)
+    some = used > 0
+    low, high = (start + (used - 1) // 2)[some], (start + used // 2)[some]
+    scales[some] = 0.5 * (distance[low] + distance[high])
+    return scales
+
+
+def edge_weights(lengths: FloatArray, pairs: IndexArray, scales: FloatArray) -> FloatArray:
+    """(m,) S_ij of eq. 1 for the visible pairs (m, 2)."""
+    product = scales[pairs[:, 0]] * scales[pairs[:, 1]]
+    return np.asarray(np.exp(-(lengths**2) / product))  # eq. 1
+
+
+def similarity(lengths: FloatArray, pairs: IndexArray, scales: FloatArray, nodes: int) -> Any:
+    """S of eq. 1, (n, n) sparse and symmetric: zero on the diagonal and between unseen pairs."""
+    weight = edge_weights(lengths, pairs, scales)
+    half = sparse.coo_array((weight, (pairs[:, 0], pairs[:, 1])), shape=(nodes, nodes)).tocsr()
+    return (half + half.T).tocsr()
+
+
+def normalised(affinity: Any) -> tuple[Any, FloatArray]:
+    """L = D^-1/2 S D^-1/2 (n, n) sparse, and the degrees D_ii (n,); rows of zeros stay zero."""
+    degrees = np.asarray(affinity.sum(axis=1), dtype=np.float64).ravel()  # Algorithm 2, line 2
+    scaling = sparse.diags_array(_inverse_roots(degrees))
+    return (scaling @ affinity @ scaling).tocsr(), degrees  # Algorithm 2, line 2
+
+
+def dense_similarity(
+    lengths: FloatArray, pairs: IndexArray, scales: FloatArray, nodes: int
+) -> FloatArray:
+    """`similarity` as an array (n, n): quicker for the few hundred nodes of a test."""
+    S = np.zeros((nodes, nodes))
+    i, j = pairs[:, 0], pairs[:, 1]
+    S[i, j] = S[j, i] = edge_weights(lengths, pairs, scales)
+    return S
+
+
+def dense_normalised(S: FloatArray) -> FloatArray:
+    """`normalised` of an array S (n, n): L = D^-1/2 S D^-1/2."""
+    inverse = _inverse_roots(S.sum(axis=1))
+    return np.asarray(S * inverse[:, None] * inverse)  # Algorithm 2, line 2
+
+
+def _inverse_roots(degrees: FloatArray) -> FloatArray:
+    """D^-1/2 (n,); of nodes that see no other, it is zero."""
+    inverse = np.zeros(len(degrees))
+    inverse[degrees > 0] = degrees[degrees > 0] ** -0.5
+    return inverse
+
+
+def largest_eigenpairs(
+    matrix: Any, count: int, tolerance: float = _TOLERANCE
+) -> tuple[FloatArray, FloatArray]:
+    """The `count` largest eigenvalues (k,), falling, and eigenvectors (n, k) of a symmetric matrix.
+
+    `matrix` (n, n) is an array, or sparse; `tolerance`, relative, is that of the iteration, which
+    starts from a fixed vector. Each eigenvector's sign makes its sum of cubes positive, so equal
+    input gives equal output.
+    """
+    size = matrix.shape[0]
+    count = min(count, size)
+    if size <= _DENSE or count > size // 2:
+        values, vectors = _all_at_once(matrix, count)
+    else:
+        start = np.random.default_rng(_START_SEED).uniform(*_START_RANGE, size)
+        try:
+            few = sparse.csr_array(matrix)
+            values, vectors = eigsh(few, k=count, which="LA", v0=start, tol=tolerance)
+        except ArpackNoConvergence:  # of a long corridor many eigenvalues are nearly the same
+            values, vectors = _all_at_once(matrix, count)
+        order = np.argsort(-values, kind="stable")
+        values, vectors = values[order], vectors[:, order]
+    return np.asarray(values), with_fixed_signs(vectors)
+
+
+def _all_at_once(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]:
+    """The `count` largest eigenpairs of a matrix, falling, by solving for all of them."""
+    values, vectors = np.linalg.eigh(matrix.toarray() if sparse.issparse(matrix) else matrix)
+    return values[::-1][:count], vectors[:, ::-1][:, :count]
+
+
+def two_largest(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The two largest eigenvalues, falling, and eigenvectors (n, 2) of a dense matrix (n, n)."""
+    size = len(matrix)
+    values, vectors = eigh(matrix, subset_by_index=[size - 2, size - 1])
+    return np.asarray(values[::-1]), with_fixed_signs(vectors[:, ::-1])
+
+
+def with_fixed_signs(vectors: FloatArray) -> FloatArray:
+    """Eigenvectors (n, k), each turned so that the sum of its cubes is not negative."""
+    return np.asarray(vectors * np.where((vectors**3).sum(axis=0) < 0.0, -1.0, 1.0))
+
+
+def eigenpairs_above(matrix: Any, least: float) -> tuple[FloatArray, FloatArray]:
+    """All eigenpairs with eigenvalues above `least`, and at least one below where there is one."""
+    size = matrix.shape[0]
+    count = min(_FIRST + size // _NODES_A_CLUSTER, size)
+    while True:
+        values, vectors = largest_eigenpairs(matrix, count)
+        if count == size or values[-1] <= least:
+            return values, vectors
+        count = min(2 * count, size)
+
+
+def kmeans_unit(rows: FloatArray, clusters: int, first: list[int]) -> LabelArray:
+    """Cluster unit vectors `rows` (n, d) into at most `clusters`; (n,) labels.
+
+    Lloyd's iteration runs once for each row number in `first`. The labels with the smallest sum of
+    squared distances win, those of the earlier start on a tie. A start takes its row and then, one
+    at a time, the row most nearly orthogonal to all taken before (Ng, Jordan and Weiss, "On
+    Spectral Clustering", NIPS 2001).
+    """
+    if clusters <= 1 or len(rows) <= 1:
+        return np.zeros(len(rows), dtype=np.int32)
+    best, least = np.zeros(len(rows), dtype=np.int32), np.inf
+    for row in first:
+        labels, cost = _lloyd(rows, rows[_orthogonal_start(rows, clusters, row)])
+        if cost < least - _TIE:
+            best, least = labels, cost
+    return best
+
+
+def unit_rows(X: FloatArray) -> FloatArray:
+    """The rows of X (n, k) made unit length; a row of zeros stays zero."""
+    norm = np.sqrt((X**2).sum(axis=1, keepdims=True))
+    return np.asarray(X / np.maximum(norm, _TINY))
+
+
+def bisect(first: FloatArray, other: FloatArray) -> LabelArray:
+    """Algorithm 2 with k = 2 on two eigenvectors (n,): the (n,) labels 0 and 1."""
+    X = np.column_stack([first, other])  # Algorithm 2, line 4
+    Y = unit_rows(X)  # Algorithm 2, line 5
+    angle = np.arctan2(Y[:, 1], Y[:, 0])
+    return kmeans_unit(Y, 2, [int(angle.argmax())])  # Algorithm 2, lines 6 and 7
+
+
+def _orthogonal_start(rows: FloatArray, clusters: int, first: int) -> list[int]:
+    """Numbers of `clusters` rows, each the least similar to those before it."""
+    taken = [first]
+    similarity = np.abs(rows @ rows[first])
+    for _ in range(1, min(clusters, len(rows))):
+        taken.append(int(similarity.argmin()))
+        np.maximum(similarity, np.abs(rows @ rows[taken[-1]]), out=similarity)
+    return taken
+
+
+def _lloyd(rows: FloatArray, centres: FloatArray) -> tuple[LabelArray, float]:
+    """Labels (n,) and the sum of squared distances to the centres."""
+    labels = np.full(len(rows), -1, dtype=np.int32)
+    for _ in range(_ROUNDS):
+        scores = rows @ centres.T - 0.5 * (centres**2).sum(axis=1)
+        found = scores.argmax(axis=1).astype(np.int32)
+        if np.array_equal(found, labels):
+            break
+        labels = found
+        centres = _means(rows, labels, centres)
+    return labels, float(((rows - centres[labels]) ** 2).sum())
+
+
+def _means(rows: FloatArray, labels: LabelArray, centres: FloatArray) -> FloatArray:
+    """Means (k, d) of the rows of each label; a centre without rows stays where it was."""
+    members = np.zeros((len(centres), len(rows)))
+    members[labels, np.arange(len(rows))] = 1.0
+    counts = members.sum(axis=1)
+    means = np.asarray(members @ rows / np.maximum(counts, 1.0)[:, None])
+    means[counts == 0] = centres[counts == 0]
+    return means

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, wrap_angles
-from specmap_cli.core.tracks import step_lengths
+from specmap_cli.core.geometry import FloatArray, step_lengths, wrap_angles
 from specmap_cli.grids.gridmap import BoolArray
 
 _SHARP_RAD = 0.35  # 20 degrees: the robot stops and turns at sharper corners, and rounds others

@@ -15,20 +15,20 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, path_length, wrap_angle
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.text import nanoseconds
-from specmap_cli.core.tracks import path_length
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.simulation.driving import Drive, Limits, drive
 from specmap_cli.simulation.lasers import (
+    Cloud,
     Laser,
+    Lidar,
     OdometryErrors,
     drifting_odometry,
     laser_bearings,
+    ring_elevations,
 )
-from specmap_cli.simulation.lidars import Cloud, Lidar, ring_elevations
-from specmap_cli.simulation.tours import plan_tour, reachable_space
+from specmap_cli.simulation.tours import Drive, Limits, drive, plan_tour, reachable_space
 from specmap_cli.simulation.worlds import World
 
 START_NS = 1_700_000_000 * 10**9  # when every tour begins: a day of November 2023

@@ -1,16 +1,27 @@
-"""The world of a simulation: a plan that stops beams and in which a robot drives."""
+"""The world of a simulation: a plan that stops beams and in which a robot drives, and its rooms.
+
+The true rooms are painted by hand: which of them a pose of the robot lies in is the truth.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.ray_casting import cast_rays
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, cast_rays, nearest_values
+
+LabelArray = NDArray[np.int32]
+# The pictures of Bormann et al., "Room Segmentation: Survey, Implementation, and Analysis", ICRA
+# 2016, hold rooms of 255 and walls of 0; their specks of a few pixels are slips of the brush.
+_ROOM_GREY = 250
+_ROOM_MIN_PIXELS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,3 +54,55 @@ class World:
     def cast(self, origins: NDArray[Any], angles: NDArray[Any], max_range: float) -> FloatArray:
         """True ranges (N,) of rays from origins (N, 2) along angles (N,), +inf past the range."""
         return cast_rays(self.distance, self.plan, origins, angles, max_range)
+
+
+@dataclass(frozen=True, slots=True)
+class RoomTruth:
+    """Rooms painted by hand: `labels` (H, W), 0 = no room, row 0 the lowest y, as in a GridMap."""
+
+    labels: LabelArray
+    resolution: float
+    origin: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def count(self) -> int:
+        """How many rooms there are; they are numbered 1, 2, ..."""
+        return int(self.labels.max(initial=0))
+
+    def at(self, points: NDArray[Any], reach_m: float = 0.5) -> LabelArray:
+        """(N,) room of each point (N, 2 or more columns), by the nearest painted cell.
+
+        A point up to `reach_m` from a room, such as one on the line of a door, is in that room; a
+        point farther away is in none: 0.
+        """
+        positions = np.asarray(points, dtype=np.float64)[:, :2]
+        nearest, away = nearest_values(self.labels)
+        height, width = self.labels.shape
+        cells = np.floor((positions - self.origin) / self.resolution).astype(np.intp)
+        columns = np.clip(cells[:, 0], 0, width - 1)
+        rows = np.clip(cells[:, 1], 0, height - 1)
+        outside = np.hypot(cells[:, 0] - columns, cells[:, 1] - rows)
+        distance = (away[rows, columns] + outside) * self.resolution
+        return np.where(distance <= reach_m, nearest[rows, columns], 0).astype(np.int32)
+
+
+def read_rooms(
+    path: str | Path, resolution: float, origin: tuple[float, float] = (0.0, 0.0)
+) -> RoomTruth:
+    """The rooms of a ground-truth picture: its white (> 250) connected regions of >= 100 pixels.
+
+    `resolution` is metres a pixel, `origin` the lower left corner of the picture in the plan's
+    frame. Rooms are numbered in the order of the picture's rows, from its top. Raises MapError when
+    the picture cannot be read or shows no room.
+    """
+    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        raise MapError(f"{path}: cannot be read as a picture; give a PNG with white rooms")
+    white = (picture > _ROOM_GREY).astype(np.uint8)
+    _, regions, stats, _ = cv2.connectedComponentsWithStats(white)
+    kept = stats[:, cv2.CC_STAT_AREA] >= _ROOM_MIN_PIXELS
+    kept[0] = False
+    if not kept.any():
+        raise MapError(f"{path}: no white region of {_ROOM_MIN_PIXELS} pixels; is it a plan?")
+    number = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
+    return RoomTruth(np.ascontiguousarray(number[regions][::-1]), resolution, origin)

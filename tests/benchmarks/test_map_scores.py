@@ -12,7 +12,7 @@ from sklearn.metrics.cluster import contingency_matrix
 
 from benchmarks.scores import MapScores, map_scores
 from specmap_cli.core.errors import InputError
-from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.worlds import RoomTruth
 
 
 def scores(rooms: list[int], labels: list[int]) -> MapScores:
@@ -37,18 +37,6 @@ def test_a_room_opened_again_on_the_second_lap_is_counted() -> None:
 
 def test_a_room_first_seen_late_is_not_reopened() -> None:
     assert scores([1, 1, 1, 1, 2, 2], [0, 0, 0, 0, 1, 1]).reopened == ()
-
-
-def test_a_room_in_three_pieces_is_not_whole() -> None:
-    assert scores([1, 1, 1, 2], [0, 1, 2, 3]).whole == 0.5
-
-
-def test_edges_between_rooms_without_a_door_are_invented() -> None:
-    found = scores([1, 2, 3, 1, 1, 3, 3], [0, 0, 1, 0, 0, 1, 1])
-    assert found.doors == 3
-    assert found.found == 1
-    assert found.invented == 0
-    assert found.purity < 1.0
 
 
 tours = st.lists(st.tuples(st.integers(1, 6), st.integers(0, 4)), min_size=1, max_size=40)
@@ -88,12 +76,6 @@ def test_a_glance_into_a_room_makes_no_piece() -> None:
     rooms = [1] * 30 + [2] * 30
     assert scores(rooms, [0] * 28 + [1] * 32).pieces == {1: 1, 2: 1}
     assert scores(rooms, [0] * 27 + [1] * 33).pieces == {1: 2, 2: 1}
-
-
-def test_a_door_between_rooms_of_one_submap_is_not_found() -> None:
-    found = scores([1, 1, 2, 2], [0, 0, 0, 0])
-    assert (found.doors, found.found, found.invented) == (1, 0, 0)
-    assert found.purity == 0.5
 
 
 def test_a_submap_that_leaps_invents_a_door() -> None:

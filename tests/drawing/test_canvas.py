@@ -20,12 +20,6 @@ def pieces(dark: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> int:
     return int(np.count_nonzero(np.diff(np.concatenate([[False], dark]).astype(int)) == 1))
 
 
-def test_a_new_canvas_is_paper() -> None:
-    assert Canvas(7, 5).image.shape == (5, 7, 3)
-    assert not inked(Canvas(7, 5).image).any()
-    assert (Canvas(7, 5, INK).image == np.array(INK)).all()
-
-
 @pytest.mark.parametrize("width", [1, 3, 6])
 def test_a_line_is_as_wide_as_asked_and_turns_corners(width: int) -> None:
     canvas = Canvas(60, 60)
@@ -116,15 +110,6 @@ def test_words_are_anchored_where_asked(anchor: Anchor, share: float) -> None:
     width = text_width("42 rooms", 20)
     assert right - left == pytest.approx(width, abs=6)
     assert left == pytest.approx(300 - share * width, abs=5)
-
-
-def test_bold_words_take_more_ink_and_longer_ones_more_room() -> None:
-    plain, bold = Canvas(300, 40), Canvas(300, 40)
-    plain.text(10, 20, "corridor", 12)
-    bold.text(10, 20, "corridor", 12, bold=True)
-    assert near(bold.image, INK) > 1.5 * near(plain.image, INK)
-    widths = [text_width("corridor"[:n], 20) for n in range(9)]
-    assert widths == sorted(set(widths))
 
 
 def test_upright_words_read_upwards_from_their_first_letter() -> None:

@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from specmap_cli.drawing.canvas import Image
-from specmap_cli.drawing.confusion import render_confusion
 from specmap_cli.drawing.palette import PAPER, RIGHT, SHADE, paler
+from specmap_cli.drawing.predictions import render_confusion
 from tests.drawing.looking import bounds, inked, is_framed, near, of_colour
 
 LARGEST = 72  # pixels of a cell while there are few
@@ -68,12 +68,6 @@ def test_cells_show_shares_of_their_row_not_counts() -> None:
     assert (once[:, right:] != often[:, right:]).any()
 
 
-def test_a_class_without_scans_is_grey() -> None:
-    image = render_confusion(np.array([[0, 0], [0, 5]]), ["a", "b"])
-    at = centres(image, 2, 2)
-    assert colour_at(image, at[0, 0]) == colour_at(image, at[0, 1]) == list(SHADE)
-
-
 @pytest.mark.parametrize("few", [1, 4, 5])
 def test_a_cell_of_less_than_a_percent_does_not_say_nought(few: int) -> None:
     """0.1, 0.4 and 0.5 percent read `<1`: the letters lie on the same pixels."""
@@ -84,13 +78,6 @@ def test_a_cell_of_less_than_a_percent_does_not_say_nought(few: int) -> None:
         pictures.append(image[y - 8 : y + 56, x - 30 : x + 30].max(axis=-1) < 150)
     assert pictures[0].any()
     np.testing.assert_array_equal(pictures[0], pictures[1])
-
-
-def test_columns_named_otherwise_are_all_wrong() -> None:
-    image = render_confusion(np.array([[5, 5]]), ["room"], ["hall", "unknown"])
-    for place in centres(image, 1, 2)[0]:
-        blue, _, red = colour_at(image, place)
-        assert red > blue
 
 
 @pytest.mark.parametrize("size", [0, 1, 12, 150])

@@ -70,10 +70,6 @@ def test_shows_what_it_should(result: MapResult) -> None:
     assert is_framed(image)
 
 
-def test_the_same_picture_every_time(result: MapResult) -> None:
-    np.testing.assert_array_equal(drawn(result), drawn(result))
-
-
 @pytest.mark.parametrize("shape", [(4, 4), (1, 1)])
 def test_nothing_known(shape: tuple[int, int]) -> None:
     grid = GridMap(np.full(shape, UNKNOWN, dtype=np.uint8), 0.05)
@@ -237,13 +233,6 @@ def test_badges_do_not_overlap(count: int, seed: int) -> None:
 def test_badges_with_room_stay(centres: list[tuple[float, float]]) -> None:
     places = np.array(centres).reshape(-1, 2)
     np.testing.assert_array_equal(spread(places, symbols.BADGE_GAP), places)
-
-
-def test_badges_on_one_spot_part_without_changing_what_was_given() -> None:
-    places = np.array([(50.0, 50.0), (50.0, 50.0)])
-    moved = spread(places, 40.0)
-    assert np.linalg.norm(moved[0] - moved[1]) == pytest.approx(40.0)
-    np.testing.assert_array_equal(places, [(50.0, 50.0)] * 2)
 
 
 def test_a_doubtful_place_is_marked_and_the_title_says_why() -> None:

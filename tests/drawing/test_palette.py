@@ -14,7 +14,6 @@ from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.drawing import palette
 from specmap_cli.drawing.palette import Colour
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.maps.writing import MapResult
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import Submap, TopologicalMap
 from tests.drawing.seeing import ciede2000, least_difference
@@ -117,13 +116,6 @@ def test_nearly_all_ids_keep_their_colours_when_a_map_grows(seed: int, count: in
     assert sum(before[id_] != after[id_] for id_ in old) <= max(3, 0.3 * len(old))
 
 
-@pytest.mark.parametrize("times", [1, 2, 3])
-def test_submaps_without_links_use_all_colours_alike(times: int) -> None:
-    count = times * len(palette.FILLS)
-    fills = list(palette.colour_graph(range(count), []).values())
-    assert {fills.count(fill) for fill in palette.FILLS} == {times}
-
-
 def test_more_neighbours_than_colours() -> None:
     pairs = list(itertools.combinations(range(20), 2))
     fills = palette.colour_graph(range(20), pairs)
@@ -160,11 +152,6 @@ def test_what_is_drawn_on_a_fill_can_be_read(fill: Colour) -> None:
     assert contrast(palette.vivid(fill), palette.PAPER) > 3.0
 
 
-def test_the_graph_is_lighter_than_the_walls() -> None:
-    walls = contrast(palette.INK, palette.PAPER)
-    assert contrast(palette.TRAVERSED, palette.PAPER) < walls / 1.5
-
-
 def test_links_that_mean_different_things_differ() -> None:
     kinds = (palette.TRAVERSED, palette.CLOSURE, palette.LOOSE, palette.PAPER)
     for one, other in itertools.combinations(kinds, 2):
@@ -191,12 +178,6 @@ def test_touching_regions_are_found_and_far_ones_are_not(seed: int, reach: int) 
                     near.add((a, b))
                     side_by_side |= {(a, b)} if j - i == 1 else set()
     assert side_by_side <= palette.touching(owner, reach) <= near
-
-
-def test_submaps_of_a_map_differ_from_those_linked_and_those_beside(result: MapResult) -> None:
-    fills = palette.colours_of(result.topology, result.regions)
-    assert sorted(fills) == [0, 1, 2]
-    assert len(set(fills.values())) == 3
 
 
 def test_rooms_behind_a_thick_wall_are_neighbours() -> None:

@@ -166,10 +166,3 @@ def test_badges_of_one_submap_keep_apart() -> None:
     places = 1500 / (5.0 * symbols.BADGE_GAP)
     assert one < rim < (places + 2) * one
     assert calm > 0
-
-
-def test_title_and_figures_stand_above() -> None:
-    plain = render_labels(straight(), thirds(0, 1), "one log")
-    other = render_labels(straight(), thirds(0, 1), "one log", "97 % right")
-    assert (plain[:TITLE] != other[:TITLE]).any()
-    np.testing.assert_array_equal(plain[TITLE:], other[TITLE:])

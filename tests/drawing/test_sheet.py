@@ -65,16 +65,6 @@ def test_places_are_drawn_to_scale_inside_the_frame(
     assert abs(left - (width - right)) <= 2  # in the middle
 
 
-def test_places_lie_where_the_ground_was_painted() -> None:
-    _, regions = one_room((40, 60))
-    sheet = Sheet(*extent_of(regions), ())
-    sheet.ground(regions, {0: palette.FILLS[3]})
-    inner, wall = np.array([[0.1, 0.1], [2.9, 1.9]]), np.array([[0.025, 1.0], [2.975, 1.0]])
-    for points, colour in ((inner, palette.FILLS[3]), (wall, palette.INK)):
-        for place in sheet.pixels(points):
-            assert pixel(sheet.canvas.image, np.floor(place)) == pytest.approx(colour, abs=8)
-
-
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (-3.2, 7.7), (1e5, -1e5)])
 def test_each_kind_of_cell_has_its_colour(origin: tuple[float, float]) -> None:
     cells = (

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.drawing.strokes import Stroke, strokes
+from specmap_cli.drawing.sheet import Stroke, strokes
 from tests.strategies import seeds
 
 

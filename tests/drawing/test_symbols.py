@@ -123,15 +123,6 @@ def test_a_badge_holds_its_id(name: str) -> None:
     assert np.hypot(max(40 - letters[0], letters[1] - 40), letters[3] - 40) < radius
 
 
-def test_badges_a_gap_apart_do_not_touch() -> None:
-    alone, both = Canvas(120, 60), Canvas(120, 60)
-    symbols.badge(alone, np.array([30.0, 30.0]), "7", FILLS[0])
-    for x in (30.0, 30.0 + symbols.BADGE_GAP):
-        symbols.badge(both, np.array([x, 30.0]), "7", FILLS[0])
-    reach = round(30 + symbols.BADGE_RADIUS + 2)
-    np.testing.assert_array_equal(both.image[:, :reach], alone.image[:, :reach])
-
-
 def test_start_is_square_and_end_is_round() -> None:
     """The share of its box that a disc fills is pi / 4."""
     shares = []
@@ -144,13 +135,6 @@ def test_start_is_square_and_end_is_round() -> None:
         shares.append(dark.sum() / ((right - left + 1) * (bottom - top + 1)))
     assert shares[0] == 1.0
     assert shares[1] == pytest.approx(np.pi / 4, abs=0.08)
-
-
-def test_unknown_is_a_ring() -> None:
-    canvas = Canvas(40, 40, FILLS[1])
-    symbols.unknown(canvas, np.array([20.0, 20.0]))
-    assert pixel(canvas.image, np.array([20, 20])) == PAPER
-    assert near(canvas.image, INK) > 5
 
 
 @pytest.mark.parametrize("kinds", [(), *[(kind,) for kind in KINDS], KINDS])

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import confusion_matrix, precision_recall_fscore_support
 
-from specmap_cli.evaluation.classification import classification_scores, score_lines
+from specmap_cli.evaluation.protocols import classification_scores, score_lines
 
 guesses = st.lists(st.tuples(st.integers(0, 4), st.integers(-1, 6)), min_size=1, max_size=60)
 

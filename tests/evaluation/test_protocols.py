@@ -16,12 +16,9 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Trajectory
-from specmap_cli.evaluation.classification import (
-    classification_scores,
-    score_lines,
-)
 from specmap_cli.evaluation.protocols import (
     HoldOut,
+    classification_scores,
     hold_out,
     nearest_labels,
     revisit,
@@ -43,25 +40,6 @@ def test_scores_equal_scikit_learn_s(pairs: list[tuple[int, int]]) -> None:
     assert ours.precision == pytest.approx(precision)
     assert ours.accuracy == pytest.approx(accuracy_score(truth, predicted))
     assert ours.scans == len(pairs)
-
-
-def test_unknown_is_wrong_but_nobody_else_s_fault() -> None:
-    scores = classification_scores([0, 0, 1, 1], [0, None, 1, -1], [0, 1])
-    assert scores.recall_of == {0: 0.5, 1: 0.5}
-    assert scores.precision_of == {0: 1.0, 1: 1.0}
-    assert scores.confusion.tolist() == [[1, 0, 1], [0, 1, 1]]
-
-
-def test_scans_without_a_truth_are_left_out() -> None:
-    scores = classification_scores([-1, 9, 0], [0, 0, 0], [0, 1])
-    assert (scores.scans, scores.recall, scores.precision) == (1, 1.0, 1.0)
-    assert classification_scores([], [], [0]).as_dict()["recall"] == 0.0
-
-
-def test_the_table_shows_every_submap() -> None:
-    scores = classification_scores([3, 3, 8], [3, 8, 8], [3, 8])
-    lines = score_lines(scores)
-    assert [line.split()[0] for line in lines] == ["submap", "3", "8", "mean"]
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

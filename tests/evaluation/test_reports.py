@@ -11,23 +11,25 @@ import pytest
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.settings import Config
-from specmap_cli.evaluation import reports
-from specmap_cli.evaluation.classification import (
+from specmap_cli.evaluation import protocols
+from specmap_cli.evaluation.protocols import (
     ClassificationScores,
+    HoldOutResult,
+    RevisitResult,
     classification_scores,
-    score_lines,
-)
-from specmap_cli.evaluation.protocols import HoldOutResult, RevisitResult
-from specmap_cli.evaluation.reports import (
     hold_out_lines,
-    reference_lines,
-    relation_lines,
     revisit_lines,
     revisit_logs,
-    semantic_lines,
+    score_lines,
 )
-from specmap_cli.evaluation.semantic import SemanticResult
-from specmap_cli.evaluation.trajectories import ReferenceErrors, RelativeErrors, Spread
+from specmap_cli.evaluation.semantic import SemanticResult, semantic_lines
+from specmap_cli.evaluation.trajectories import (
+    ReferenceErrors,
+    RelativeErrors,
+    Spread,
+    reference_lines,
+    relation_lines,
+)
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
@@ -171,7 +173,7 @@ def test_a_map_of_the_first_log_is_built_for_the_purpose_and_removed(
         built.append((logs, out))
         shutil.copytree(flat_map.path, out)
 
-    monkeypatch.setattr(reports, "build_map", build)
+    monkeypatch.setattr(protocols, "build_map", build)
     (tmp_path / "late.tum").write_text("9000000000 0 0 0 0 0 0 1\n")
     truths = (str(tmp_path / "late.tum"), str(again.truth))
     with pytest.raises(LogError, match=r"late\.tum: no pose at the stamps of the map's keyframes"):

@@ -9,7 +9,6 @@ import pytest
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.progress import Silent
-from specmap_cli.evaluation.reports import semantic_lines
 from specmap_cli.evaluation.semantic import (
     HALLWAY,
     ROOM,
@@ -18,9 +17,10 @@ from specmap_cli.evaluation.semantic import (
     hallways,
     kinds_of,
     room_hallway,
+    semantic_lines,
     semantic_scores,
 )
-from specmap_cli.simulation.room_truth import RoomTruth
+from specmap_cli.simulation.worlds import RoomTruth
 from tests.flats import QUICK, Mapped
 
 

@@ -12,8 +12,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.grids.gauss_newton import Sample, _solved, approach, descend
-from specmap_cli.grids.score_field import SIGMA_M, ScoreField
+from specmap_cli.grids.score_field import SIGMA_M, Sample, ScoreField, approach, descend
 from tests.strategies import few, seeds
 
 small = st.floats(-0.06, 0.06)
@@ -93,6 +92,7 @@ def test_the_descent_never_makes_it_worse_nor_leaves_its_reach(
 def test_too_few_points_leave_the_guess_as_it_is(field: ScoreField, points: int) -> None:
     guess = Pose2(0.1, 0.2, 0.3)
     assert descend(field, np.zeros((points, 2)), guess, 20, 0.3) == guess
+    assert approach(field, np.zeros((points, 2)), guess, SIGMA_M) == guess
 
 
 def test_a_field_of_one_cell_moves_nothing() -> None:
@@ -137,17 +137,3 @@ def test_along_a_bare_corridor_the_way_stays_at_the_guess() -> None:
     found = approach(field, seen, Pose2(0.3, 0.05, 0.02), SIGMA_M)
     assert found.x == pytest.approx(0.3, abs=0.05)
     assert found.y == pytest.approx(0.0, abs=0.02)
-
-
-@pytest.mark.parametrize("points", [0, 1, 2])
-def test_too_few_points_have_no_way(field: ScoreField, points: int) -> None:
-    guess = Pose2(0.1, 0.2, 0.3)
-    assert approach(field, np.zeros((points, 2)), guess, SIGMA_M) == guess
-
-
-@given(seeds)
-def test_the_step_s_system_is_solved_as_by_lapack(seed: int) -> None:
-    rows = np.random.default_rng(seed).normal(size=(4, 6))
-    sums = rows @ rows.T
-    best = np.linalg.solve(sums[:3, :3] + 1e-3 * np.eye(3), sums[3, :3])
-    assert _solved(sums.tolist(), 1e-3) == pytest.approx(best, rel=1e-6)

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from specmap_cli.grids.gridmap import (
     FREE,
-    NO_OBSTACLE_M,
     OCCUPIED,
     UNKNOWN,
     GridMap,
     PackedGrid,
     cell_distances,
 )
-from tests.strategies import grid_maps, seeds
+from tests.strategies import grid_maps
 
 
 @given(grid_maps())
@@ -59,16 +57,6 @@ def test_distances_are_the_same_bit_for_bit_wherever_the_picture_lies() -> None:
     cv2.setNumThreads(threads)
 
 
-@given(grid_maps(largest=12))
-def test_distances_are_those_of_a_loop_over_all_cells(grid: GridMap) -> None:
-    obstacles = np.argwhere(grid.occupied)
-    for row, column in np.ndindex(*grid.cells.shape):
-        gaps = np.hypot(*(obstacles - (row, column)).T)
-        expected = gaps.min(initial=np.inf) * grid.resolution
-        found = grid.obstacle_distance()[row, column]
-        assert found == pytest.approx(min(expected, NO_OBSTACLE_M))
-
-
 @given(grid_maps(), st.data())
 def test_a_window_is_the_same_map_seen_through_a_hole(grid: GridMap, data: st.DataObject) -> None:
     height, width = grid.cells.shape
@@ -99,25 +87,6 @@ def test_a_point_on_a_border_belongs_to_the_cell_above_and_right_of_it() -> None
     assert grid.inside(grid.cells_of(corners)).tolist() == [True, True, True, False]
     assert grid.cells_of(np.zeros((0, 2))).shape == (0, 2)
     assert grid.values_at(np.zeros((0, 2))).shape == (0,)
-
-
-@given(grid_maps())
-def test_the_states_of_a_cell_exclude_each_other(grid: GridMap) -> None:
-    unknown = grid.cells == UNKNOWN
-    assert ((grid.free.astype(int) + grid.occupied + unknown) == 1).all()
-    assert grid.free_area_m2 == pytest.approx(sum(grid.free.flat) * grid.resolution**2)
-    assert not grid.clearance()[~grid.free].any()
-    assert (grid.clearance()[grid.free] >= grid.resolution).all()
-
-
-@given(grid_maps(), seeds)
-def test_one_more_obstacle_brings_none_farther_away(grid: GridMap, seed: int) -> None:
-    before = grid.obstacle_distance()
-    cells = grid.cells.copy()
-    cells.flat[seed % cells.size] = OCCUPIED
-    after = GridMap(cells, grid.resolution).obstacle_distance()
-    assert (after <= before).all()
-    assert after.flat[seed % cells.size] == 0.0
 
 
 def test_a_packed_grid_is_the_grid_in_a_fraction_of_its_memory() -> None:

@@ -42,26 +42,6 @@ def at(x: float, theta: float = 0.0, lost: bool = False, restarted: bool = False
     )
 
 
-def test_a_scan_counts_when_the_robot_moved_or_turned_since_the_last_that_did() -> None:
-    selector = KeyframeSelector(CONFIG)
-    way = [at(0.0), at(0.06), at(0.11), at(0.17), at(0.17, 0.06), at(0.17, 0.04), at(0.17, -0.01)]
-    assert [selector.accepts(scan) for scan in way] == [True, False, True, False, True, False, True]
-
-
-def test_a_robot_that_stands_still_adds_nothing() -> None:
-    selector = KeyframeSelector(CONFIG)
-    accepted = [
-        selector.accepts(at(1e-3 * (i % 7), 3.14159 if i % 2 else -3.14159)) for i in range(99)
-    ]
-    assert sum(accepted) == 1
-
-
-def test_lost_scans_never_count_and_the_first_after_them_always_does() -> None:
-    selector = KeyframeSelector(CONFIG)
-    way = [at(0.0, lost=True), at(0.0), at(5.0, lost=True), at(0.01), at(0.02, restarted=True)]
-    assert [selector.accepts(scan) for scan in way] == [False, True, False, False, True]
-
-
 @given(st.lists(st.tuples(planar_scans(beams=16), poses, poses), min_size=1, max_size=5))
 def test_what_is_stored_is_read_back(taken: list[tuple[PlanarScan, Pose2, Pose2]]) -> None:
     with KeyframeStore() as store:
@@ -125,14 +105,6 @@ def test_scans_do_not_stay_in_memory() -> None:
     assert peak < scans * 500 + 10 * scan.ranges.nbytes
 
 
-def test_a_closed_store_is_gone() -> None:
-    store = KeyframeStore()
-    store.append(at(0.0))
-    store.close()
-    with pytest.raises(ValueError, match="closed"):
-        store.scan(0)
-
-
 @given(st.lists(st.tuples(planar_scans(beams=24), poses, poses), min_size=1, max_size=3))
 def test_a_grid_of_keyframes_is_that_of_their_scans(
     taken: list[tuple[PlanarScan, Pose2, Pose2]],
@@ -187,28 +159,6 @@ def test_keyframes_are_chosen_by_the_rule_of_the_settings(seed: int) -> None:
     ]
     selector = KeyframeSelector(CONFIG)
     assert [selector.accepts(scan) for scan in way] == by_hand(way, CONFIG)
-
-
-def test_two_lasers_on_one_robot_keep_their_own_mounting_and_range() -> None:
-    front, back = Pose2(0.3, 0.0, 0.0), Pose2(-0.3, 0.0, math.pi)
-    bearings = np.array([-0.5, 0.5])
-    with KeyframeStore() as store:
-        for number in range(6):
-            mounting, reach = (front, 8.0) if number % 2 else (back, 30.0)
-            scan = PlanarScan(number, bearings, np.array([1.0, 2.0]), reach, number % 3 == 0)
-            store.append(
-                PosedScan(
-                    index=number,
-                    stamp_ns=number,
-                    map_from_base=IDENTITY,
-                    planar=scan,
-                    base_from_laser=mounting,
-                )
-            )
-        for number in range(6):
-            assert store.base_from_laser(number) == (front if number % 2 else back)
-            assert store.scan(number).range_max == (8.0 if number % 2 else 30.0)
-            assert store.scan(number).full_circle == (number % 3 == 0)
 
 
 def test_a_scan_without_beams_is_stored_like_any_other() -> None:

@@ -13,9 +13,8 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig
-from specmap_cli.grids.evidence import SURFACE_GAP_M
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.occupancy import OccupancyGrid
+from specmap_cli.grids.occupancy import SURFACE_GAP_M, OccupancyGrid
 from tests.strategies import few, planar_scans, poses, seeds
 from tests.turning import turn
 
@@ -112,13 +111,6 @@ def test_a_beam_longer_than_the_cut_proves_free_space_and_no_wall() -> None:
     assert not grid.occupied.any()
 
 
-@pytest.mark.parametrize(("passes", "state"), [(0, OCCUPIED), (3, OCCUPIED), (4, FREE)])
-def test_a_wall_is_given_up_when_most_scans_pass_through_it(passes: int, state: int) -> None:
-    beams = [one_beam(0.0, 2.0)] + [one_beam(0.0, 4.0)] * passes
-    grid = gridded(beams, [Pose2(0.0, 0.0, 0.0)] * len(beams))
-    assert grid.values_at(np.array([[2.0, 0.0]]))[0] == state
-
-
 @few(15)
 @given(st.lists(st.tuples(planar_scans(beams=24), poses), min_size=2, max_size=4))
 def test_neither_order_nor_growth_changes_what_was_counted(
@@ -154,13 +146,6 @@ def test_a_grid_never_grows_past_its_limit(limit: dict[str, float]) -> None:
     add(grid, one_beam(0.0, 2.0), Pose2(5.0, 5.0, 0.0))
     assert grid.snapshot().cells.size * CELL**2 <= 1600.0
     assert grid.snapshot().values_at(np.array([[7.0, 5.0]]))[0] == OCCUPIED
-
-
-def test_the_robot_stood_on_free_floor() -> None:
-    snapshot = gridded([NOTHING], [Pose2(1.0, -2.0, 0.0)], settings(footprint_m=0.3))
-    assert snapshot.free_area_m2 == pytest.approx(math.pi * 0.09, rel=0.1)
-    away = np.linalg.norm(snapshot.centres_of(np.argwhere(snapshot.free)) - (1.0, -2.0), axis=1)
-    assert away.max() <= 0.3
 
 
 def at_beams(scan: PlanarScan, pose: Pose2, config: GridConfig) -> FloatArray:

@@ -14,7 +14,7 @@ import pytest
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.grids.pictures import read_picture
+from specmap_cli.grids.map_server import read_picture
 from tests.turning import turn
 
 GREY = np.arange(12, dtype=np.uint8).reshape(3, 4)

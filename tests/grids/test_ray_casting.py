@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.ray_casting import cast_ranges, cast_rays
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, cast_ranges, cast_rays
 from tests.strategies import grid_maps, seeds
 
 
@@ -19,38 +18,6 @@ def empty_room() -> GridMap:
     cells = np.full((100, 140), OCCUPIED, dtype=np.uint8)
     cells[10:90, 20:120] = FREE
     return GridMap(cells, 0.05)
-
-
-@given(seeds)
-def test_virtual_scans_of_a_room_are_its_walls_in_closed_form(seed: int) -> None:
-    room = empty_room()
-    rng = np.random.default_rng(seed)
-    origins = rng.uniform((1.0, 0.5), (6.0, 4.5), (20, 2))
-    bearings = rng.uniform(-np.pi, np.pi, 30)
-    c, s = np.cos(bearings), np.sin(bearings)
-    to_x = (np.where(c > 0, 6.0, 1.0) - origins[:, :1]) / c
-    to_y = (np.where(s > 0, 4.5, 0.5) - origins[:, 1:]) / s
-    found = cast_ranges(room.obstacle_distance(), room, origins, bearings, 20.0)
-    np.testing.assert_allclose(found, np.minimum(to_x, to_y), atol=1e-6)
-
-
-@given(grid_maps(), seeds)
-def test_a_ray_ends_where_it_first_touches_an_obstacle(grid: GridMap, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    height, width = grid.cells.shape
-    origins = grid.origin + rng.uniform(0, 1, (30, 2)) * (width, height) * np.array(grid.resolution)
-    angles = rng.uniform(-np.pi, np.pi, 30)
-    longest = 0.6 * width * grid.resolution
-    ranges = cast_rays(grid.obstacle_distance(), grid, origins, angles, longest)
-    directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    returned = np.isfinite(ranges)
-    inside = ranges[returned] + 1e-5 * grid.resolution
-    ends = origins[returned] + directions[returned] * inside[:, None]
-    assert (grid.values_at(ends) == OCCUPIED).all()
-    reach = np.where(returned, ranges - 1e-5 * grid.resolution, longest)
-    for share in np.linspace(0.0, 1.0, 200):
-        points = origins + directions * (share * np.maximum(reach, 0.0))[:, None]
-        assert (grid.values_at(points[reach > 0]) != OCCUPIED).all()
 
 
 def test_rays_end_at_their_range_and_at_the_edge_of_the_grid() -> None:

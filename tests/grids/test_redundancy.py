@@ -11,8 +11,13 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.redundancy import Recorded, enough_looks, last_witnesses, repeated
+from specmap_cli.grids.keyframes import (
+    KeyframeStore,
+    Recorded,
+    enough_looks,
+    last_witnesses,
+    repeated,
+)
 
 ENOUGH = 4
 

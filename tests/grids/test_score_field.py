@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.score_field import PointCells, ScoreField, thinned
 from tests.strategies import grid_maps, poses, seeds
 
@@ -29,24 +29,6 @@ def test_values_are_those_of_the_distance_to_the_nearest_point(room: FloatArray)
     assert (values <= nearest + 1e-6).all()
     assert (values >= farthest - 3e-3).all()  # nought beyond 3.5 sigma of the walls
     assert np.abs(values - expected).mean() < 0.05
-
-
-def test_field_of_a_grid_is_one_on_its_walls_and_starts_at_its_origin() -> None:
-    cells = np.full((40, 60), FREE, dtype=np.uint8)
-    cells[10, 5:50] = OCCUPIED
-    grid = GridMap(cells, 0.05, (2.0, -1.0))
-    field = ScoreField.from_grid(grid)
-    on_wall = grid.centres_of(np.argwhere(grid.occupied))
-    assert np.allclose(field.at(on_wall), 1.0)
-    assert field.score(on_wall + (0.0, 0.5), IDENTITY) < 1e-3
-
-
-def test_a_stray_point_far_away_costs_no_memory(room: FloatArray) -> None:
-    stray = np.vstack([room, [[1e6, -1e6]]])
-    field = ScoreField.from_points(stray, max_side=40.0)
-    assert field.values.shape[0] < 900
-    assert field.values.shape[1] < 900
-    assert field.score(room, IDENTITY) > 0.95
 
 
 @pytest.mark.parametrize("longest", [100.0, 5.0])
@@ -91,25 +73,10 @@ def test_walls_near_the_edge_of_a_field_or_beyond_cannot_be_drawn_into_it(
     assert field.with_cells(PointCells.of(np.zeros((0, 2)), 0.075), 0.1) is field
 
 
-def test_the_coarser_field_is_nowhere_below_the_fine_one(field: ScoreField) -> None:
-    coarse = field.coarser(4)
-    places = np.random.default_rng(3).uniform(-4, 5, (2000, 2))
-    assert (coarse.at(places) >= field.at(places)).all()
-
-
 def test_the_sharper_field_has_half_the_sigma(room: FloatArray) -> None:
     wide, sharp = ScoreField.from_points(room, sigma=0.2), ScoreField.from_points(room, sigma=0.1)
     places = np.random.default_rng(4).uniform(-3, 3, (500, 2))
     assert np.allclose(wide.sharper().at(places), sharp.at(places), atol=1e-3)
-
-
-@given(st.integers(0, 200), st.floats(0.02, 1.0), st.sampled_from([2, 3]))
-def test_thinning_keeps_one_point_a_cell(count: int, cell: float, dimensions: int) -> None:
-    points = np.random.default_rng(count).uniform(-3, 3, (count, dimensions))
-    kept = thinned(points, cell)
-    cells = {tuple(row) for row in np.floor(points / cell).astype(int).tolist()}
-    assert len(kept) == len(cells)
-    assert {tuple(row) for row in np.floor(kept / cell).astype(int).tolist()} == cells
 
 
 @given(grid_maps(), st.sampled_from([0.05, 0.1, 0.3]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.grids.observability import weakest_direction
+from specmap_cli.grids.matching import weakest_direction
 
 BEARINGS = np.linspace(-math.pi, math.pi, 720, endpoint=False)
 

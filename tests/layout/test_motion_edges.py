@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.observability import observability
+from specmap_cli.grids.matching import observability
 from specmap_cli.layout.motion_edges import (
     _RANGE_NOISE_M,
     guess_information,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
-from specmap_cli.grids.matching import ScoreField
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.place_search import Pyramid, Wanted, best_places
 from tests.strategies import few, seeds
 

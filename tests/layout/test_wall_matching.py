@@ -8,7 +8,8 @@ import pytest
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.matching import SPREAD_M, Match, ScoreField, Window, search
+from specmap_cli.grids.matching import SPREAD_M, Match, Window, search
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.wall_matching import WallFit, match_walls, nearby_link, opened

@@ -32,8 +32,8 @@ from benchmarks.paper.workshop import OURS, PAPER, Workshop
 from benchmarks.real.closure_truth import judged, true_poses
 from specmap_cli.evaluation.protocols import HoldOut
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.simulation.room_truth import RoomTruth
 from specmap_cli.simulation.simulator import SimulationOptions
+from specmap_cli.simulation.worlds import RoomTruth
 
 QUICK = SimulationOptions(
     field_of_view_deg=360, beams=90, range_max_m=12, rate_hz=3, speed_mps=0.8, spacing_m=2.5

@@ -1,4 +1,4 @@
-"""Training data in a map directory: kept, used by what comes after, let go where it errs."""
+"""Lessons in a map directory: kept, taken up by what comes after, and let go where they err."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from specmap_cli import build_map, read_map
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines.localize import classifiers_of
-from specmap_cli.pipelines.stored_lessons import (
+from specmap_cli.pipelines.learning import (
     arrays_of,
     comparable,
     lessons_left,
     lessons_of_stored,
 )
+from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.recognition.learning.training_data import Samples, TrainingData
 from tests.flats import QUICK
 

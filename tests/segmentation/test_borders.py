@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.grids.borders import contacts
-from specmap_cli.segmentation.kmeans import LabelArray
-from specmap_cli.segmentation.merging import border_widths, join_wide, local_widths
+from specmap_cli.grids.gridmap import contacts
+from specmap_cli.segmentation.cells import border_widths, join_wide, local_widths
+from specmap_cli.segmentation.visibility import LabelArray
 
 seeds = st.integers(0, 10_000)
 

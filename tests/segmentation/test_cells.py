@@ -12,26 +12,16 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import BoolArray
-from specmap_cli.segmentation.clutter import (
-    furniture,
-    small_obstacles,
-    without_slits,
-    working_grid,
-)
-from specmap_cli.segmentation.flood import (
+from specmap_cli.grids.gridmap import BoolArray, nearest_values
+from specmap_cli.segmentation.cells import (
     flood_labels,
     flooded_at,
     nearest_labels,
-    nearest_values,
     spread_labels,
 )
-from specmap_cli.segmentation.visibility import (
-    near_pairs,
-    sample_nodes,
-    visibility_graph,
-    visible,
-)
+from specmap_cli.segmentation.furniture import furniture, small_obstacles, without_slits
+from specmap_cli.segmentation.visibility import near_pairs, sample_nodes, visibility_graph, visible
+from specmap_cli.segmentation.working_grid import working_grid
 from tests.strategies import few
 
 seeds = st.integers(0, 10_000)
@@ -58,19 +48,6 @@ def cluttered(seed: int) -> BoolArray:
     for row, column in rng.integers(4, 50, (12, 2)):
         free[row : row + rng.integers(1, 9), column : column + rng.integers(1, 9)] = False
     return free
-
-
-def test_a_node_stands_where_its_block_is_clearest() -> None:
-    clearance = clearance_of(dumbbell())
-    for row, column in sample_nodes(clearance, 7, 2.5, "clearest"):
-        block = clearance[row // 7 * 7 : row // 7 * 7 + 7, column // 7 * 7 : column // 7 * 7 + 7]
-        assert clearance[row, column] == block.max() > 2.5
-
-
-def test_centre_nodes_stand_in_the_middle_of_free_blocks() -> None:
-    nodes = sample_nodes(clearance_of(dumbbell()), 5, 0.0, "centre")
-    assert (nodes % 5 == 2).all()
-    assert dumbbell()[nodes[:, 0], nodes[:, 1]].all()
 
 
 def test_near_pairs_are_all_pairs_in_reach() -> None:
@@ -108,14 +85,6 @@ def test_fronts_meet_in_the_passage() -> None:
     assert (flooded[5:35, 41:81] == 1).all()
 
 
-def test_flooding_does_not_cross_walls() -> None:
-    free = dumbbell()
-    free[:, 38] = False
-    flooded = flood_labels(clearance_of(free), np.array([[20, 20]]), np.zeros(1, dtype=np.int32))
-    assert (flooded[5:35, 5:35] == 0).all()
-    assert (flooded[:, 38:] == -1).all()
-
-
 @given(seed=seeds, asked=st.integers(0, 40))
 def test_flooding_says_of_some_cells_what_it_says_of_all(seed: int, asked: int) -> None:
     rng, free = np.random.default_rng(seed), cluttered(seed)
@@ -145,63 +114,6 @@ def test_flooding_fills_every_piece_with_a_node_and_no_other(seed: int) -> None:
     _, piece = cv2.connectedComponents(free.astype(np.uint8), connectivity=8)
     with_node = np.isin(piece, piece[nodes[:, 0], nodes[:, 1]]) & free
     np.testing.assert_array_equal(flooded >= 0, with_node)
-
-
-def test_nearest_labels_are_those_of_the_nearest_node() -> None:
-    free = dumbbell()
-    nodes = np.array([[10, 10], [30, 30], [20, 60]])
-    labels = nearest_labels(free, nodes, np.array([4, 2, 7], dtype=np.int32))
-    assert labels[6, 6] == 4
-    assert labels[34, 34] == 2
-    assert labels[20, 80] == 7
-    assert (labels[~free] == -1).all()
-
-
-def test_spreading_reaches_through_a_slit() -> None:
-    free = np.zeros((30, 40), dtype=bool)
-    free[5:25, 5:15] = free[5:25, 20:35] = free[12, 15:20] = True
-    free[2, 2] = True
-    labels = np.full(free.shape, -1, dtype=np.int32)
-    labels[6:24, 6:14] = 3
-    spread = spread_labels(labels, free)
-    assert (spread[5:25, 20:35] == 3).all()
-    assert spread[2, 2] == -1
-
-
-@pytest.mark.parametrize(("size", "small"), [(4, True), (10, True), (11, False)])
-def test_small_obstacles_end_at_their_size(size: int, small: bool) -> None:
-    free = np.zeros((60, 60), dtype=bool)
-    free[5:55, 5:55] = True
-    free[20 : 20 + size, 20:24] = False
-    found = small_obstacles(free, 10.0)
-    np.testing.assert_array_equal(
-        found,
-        ~free
-        & (np.indices(free.shape).min(axis=0) >= 20)
-        & (np.indices(free.shape)[1] < 24)
-        & small
-        & (np.indices(free.shape)[0] < 40),
-    )
-
-
-def test_what_touches_a_wall_or_the_edge_is_no_small_obstacle() -> None:
-    free = np.ones((30, 30), dtype=bool)
-    free[0:3, 10:13] = False
-    assert not small_obstacles(free, 10.0).any()
-
-
-def test_a_working_cell_is_free_when_all_of_it_is() -> None:
-    free = np.ones((9, 11), dtype=bool)
-    free[4, 4] = False
-    work = working_grid(free, 0.05, 0.1)
-    assert work.step == 2
-    assert work.cell_m == pytest.approx(0.1)
-    expected = np.ones((5, 6), dtype=bool)
-    expected[2, 2] = expected[4, :] = expected[:, 5] = False
-    np.testing.assert_array_equal(work.free, expected)
-    fine = work.refine(np.arange(30).reshape(5, 6), free.shape)
-    assert fine.shape == free.shape
-    assert fine[8, 10] == 29
 
 
 @given(seed=seeds, choice=st.sampled_from(["clearest", "centre"]), step=st.integers(1, 9))
@@ -238,15 +150,6 @@ def test_in_open_space_all_see_all_in_sight(seed: int, sight: float) -> None:
     assert (graph.lengths <= sight + 1e-6).all()
 
 
-@given(seed=seeds)
-def test_more_clearance_asked_for_leaves_fewer_sight_lines(seed: int) -> None:
-    clearance = clearance_of(cluttered(seed))
-    nodes = sample_nodes(clearance, 7, 2.0, "clearest")
-    pairs = near_pairs(nodes, 40.0)
-    wide, narrow = (visible(clearance, nodes, pairs, least) for least in (2.0, 0.5))
-    assert not (wide & ~narrow).any()
-
-
 def test_nobody_sees_through_a_wall_however_thin_and_slanted() -> None:
     free = np.ones((40, 40), dtype=bool)
     rows = np.arange(40)
@@ -271,7 +174,7 @@ def test_more_pairs_than_are_traced_at_once() -> None:
 
 
 @given(seed=seeds)
-def test_labels_of_cells_are_those_of_the_nearest_of_all_nodes(seed: int) -> None:
+def test_nearest_labels_are_those_of_the_nearest_node(seed: int) -> None:
     rng = np.random.default_rng(seed)
     free = cluttered(seed)
     nodes, labels = rng.integers(0, 60, (6, 2)), rng.integers(0, 4, 6).astype(np.int32)
@@ -346,7 +249,7 @@ def test_the_nearest_value_is_that_of_a_cell_no_farther_than_the_nearest(seed: i
     rng = np.random.default_rng(seed)
     values = rng.integers(0, 40, (15, 18)) * (rng.random((15, 18)) < 0.1)
     values[rng.integers(15), rng.integers(18)] = 1
-    found = nearest_values(values.astype(np.uint16))
+    found, _ = nearest_values(values.astype(np.uint16))
     spots = np.argwhere(values)
     gaps, _ = cKDTree(spots).query(np.argwhere(np.ones_like(values)))
     for (row, column), gap in zip(np.ndindex(15, 18), gaps, strict=True):

@@ -14,12 +14,7 @@ from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.segmentation.coarse_submap import (
-    PATH_MARGIN_M,
-    SPLIT_CELL_M,
-    CoarseSubmap,
-    way_driven,
-)
+from specmap_cli.segmentation.splitting import PATH_MARGIN_M, SPLIT_CELL_M, CoarseSubmap, way_driven
 from tests.turning import turn
 
 CONFIG = SegmentationConfig()
@@ -76,15 +71,6 @@ def test_keyframes_enter_the_grid_when_the_robot_moved_or_turned(drive: Keyframe
     assert same(submap.grid(), near_the_way(submap, expected.snapshot()))
 
 
-def test_a_grid_is_that_of_all_keyframes_whenever_it_was_asked_for(drive: KeyframeStore) -> None:
-    asked, late = CoarseSubmap(CONFIG, GRID, drive), CoarseSubmap(CONFIG, GRID, drive)
-    for number in range(len(drive)):
-        asked.add(number)
-        asked.grid()
-        late.add(number)
-    assert same(asked.grid(), late.grid())
-
-
 def test_where_nodes_lie_anywhere_the_grid_is_whole(drive: KeyframeStore) -> None:
     far = GRID.model_copy(update={"max_range_m": 2.0})
     grids = []
@@ -108,16 +94,6 @@ def test_cells_are_no_finer_than_the_working_grid_s(
     submap = CoarseSubmap(CONFIG, GridConfig(resolution_m=fine), drive)
     submap.add(0)
     assert submap.grid().resolution == expected
-
-
-def test_a_keyframe_says_how_far_the_robot_drove_to_it(drive: KeyframeStore) -> None:
-    submap = CoarseSubmap(CONFIG, GRID, drive)
-    assert submap.add(0) == 0.0
-    assert submap.add(1) == pytest.approx(0.125)
-    assert submap.add(2) == pytest.approx(0.125)
-    assert submap.add(9) == 0.0  # what lies between was in another submap
-    assert submap.add(10) == pytest.approx(0.125)
-    assert submap.add(11) == 0.0  # turned on the spot
 
 
 EVERYWHERE = CONFIG.model_copy(update={"path_band_m": 0.0})

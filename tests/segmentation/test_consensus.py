@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import OCCUPIED, GridMap
 from specmap_cli.grids.map_server import read_grid
-from specmap_cli.segmentation.consensus import consensus
+from specmap_cli.segmentation.cells import consensus
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.kmeans import LabelArray
+from specmap_cli.segmentation.visibility import LabelArray
 
 ROOT = Path(__file__).parents[2]
 seeds = st.integers(0, 10_000)
@@ -40,11 +40,6 @@ def ragged(grid: GridMap, seed: int) -> GridMap:
     return GridMap(cells, grid.resolution)
 
 
-def test_one_division_is_its_own_consensus() -> None:
-    only = labels("aab.b")
-    assert consensus([only]) is only
-
-
 @pytest.mark.parametrize(
     ("divisions", "expected"),
     [
@@ -54,17 +49,16 @@ def test_one_division_is_its_own_consensus() -> None:
         (("aabbbb", "aaabbb", "aaaabb"), "aaabbb"),  # the border in the middle
         (("aa..bb", "aa..bb", "aa..bb"), "aa..bb"),  # what has no label gets none
         (("aa..", "aabb", "aabb"), "aabb"),  # a piece that one of them has no node in
+        (("aab.b",), "aab.b"),
+        # all have the left half: no majority for pairs of cells may join the halves
+        (
+            ("aaaaaabccccd", "aaaaaabbbbcc", "aabbcccccccc", "aaaabbbccccc", "aaabccccdddd"),
+            "aaaaaabbbbbb",
+        ),
     ],
 )
 def test_cells_are_together_where_most_say_so(divisions: tuple[str, ...], expected: str) -> None:
     assert same_partition(consensus([labels(text) for text in divisions]), labels(expected))
-
-
-def test_a_region_that_hardly_any_division_has_joins_a_neighbour() -> None:
-    found = consensus([labels("aaaabcccc"), labels("aaaaacccc"), labels("aaaaccccc")])
-    assert found.max() == 1
-    assert same_partition(found[:, :4], labels("aaaa"))
-    assert same_partition(found[:, 5:], labels("cccc"))
 
 
 @given(seeds)
@@ -87,12 +81,6 @@ def test_the_order_of_rare_and_common_names_changes_nothing(seed: int) -> None:
         assert same_partition(again, first)
 
 
-@pytest.mark.parametrize("placements", [1, 3])
-def test_every_placement_finds_the_rooms_of_an_office(office: GridMap, placements: int) -> None:
-    config = SegmentationConfig(placements=placements)
-    assert segment(office, config).count == 7
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_a_few_ragged_cells_move_no_border(office: GridMap, seed: int) -> None:
     """Cells beside walls flip, as they do from one recording to the next."""
@@ -104,20 +92,6 @@ def test_a_few_ragged_cells_move_no_border(office: GridMap, seed: int) -> None:
     np.add.at(shared, (before.labels[common], after.labels[common]), 1.0)
     assert before.count == after.count
     assert shared.max(axis=1).sum() > 0.97 * shared.sum()
-
-
-def test_ties_do_not_chain() -> None:
-    """All five divisions have the left half: no majority for pairs of cells may join the halves."""
-    found = consensus(
-        [
-            labels("aaaaaabccccd"),
-            labels("aaaaaabbbbcc"),
-            labels("aabbcccccccc"),
-            labels("aaaabbbccccc"),
-            labels("aaabccccdddd"),
-        ]
-    )
-    assert same_partition(found, labels("aaaaaabbbbbb"))
 
 
 def test_what_no_majority_has_stays_apart_where_nothing_joins_it() -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
-from specmap_cli.segmentation.cupboards import fill_cupboards, pieces_at_walls
-from specmap_cli.segmentation.kmeans import LabelArray
+from specmap_cli.segmentation.furniture import fill_cupboards, pieces_at_walls
+from specmap_cli.segmentation.visibility import LabelArray
 
 CELL_M = 0.05
 

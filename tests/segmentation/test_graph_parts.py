@@ -15,9 +15,10 @@ from sklearn.metrics import adjusted_rand_score
 
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.segmentation import spectral
+from specmap_cli.segmentation import graph_division
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.parts import parts_of
+from specmap_cli.segmentation.graph_division import parts_of
+from specmap_cli.segmentation.spectral import Spectrum, clusters_of
 
 IntArray = np.ndarray[Any, np.dtype[np.intp]]
 
@@ -48,9 +49,6 @@ def test_a_small_graph_is_one_part_a_component() -> None:
         list(range(9, 15)),
     ]
     assert [part.tolist() for part in parts_of(rooms([5, 4]), 9)] == [list(range(9))]
-
-
-def test_no_nodes_are_no_parts() -> None:
     assert parts_of(csr_array((0, 0)), 10) == []
 
 
@@ -76,12 +74,6 @@ def test_the_cut_goes_where_least_is_lost() -> None:
         S[i, j] = S[j, i] = 5.0
     parts = parts_of(csr_array(S), 60)
     assert [part.tolist() for part in parts] == [list(range(60)), list(range(60, 120))]
-
-
-def test_a_graph_that_is_one_room_is_cut_all_the_same() -> None:
-    parts = parts_of(rooms([40]), 16)
-    assert sum(map(len, parts)) == 40
-    assert max(map(len, parts)) <= 16
 
 
 @pytest.fixture(scope="module")
@@ -111,13 +103,12 @@ def test_no_spectrum_has_more_nodes_than_the_setting(
     hotel: GridMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = []
-    real = spectral.clusters_of
 
-    def counted(L: Any, *rest: Any) -> spectral.Spectrum:
+    def counted(L: Any, *rest: Any) -> Spectrum:
         seen.append(L.shape[0])
-        return real(L, *rest)
+        return clusters_of(L, *rest)
 
-    monkeypatch.setattr(spectral, "clusters_of", counted)
+    monkeypatch.setattr(graph_division, "clusters_of", counted)
     segment(hotel, SegmentationConfig(part_nodes=150))
     assert max(seen) <= 150
 

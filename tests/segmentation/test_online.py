@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.config import load_config
-from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.geometry import IDENTITY, Pose2, step_lengths
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
-from specmap_cli.core.tracks import step_lengths
-from specmap_cli.drawing.canvas import Image
-from specmap_cli.drawing.split_tests import draw_test
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.segmentation.coarse_submap import PATH_MARGIN_M, CoarseSubmap, way_driven
 from specmap_cli.segmentation.online import _TEST_METRES, Occasion, OnlineSegmenter, Region
-from specmap_cli.segmentation.splitting import _SPLIT_EIGENPAIRS, SplitTest, examine
+from specmap_cli.segmentation.splitting import (
+    PATH_MARGIN_M,
+    CoarseSubmap,
+    SplitTest,
+    examine,
+    way_driven,
+)
 from tests.casting import ranges_at
 from tests.turning import turn
 
@@ -75,18 +77,14 @@ def two_room_tour(two_rooms: GridMap) -> Iterator[KeyframeStore]:
         yield store
 
 
-def test_every_keyframe_ends_in_exactly_one_region(two_room_tour: KeyframeStore) -> None:
-    regions = run(OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour), len(two_room_tour))
-    keyframes = sorted(number for region in regions for number in region.keyframes)
-    assert keyframes == list(range(len(two_room_tour)))
-    assert [region.number for region in regions] == list(range(len(regions)))
-
-
 def test_two_rooms_are_two_and_the_first_goes_on_when_the_robot_is_back(
     two_room_tour: KeyframeStore,
 ) -> None:
     regions = run(OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour), len(two_room_tour))
     assert [region.continues for region in regions] == [None, None, 0]
+    assert [region.number for region in regions] == [0, 1, 2]
+    every = sorted(number for region in regions for number in region.keyframes)
+    assert every == list(range(len(two_room_tour)))
     room = [pose.x > 5.4 for pose in THERE_AND_BACK]
     wrong = sum(room[k] != (region.number == 1) for region in regions for k in region.keyframes)
     assert wrong <= 0.03 * len(room)
@@ -249,33 +247,6 @@ def test_a_map_too_small_for_a_graph_is_not_split(plan: Callable[..., GridMap]) 
     assert test.stays.all()
 
 
-def test_a_test_is_drawn(two_room_tour: KeyframeStore) -> None:
-    pictures = []
-    run(
-        OnlineSegmenter(
-            DEFAULT,
-            GridConfig(),
-            two_room_tour,
-            lambda *told: pictures.append((draw_test(told[0], 0.6, *told[1:]), told[1])),
-        ),
-        len(two_room_tour),
-    )
-    orange, blue = (60, 110, 235), (200, 120, 30)
-    assert any(split for _, split in pictures)
-    for whole, split in pictures:
-        picture = whole[:-232]  # without the words and the spectrum
-        assert near_colour(picture, orange)
-        assert near_colour(picture, blue) or not split
-
-
-def near_colour(picture: Image, colour: tuple[int, int, int]) -> bool:
-    """Whether a pixel has the colour or a fainter one."""
-    away = 255.0 - np.array(colour)
-    strength = (255.0 - picture.reshape(-1, 3)) @ away / (away @ away)
-    residual = np.abs(255.0 - picture.reshape(-1, 3) - strength[:, None] * away).max(axis=1)
-    return bool(((strength > 0.2) & (residual < 3.0)).any())
-
-
 TWICE_OVER = (
     *THERE_AND_BACK,
     *waypoints_to_poses((1.0, 1.0), (4.0, 1.95), (6.2, 1.95), (8.8, 3.0)),
@@ -289,20 +260,6 @@ def test_a_region_gone_on_with_twice_is_named_by_its_first_piece(two_rooms: Grid
     for region in regions:
         beyond = np.mean([TWICE_OVER[k].x > 5.4 for k in region.keyframes])
         assert abs(beyond - region.number % 2) < 0.05
-
-
-def test_regions_are_told_once_and_in_the_order_in_which_they_were_left(
-    two_room_tour: KeyframeStore,
-) -> None:
-    segmenter = OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour)
-    told: list[tuple[int, Region]] = []
-    for keyframe in range(len(two_room_tour)):
-        told += [(keyframe, region) for region in segmenter.add(keyframe)]
-    for keyframe, region in told:
-        assert region.keyframes == tuple(sorted(region.keyframes))
-        assert region.keyframes[-1] < keyframe  # the robot has gone on from there
-    assert len(segmenter.flush()) == 1
-    assert segmenter.flush() == []
 
 
 def test_the_observer_sees_what_is_split(two_room_tour: KeyframeStore) -> None:
@@ -362,15 +319,6 @@ def test_a_door_divides_the_way_where_it_is(two_rooms: GridMap) -> None:
     back = examine(*driven(two_rooms, (8.5, 1.95), (1.0, 1.95)), DEFAULT)
     assert back.eigenvalue == pytest.approx(test.eigenvalue)
     assert sides(back, 5.1)[0] == {True}
-
-
-def test_eigenvectors_are_those_of_the_normalised_affinity(two_rooms: GridMap) -> None:
-    test = examine(*driven(two_rooms, (1.0, 1.95), (8.5, 1.95)), DEFAULT)
-    assert test.eigenvalues[0] == pytest.approx(1.0)
-    assert (np.diff(test.eigenvalues) <= 0.0).all()
-    assert len(test.eigenvalues) == _SPLIT_EIGENPAIRS
-    assert np.linalg.norm(test.eigenvector) == pytest.approx(1.0)
-    assert test.eigenvector.shape == test.near.shape == (len(test.nodes),)
 
 
 def test_what_lies_beyond_the_band_and_its_margin_changes_nothing(two_rooms: GridMap) -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from specmap_cli.grids.gridmap import BoolArray
-from specmap_cli.segmentation.orientation import canonical
+from specmap_cli.segmentation.working_grid import canonical
 
 seeds = st.integers(0, 10_000)
 turns = st.integers(0, 3)

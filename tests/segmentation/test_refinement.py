@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.segmentation.refinement import regions_of
+from specmap_cli.segmentation.division import regions_of
 from tests.strategies import few
 
 CONFIG = SegmentationConfig()
@@ -36,22 +36,6 @@ def test_keyframes_change_region_in_the_door() -> None:
     change = np.flatnonzero(np.diff(labels))
     assert len(change) == 1
     assert 3.8 < poses[change[0], 0] < 4.4
-
-
-def test_a_room_come_back_to_is_the_same_region() -> None:
-    poses = drive(np.concatenate([np.linspace(1.0, 7.0, 31), np.linspace(7.0, 1.0, 31)]))
-    labels = regions_of(two_rooms(), poses, CONFIG)
-    assert labels[0] == labels[-1] != labels[30]
-
-
-def test_a_glance_into_the_next_room_is_no_visit() -> None:
-    xs = np.concatenate([np.linspace(1.0, 4.3, 34), np.linspace(4.3, 1.0, 34)])
-    assert len(np.unique(regions_of(two_rooms(), drive(xs), CONFIG))) == 1
-
-
-def test_keyframes_off_the_free_space_go_to_the_nearest_region() -> None:
-    poses = drive(np.array([-0.5, 1.0, 2.0, 3.0]))
-    assert len(np.unique(regions_of(two_rooms(), poses, CONFIG))) == 1
 
 
 def test_a_map_without_free_space_is_one_region() -> None:

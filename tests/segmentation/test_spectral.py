@@ -123,22 +123,10 @@ def test_every_free_cell_reachable_from_a_node_is_labelled(
     assert (found.labels[inside] >= 0).all()
 
 
-def test_labels_are_numbered_by_falling_area(office: GridMap) -> None:
-    labels = segment(office, DEFAULT).labels
-    sizes = np.bincount(labels[labels >= 0])
-    assert (np.diff(sizes) <= 0).all()
-
-
 def test_nodes_lie_in_the_region_of_their_label(office: GridMap) -> None:
     found = segment(office, DEFAULT)
     cells = office.cells_of(found.nodes)
     np.testing.assert_array_equal(found.labels[cells[:, 0], cells[:, 1]], found.node_labels)
-
-
-def test_a_map_without_free_space_has_no_region() -> None:
-    found = segment(GridMap(np.full((40, 50), OCCUPIED, dtype=np.uint8), 0.05), DEFAULT)
-    assert found.count == 0
-    assert found.labels.shape == (40, 50)
 
 
 def test_chairs_do_not_split_a_room_and_are_filled(plan: Callable[..., GridMap]) -> None:
@@ -219,9 +207,3 @@ def test_a_long_hall_is_cut_by_the_sight_and_joined_again(
     found = segment(hall, DEFAULT.model_copy(update={"merge": merge}))
     assert found.count >= count
     assert merge == (found.count == 1)
-
-
-def test_halving_finds_what_the_whole_spectrum_passes_over(office: GridMap) -> None:
-    strict = DEFAULT.model_copy(update={"eigenvalue_min": 0.97, "merge": False})
-    whole = segment(office, strict.model_copy(update={"halve": False})).count
-    assert segment(office, strict).count > whole

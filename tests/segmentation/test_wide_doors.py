@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import BoolArray, GridMap
-from specmap_cli.segmentation.clutter import small_obstacles
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.runs import Runs
-from specmap_cli.segmentation.wide_doors import with_narrow_doors
+from specmap_cli.segmentation.furniture import small_obstacles
+from specmap_cli.segmentation.wide_doors import Runs, with_narrow_doors
 
 PlanBuilder = Callable[..., GridMap]
 CELL_M = 0.05

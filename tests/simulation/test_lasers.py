@@ -12,13 +12,8 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.driving import Drive, Limits, drive
-from specmap_cli.simulation.lasers import (
-    Laser,
-    OdometryErrors,
-    drifting_odometry,
-    laser_bearings,
-)
+from specmap_cli.simulation.lasers import Laser, OdometryErrors, drifting_odometry, laser_bearings
+from specmap_cli.simulation.tours import Drive, Limits, drive
 from specmap_cli.simulation.worlds import World
 
 LEFT, RIGHT, BOTTOM, TOP = 1.0, 6.0, 0.5, 4.5
@@ -107,14 +102,6 @@ def test_beams_of_a_sweep_are_cast_from_where_the_robot_then_is(hall: World) -> 
     assert off_walls(turning.at(np.array(0.4))).max() > 0.1
 
 
-def test_a_full_circle_has_no_bearing_twice() -> None:
-    full = laser_bearings(2 * np.pi, 8)
-    np.testing.assert_allclose(np.diff(full), np.pi / 4)
-    assert full[-1] == pytest.approx(np.pi - np.pi / 4)
-    half = laser_bearings(np.pi, 5)
-    np.testing.assert_allclose(half, [-np.pi / 2, -np.pi / 4, 0, np.pi / 4, np.pi / 2])
-
-
 def zigzag() -> FloatArray:
     path = np.array([[0, 0], [4, 0], [4, 3], [1, 3], [1, 1], [3, 1]], dtype=np.float64)
     driven = drive(path + 5.0, Limits(0.5, 1.0, 0.5))
@@ -196,13 +183,6 @@ def test_errors_are_scaled_each_by_itself() -> None:
     once, twice = asdict(OdometryErrors()), asdict(OdometryErrors().times(2.0))
     assert min(once.values()) > 0.0
     assert twice == {name: 2.0 * error for name, error in once.items()}
-
-
-@given(st.integers(0, 1000))
-def test_the_odometry_of_a_standing_robot_stands(seed: int) -> None:
-    still = np.tile([3.0, 2.0, 0.7], (50, 1))
-    found = drifting_odometry(still, OdometryErrors().times(10.0), np.random.default_rng(seed))
-    np.testing.assert_allclose(found, 0.0, atol=1e-6)
 
 
 def test_wheels_slip_less_sideways_than_along() -> None:

@@ -10,9 +10,8 @@ import pytest
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.driving import Drive
-from specmap_cli.simulation.lasers import Laser, laser_bearings
-from specmap_cli.simulation.lidars import Cloud, Lidar, ring_elevations
+from specmap_cli.simulation.lasers import Cloud, Laser, Lidar, laser_bearings, ring_elevations
+from specmap_cli.simulation.tours import Drive
 from specmap_cli.simulation.worlds import World
 
 LEFT, RIGHT, BOTTOM, TOP = 1.0, 6.0, 0.5, 4.5

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.simulation.room_truth import RoomTruth, read_rooms
+from specmap_cli.simulation.worlds import RoomTruth, read_rooms
 from tests.strategies import seeds
 
 

@@ -11,12 +11,10 @@ from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.tracks import step_lengths
+from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.room_truth import RoomTruth
 from specmap_cli.simulation.tours import plan_tour, reachable_space, shortest_order
-from specmap_cli.simulation.worlds import World
+from specmap_cli.simulation.worlds import RoomTruth, World
 from tests.strategies import seeds
 
 RADIUS, COMFORT = 0.25, 0.8
@@ -158,11 +156,3 @@ def test_points_of_a_path_are_evenly_spaced(flat: GridMap) -> None:
     steps = step_lengths(tour(flat, 3))
     assert steps.max() <= 0.06
     assert np.quantile(steps, 0.02) > 0.03  # smoothing and the corners take some of it
-
-
-def test_of_two_parts_the_larger_is_toured() -> None:
-    cells = np.full((60, 160), OCCUPIED, dtype=np.uint8)
-    cells[5:55, 5:45] = FREE
-    cells[5:55, 55:155] = FREE
-    space = reachable_space(World.of(GridMap(cells, 0.05)), RADIUS, COMFORT)
-    assert space.points[:, 0].min() > 55 * 0.05

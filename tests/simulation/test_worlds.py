@@ -20,15 +20,6 @@ def test_beams_end_at_unknown_cells_too() -> None:
     assert back == np.inf  # off the plan
 
 
-@pytest.mark.parametrize(("reach", "seen"), [(1.9, False), (2.1, True)])
-def test_a_wall_beyond_the_range_is_not_seen(reach: float, seen: bool) -> None:
-    cells = np.full((20, 40), FREE, dtype=np.uint8)
-    cells[:, 30:] = OCCUPIED
-    world = World.of(GridMap(cells, 0.1))
-    (found,) = world.cast(np.array([[1.0, 1.05]]), np.zeros(1), reach)
-    assert bool(np.isfinite(found)) is seen
-
-
 @given(grid_maps())
 def test_everything_that_is_not_free_is_a_wall(plan: GridMap) -> None:
     before = plan.cells.copy()
@@ -51,14 +42,3 @@ def test_clearance_is_that_to_the_nearest_wall_cell_less_half_a_cell(plan: GridM
     expected[~plan.free.reshape(-1)] = 0.0
     found = world.clearance_at(plan.centres_of(everywhere))
     np.testing.assert_allclose(found, expected, atol=1e-6)
-
-
-def test_clearance_errs_on_the_safe_side(flat: GridMap) -> None:
-    world = World.of(flat)
-    walls = flat.centres_of(np.argwhere(flat.occupied))
-    rng = np.random.default_rng(1)
-    points = rng.uniform((0.3, 0.3), (8.7, 5.7), (300, 2))
-    to_centres = np.linalg.norm(points[:, None] - walls[None], axis=2).min(axis=1)
-    # at most half a cell's diagonal between a point and its cell's centre, and so for the wall
-    assert (world.clearance_at(points) <= to_centres + 0.5 * np.sqrt(2) * 0.05).all()
-    assert (world.clearance_at(np.array([[-1.0, 2.0], [99.0, 2.0]])) == 0.0).all()

@@ -14,12 +14,13 @@ from functools import cached_property
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import FREE
-from specmap_cli.grids.matching import ScoreField, refine
+from specmap_cli.grids.matching import refine
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.closure.common_ground import CommonGround, Joint, common_ground, joints
 from specmap_cli.recognition.closure.prepared import MapToAlign, PreparedGrid, PreparedMap, prepared
 from specmap_cli.recognition.closure.verification import (

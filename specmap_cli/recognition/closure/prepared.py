@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import BoolArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.gridmap import FREE, NO_OBSTACLE_M, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.matching import ScoreField
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 
 _PREPARED = 64  # grids at a time: each takes up to a megabyte

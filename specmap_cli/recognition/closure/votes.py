@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, nearest_motion, wrap_angle
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.closure.prepared import MapToAlign, PreparedMap
 from specmap_cli.recognition.closure.verification import (

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.sampling import evenly
 
 _BLUNDERS = 0.01  # share of scans that say nothing: people all around, a door shut before the laser
 MOST_VIEWS = 400  # held out, of either kind

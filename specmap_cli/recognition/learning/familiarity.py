@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.recognition.features.sets import histogram_columns
 
 _STEPS = 255  # square roots of shares are stored as whole numbers of 1 / 255

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, Pose2, travelled
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.core.tracks import travelled
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.matching import REFINE_SHIFT_M, ScoreField, refine
+from specmap_cli.grids.matching import REFINE_SHIFT_M, refine
+from specmap_cli.grids.score_field import ScoreField
 
 FIT_RANGE_M = 8.0  # returns matched with walls: farther ones are seen through doors
 _HELD_OUT_M = 1.0  # path before and after a view that is held out with it

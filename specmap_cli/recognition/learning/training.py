@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, travelled
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config, RecognitionConfig
-from specmap_cli.core.tracks import travelled
 from specmap_cli.grids.keyframes import DIRECTION_RAD, KeyframeStore
 from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.calibration import MOST_VIEWS, HeldOutMargins

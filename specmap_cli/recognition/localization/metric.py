@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product, wrap_angle
 from specmap_cli.core.records import PosedScan
-from specmap_cli.core.sampling import evenly
-from specmap_cli.grids.gauss_newton import Sample
-from specmap_cli.grids.matching import Match, ScoreField, Window, refine, search
+from specmap_cli.grids.matching import Match, Window, refine, search
+from specmap_cli.grids.score_field import Sample, ScoreField
 from specmap_cli.recognition.localization.places import Place
 
 # What the motion may be off by: between any two scans, after a metre, after a radian. Registration

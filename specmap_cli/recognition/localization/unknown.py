@@ -12,10 +12,9 @@ import math
 from collections.abc import Sequence
 from operator import attrgetter
 
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import Pose2, moved
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.core.tracks import moved
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M
 from specmap_cli.recognition.localization.classification import ClassifiedScan
 from specmap_cli.recognition.localization.filtering import (

@@ -14,13 +14,13 @@ from operator import attrgetter
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
-from specmap_cli.grids.matching import Match, ScoreField, refine, search_everywhere
-from specmap_cli.grids.ray_casting import cast_rays
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap, cast_rays
+from specmap_cli.grids.matching import Match, refine, search_everywhere
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
 from specmap_cli.recognition.localization.places import BESIDE, Place
 

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 
 from specmap_cli.core.geometry import wrap_angle
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.matching import ScoreField
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.closure.prepared import (
     PreparedGrid,
     PreparedGrids,

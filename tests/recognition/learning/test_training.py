@@ -11,12 +11,11 @@ import pytest
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
-from specmap_cli.core.progress import Silent
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.pipelines.learning import Learned, known_of, learn
-from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.learning import Learned, Prior, learn
+from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import (
     KeyframeFeatures,
     feature_names,
@@ -35,7 +34,6 @@ from specmap_cli.recognition.learning.sampling import (
     track_samples,
 )
 from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_and_test
-from specmap_cli.recognition.learning.training_data import NO_TRAINING_DATA
 from specmap_cli.recognition.localization.localizer import Localizer
 from tests.recognition.posed import posed
 from tests.turning import turn
@@ -145,8 +143,8 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
 def learned(store: KeyframeStore, config: Config) -> Learned:
     """What a build learns of two submaps, with the keyframes that lie between in the former."""
     labels = np.where(np.arange(len(store)) < min(SUBMAPS[2]), 0, 2)
-    known = known_of(store, NO_TRAINING_DATA, (), config)
-    return learn(store, known, labels, store.poses, config, Silent(), Stopwatch())
+    session = Session(config, store)
+    return learn(session, labels, store.poses, Prior.of(session))
 
 
 def test_virtual_classifiers_are_left_out_when_not_wanted(store: KeyframeStore) -> None:

@@ -11,7 +11,7 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.matching import ScoreField
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.localization.metric import Fix, MetricTracker
 from specmap_cli.recognition.localization.places import Place
 from tests.recognition.posed import posed

@@ -12,8 +12,7 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.ray_casting import cast_rays
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, cast_rays
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 from specmap_cli.recognition.localization.filtering import LEAP
 from specmap_cli.recognition.localization.places import Owners

@@ -17,7 +17,8 @@ from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
-from specmap_cli.grids.matching import Match, ScoreField, search_everywhere
+from specmap_cli.grids.matching import Match, search_everywhere
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import _USUAL_MISFIT, HeldOutMisfit, pooled
 from specmap_cli.recognition.localization.places import Place
 from specmap_cli.recognition.localization.unknown import WallCheck

@@ -1,0 +1,290 @@
+"""The summaries of a batch: what they say of a job, as tables and as a page that links the results.
+
+The tables are CSV, Parquet, Markdown and JUnit XML.
+"""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+from urllib.parse import quote
+
+from specmap_cli.batch.records import JobRecord
+from specmap_cli.batch.steps import LOG_TEXT, MAP, REPORT
+from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
+from specmap_cli.core.text import counted
+from specmap_cli.report.html import html_page, lasting
+from specmap_cli.report.svg import tones
+
+INDEX = "index.html"
+WAITING = "waiting"
+_MOST = 20  # rows of a table that a person reads
+_PACKAGE = "specmap_cli.batch"
+_SCRIPTS = ("core.js", "tables.js", "batch.js")
+_STYLES = ("page.css", "parts.css", "batch.css", "print.css")
+_KM = 1000.0
+_OVERVIEW = f"{MAP}/overview.png"
+# Heads of the table of the page: their words, and how the column is sorted.
+_HEADS = (
+    ("job", "text"),
+    ("result", "text"),
+    ("lost", "number"),
+    ("submaps", "number"),
+    ("m²", "number"),
+    ("scans", "number"),
+    ("scans/s", "number"),
+    ("time", "number"),
+    ("MB", "number"),
+    ("tries", "number"),
+)
+
+Value = str | int | float | None
+Row = Mapping[str, Value]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column: its name, the type of its values, what they mean, and where they come from."""
+
+    name: str
+    type: Literal["text", "whole", "real"]
+    meaning: str
+    of: Callable[[JobRecord], Value]
+
+
+def _figure(name: str, places: int | None = None) -> Callable[[JobRecord], Value]:
+    """A figure of the map; whole numbers for 0 places."""
+
+    def of(record: JobRecord) -> Value:
+        value = record.figures.get(name)
+        if value is None or isinstance(value, str) or places is None:
+            return value
+        return round(value) if places == 0 else round(value, places)
+
+    return of
+
+
+def _scans_per_s(record: JobRecord) -> Value:
+    """Scans in each second of the attempt, all of its steps counted."""
+    scans = record.figures.get("scans")
+    return round(scans / record.wall_s, 1) if isinstance(scans, int | float) and scans else None
+
+
+def _memory(record: JobRecord) -> Value:
+    return None if record.memory_mb is None else round(record.memory_mb, 1)
+
+
+def _warnings(record: JobRecord) -> Value:
+    """What the steps warned of, each once."""
+    said = dict.fromkeys(each for step in record.steps for each in step.warnings)
+    return "; ".join(said) or None
+
+
+COLUMNS = (
+    Column("name", "text", "of the job and of its folder", lambda one: one.name),
+    Column("state", "text", "done, failed, or waiting", lambda one: one.state),
+    Column("kind", "text", "what kind of failure; see docs/batch.md", lambda one: one.kind),
+    Column("reason", "text", "why it failed", lambda one: one.reason),
+    Column("verdict", "text", "on the map: good, doubtful or poor", _figure("verdict")),
+    Column("lost_share", "real", "share of the scans that were lost", _figure("lost_share", 4)),
+    Column("submaps", "whole", "submaps of the map", _figure("submaps", 0)),
+    Column("area_m2", "real", "square metres of floor", _figure("area_m2", 2)),
+    Column("path_m", "real", "metres driven", _figure("path_m", 2)),
+    Column("scans", "whole", "scans that were read", _figure("scans", 0)),
+    Column("scans_per_s", "real", "scans in each second of the job", _scans_per_s),
+    Column("wall_s", "real", "seconds that the job took", lambda one: round(one.wall_s, 2)),
+    Column("memory_mb", "real", "most megabytes that a step held", _memory),
+    Column("attempts", "whole", "how many times it was tried", lambda one: one.attempts),
+    Column("warnings", "text", "what its steps warned of", _warnings),
+    Column("digest", "text", "SHA-256 of all that decides the result", lambda one: one.digest),
+)
+
+
+def row_of(name: str, record: JobRecord | None) -> Row:
+    """A row of the summary; of a job without a result its name and that it waits."""
+    if record is None:
+        row: dict[str, Value] = dict.fromkeys((column.name for column in COLUMNS), None)
+        return row | {"name": name, "state": WAITING}
+    return {column.name: column.of(record) for column in COLUMNS}
+
+
+def rows_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> list[Row]:
+    """A row of the summary for each job, in order of names."""
+    return [row_of(name, records.get(name)) for name in sorted(names)]
+
+
+def as_csv(rows: Sequence[Row]) -> bytes:
+    """A line a job under the names of the columns; empty where nothing is known."""
+    names = [column.name for column in COLUMNS]
+    text = csv_text(names, ([row[name] for name in names] for row in rows))
+    return text.encode("utf-8", "backslashreplace")
+
+
+def as_parquet(rows: Sequence[Row]) -> bytes:
+    """The same as a Parquet file; null where nothing is known."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    types = {"text": pa.string(), "whole": pa.int64(), "real": pa.float64()}
+    schema = pa.schema([(column.name, types[column.type]) for column in COLUMNS])
+    kept = io.BytesIO()
+    parquet.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema), kept)
+    return kept.getvalue()
+
+
+def as_markdown(rows: Sequence[Row]) -> bytes:
+    """A page for a person: totals, what failed and why, what is doubtful, what took longest."""
+    failed = [row for row in rows if row["state"] == "failed"]
+    doubtful = [row for row in rows if row["verdict"] in ("doubtful", "poor")]
+    worked = [row for row in rows if row["wall_s"] is not None]
+    slowest = sorted(worked, key=lambda row: -float(row["wall_s"] or 0.0))[:5]
+    lines = [
+        f"### {headline(rows)}",
+        "",
+        *_totals(rows),
+        *_section("Failed", failed, ("name", "kind", "reason", "attempts")),
+        *_section("Doubtful or poor", doubtful, ("name", "verdict", "lost_share", "submaps")),
+        *_section("Warnings", [row for row in rows if row["warnings"]], ("name", "warnings")),
+        *_section("Slowest", slowest, ("name", "wall_s", "scans", "scans_per_s", "memory_mb")),
+    ]
+    return "\n".join([*lines, ""]).encode("utf-8", "backslashreplace")
+
+
+def as_junit(rows: Sequence[Row]) -> bytes:
+    """A test suite with a test case a job; one that waits is skipped."""
+    return junit("specmap batch", "specmap batch", [_case(row) for row in rows])
+
+
+def _case(row: Row) -> Case:
+    failed = row["state"] == "failed"
+    return Case(
+        name=str(row["name"]),
+        seconds=float(row["wall_s"] or 0.0),
+        skipped=row["state"] == WAITING,
+        failure=str(row["reason"]) if failed else None,
+        kind=str(row["kind"]),
+    )
+
+
+def headline(rows: Sequence[Row]) -> str:
+    """How a batch went, in a line."""
+    states = Counter(row["state"] for row in rows)
+    if not states["failed"] and not states[WAITING]:
+        return f"All {counted(len(rows), 'job')} done" if len(rows) > 1 else "1 job done"
+    said = [f"{states['done']:,} of {counted(len(rows), 'job')} done"]
+    said += [f"{states['failed']:,} failed"] if states["failed"] else []
+    said += [f"{states[WAITING]:,} waiting"] if states[WAITING] else []
+    return ", ".join(said)
+
+
+def kinds_of(rows: Sequence[Row]) -> list[tuple[str, int]]:
+    """The kinds of failure and how often, the most frequent first."""
+    counts = Counter(str(row["kind"]) for row in rows if row["state"] == "failed")
+    return sorted(counts.items(), key=lambda one: (-one[1], one[0]))
+
+
+def total(rows: Sequence[Row], column: str) -> float:
+    """The sum of a column; what is not known counts nothing."""
+    return sum(float(row[column] or 0.0) for row in rows)
+
+
+def _totals(rows: Sequence[Row]) -> list[str]:
+    verdicts = Counter(row["verdict"] for row in rows if row["verdict"] is not None)
+    said = [
+        f"{total(rows, 'scans'):,.0f} scans over {total(rows, 'path_m'):,.0f} m in "
+        f"{lasting(total(rows, 'wall_s'))} of work"
+    ]
+    if verdicts:
+        said.append("maps: " + ", ".join(f"{verdicts[one]:,} {one}" for one in sorted(verdicts)))
+    if kinds := kinds_of(rows):
+        said.append("failures: " + ", ".join(f"{count:,} {kind}" for kind, count in kinds))
+    return [*(f"- {line}" for line in said), ""]
+
+
+def _section(title: str, rows: Sequence[Row], columns: Sequence[str]) -> list[str]:
+    if not rows:
+        return []
+    known = {column.name: column.type for column in COLUMNS}
+    more = [f"... and {len(rows) - _MOST:,} more: see summary.csv", ""] if rows[_MOST:] else []
+    heads = {column: column.replace("_", " ") for column in columns}
+    table = markdown_table(
+        list(heads.values()),
+        ([markdown_text(_shown(row, column)) for column in columns] for row in rows[:_MOST]),
+        {head for column, head in heads.items() if known[column] != "text"},
+    )
+    return [f"#### {title}", "", *table, "", *more]
+
+
+def _shown(row: Row, column: str) -> str:
+    value = row[column]
+    return "" if value is None else f"{value:,}" if isinstance(value, int | float) else value
+
+
+def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
+    """The page; links go to the folders beside it."""
+    entries = [_entry(row, records.get(str(row["name"]))) for row in rows]
+    context = {
+        "title": headline(rows),
+        "entries": entries,
+        "results": sorted({entry["result"] for entry in entries}),
+        "heads": _HEADS,
+        "kinds": kinds_of(rows),
+        "facts": _facts(rows),
+        "tones": tones([]),
+        "data": {},
+    }
+    return html_page(_PACKAGE, "batch.html", context, _STYLES, _SCRIPTS).encode()
+
+
+def _entry(row: Row, record: JobRecord | None) -> dict[str, Any]:
+    """A row of the page: what is known of a job, and where its files are; None: there is none."""
+    files = {} if record is None else record.files
+    base = quote(str(row["name"]), safe="")
+
+    def link(name: str) -> str | None:
+        return f"{base}/{quote(name)}" if name in files else None
+
+    has_map = any(name.startswith(f"{MAP}/") for name in files)
+    return {
+        "row": row,
+        "result": row["verdict"] or row["state"] if row["state"] == "done" else row["state"],
+        "picture": link(_OVERVIEW),
+        "report": link(REPORT),
+        "log": link(LOG_TEXT),
+        "folder": f"{base}/{MAP}/" if has_map else None,
+    }
+
+
+def _facts(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """The figures over the table: what, and how much."""
+    done = sum(row["state"] == "done" for row in rows)
+    return [
+        ("done", f"{done:,}"),
+        ("failed", f"{sum(count for _, count in kinds_of(rows)):,}"),
+        ("doubtful or poor", f"{sum(row['verdict'] in ('doubtful', 'poor') for row in rows):,}"),
+        ("scans", f"{total(rows, 'scans'):,.0f}"),
+        ("driven", _distance(total(rows, "path_m"))),
+        ("of work", lasting(total(rows, "wall_s"))),
+    ]
+
+
+def _distance(metres: float) -> str:
+    return f"{metres:,.0f} m" if metres < _KM else f"{metres / _KM:,.1f} km"
+
+
+_MADE: Mapping[str, Callable[[Sequence[Row]], bytes]] = {
+    "summary.csv": as_csv,
+    "summary.parquet": as_parquet,
+    "summary.md": as_markdown,
+    "junit.xml": as_junit,
+}
+SUMMARIES = (*_MADE, INDEX)
+
+
+def summaries_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> dict[str, bytes]:
+    """The contents of all summaries by their file names; `names` are those of all jobs."""
+    rows = rows_of(names, records)
+    return {name: made(rows) for name, made in _MADE.items()} | {INDEX: as_html(rows, records)}

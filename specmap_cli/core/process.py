@@ -1,0 +1,121 @@
+"""The process that specmap runs in: its threads, its memory, the versions it stands on.
+
+Linear algebra stays on one thread while specmap works, whoever calls it. The matrices here are
+small, some hundreds of rows. Threads of BLAS would wait for each other for longer than they
+compute, and far longer when other programs run beside them.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from importlib import metadata
+from pathlib import Path
+
+from threadpoolctl import ThreadpoolController
+
+from specmap_cli import __version__
+
+# Read by a library when it is loaded: some are loaded while the work is under way.
+_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+_LOCK = threading.Lock()
+_limits = ExitStack()  # what gives the threads back
+_inside = 0  # calls under way: the first takes the threads, the last gives them back
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Keep every BLAS of this process on one thread, also those that are loaded meanwhile.
+
+    Calls may be nested or run in several threads. After the last has ended every BLAS has as many
+    threads as before; one that was loaded meanwhile has as many as the others. It also decorates
+    functions.
+    """
+    global _inside
+    with _LOCK:
+        if not _inside:
+            _limits.enter_context(_limited())
+        _inside += 1
+    try:
+        yield
+    finally:
+        with _LOCK:
+            _inside -= 1
+            if not _inside:
+                _limits.close()
+
+
+@contextmanager
+def _limited() -> Iterator[None]:
+    """The limit itself, set and taken back."""
+    loaded = ThreadpoolController().select(user_api="blas")
+    usual = max((one.num_threads for one in loaded.lib_controllers), default=os.cpu_count() or 1)
+    known = {one.filepath for one in loaded.lib_controllers}
+    before = {name: os.environ.get(name) for name in _VARIABLES}
+    os.environ.update(dict.fromkeys(_VARIABLES, "1"))
+    try:
+        with loaded.limit(limits=1):
+            yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        for one in ThreadpoolController().select(user_api="blas").lib_controllers:
+            if one.filepath not in known:
+                one.set_num_threads(usual)
+
+
+# Not `ru_maxrss`: there the peak of the process that started this one counts as well.
+_STATUS = Path("/proc/self/status")
+_PEAK = re.compile(r"^VmHWM:\s*(\d+) kB$", re.MULTILINE)
+_KB_PER_MB = 1000.0 / 1.024  # the kernel means 1,024 bytes
+
+
+def peak_memory_mb() -> float | None:
+    """The most megabytes that this process has held so far; None where the system does not tell."""
+    try:
+        found = _PEAK.search(_STATUS.read_text(encoding="ascii"))
+    except OSError:
+        return None
+    return None if found is None else round(int(found[1]) / _KB_PER_MB, 1)
+
+
+# The distributions that the program needs when it runs, as pyproject.toml names them.
+STANDS_ON = (
+    "jinja2",
+    "kiss-icp",
+    "lz4",
+    "mcap",
+    "networkx",
+    "numpy",
+    "opencv-python-headless",
+    "protobuf",
+    "pydantic",
+    "pyyaml",
+    "rich",
+    "rosbags",
+    "scipy",
+    "threadpoolctl",
+    "typer",
+    "zstandard",
+)
+MISSING = "not installed"
+
+
+def versions() -> dict[str, str]:
+    """The version of specmap, of Python and of each library, by name; MISSING where it is so."""
+    found = {"specmap": __version__, "python": platform.python_version()}
+    return found | {name: _version(name) for name in STANDS_ON}
+
+
+def _version(distribution: str) -> str:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return MISSING

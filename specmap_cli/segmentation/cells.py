@@ -1,0 +1,353 @@
+"""From labelled nodes to labelled cells (last step of section II-B).
+
+Labels are flooded from the nodes, or taken from the nearest one as in the paper; clusters that no
+narrowing separates are joined; and several divisions of the same cells become one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import IntArray
+from specmap_cli.grids.gridmap import BoolArray, contacts, nearest_values
+from specmap_cli.segmentation.visibility import IndexArray, LabelArray
+
+RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
+_LEVELS = 126  # heights of the relief that is flooded: the sum of two of them, and one, fit a byte
+_AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)])
+_TINY = 1e-9  # cells; keeps a grid without free space from dividing by zero
+Pair = tuple[int, int]
+_RATIO_SLACK = 1e-9  # a border of just the ratio asked for joins, whatever the last digit
+_WIDTH_SLACK = 1e-12  # of two borders equal in proportion the first joins
+_NARROWEST = 1e-9  # cells; keeps a cluster without width from dividing by zero
+_SAME = 0.5  # intersection over union above which regions are the same: each has one such at most
+_HALF = 0.5  # of the cells of a region: more of them taken by others, and it is not taken itself
+
+
+def flood_labels(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
+    """(h, w) labels grown from the nodes (n, 2) in order of falling clearance; -1 unreached."""
+    free = clearance > 0.0
+    if not len(nodes):
+        return np.full(clearance.shape, -1, dtype=np.int32)
+    flooded = _watershed(clearance, nodes, labels)
+    piece, held = _pieces(free, nodes)
+    flooded[(flooded < 0) | ~held[piece]] = -1
+    return spread_labels(flooded, free)
+
+
+def flooded_at(
+    clearance: FloatArray, nodes: IndexArray, labels: LabelArray, cells: IndexArray
+) -> LabelArray:
+    """(p,) the labels of `flood_labels` at cells (p, 2), there being a node.
+
+    Only the box round the nodes and the cells is flooded, and labels are spread only where asked.
+    """
+    low = np.minimum(nodes.min(axis=0), cells.min(axis=0))
+    high = np.maximum(nodes.max(axis=0), cells.max(axis=0)) + 1
+    clearance, nodes, cells = (
+        clearance[low[0] : high[0], low[1] : high[1]],
+        nodes - low,
+        cells - low,
+    )
+    flooded = _watershed(clearance, nodes, labels)
+    piece, held = _pieces(clearance > 0.0, nodes)
+    found = _at(flooded, piece, held, cells)
+    lines = np.flatnonzero((found < 0) & (piece[cells[:, 0], cells[:, 1]] > 0))
+    around = np.clip(cells[lines, None] + _AROUND, 0, np.array(clearance.shape) - 1)
+    found[lines] = _at(flooded, piece, held, around.reshape(-1, 2)).reshape(-1, 9).max(axis=1)
+    if (found[lines] >= 0).all():
+        return found
+    return flood_labels(clearance, nodes, labels)[cells[:, 0], cells[:, 1]]
+
+
+def _at(flooded: LabelArray, piece: LabelArray, held: BoolArray, cells: IndexArray) -> LabelArray:
+    """(p,) labels of some cells (p, 2) that the flood reached from a node, -1 of others."""
+    rows, columns = cells.T
+    return np.where(held[piece[rows, columns]], np.maximum(flooded[rows, columns], -1), -1)
+
+
+def _watershed(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
+    """(h, w) labels flooded from the nodes (n, 2), below 0 on the lines between two of them.
+
+    This is Meyer's watershed on a relief whose height falls with the clearance: two
+    fronts meet where the passage between them is narrowest. OpenCV takes cells in the order of the
+    difference between neighbours. So the heights stand on a checkerboard of signs, where that
+    difference is the sum of both, and a second channel makes the step into a wall the last of all.
+    It floods walls, too, and free cells behind them.
+    """
+    top = max(float(clearance.max(initial=0.0)), _TINY)
+    height = np.rint((1.0 - clearance / top) * _LEVELS).astype(np.uint8)
+    relief = height + np.uint8(_LEVELS + 2)
+    for black in (np.s_[::2, ::2], np.s_[1::2, 1::2]):
+        relief[black] = np.uint8(_LEVELS + 1) - height[black]
+    wall = np.uint8(255) * (clearance <= 0.0)
+    relief[wall > 0] = 0
+    nothing = np.zeros_like(relief)
+    picture = cv2.copyMakeBorder(
+        cv2.merge([relief, wall, nothing]), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0, 255, 0)
+    )
+    markers = np.zeros(picture.shape[:2], dtype=np.int32)
+    markers[nodes[:, 0] + 1, nodes[:, 1] + 1] = labels + 1
+    cv2.watershed(picture, markers)
+    return markers[1:-1, 1:-1] - 1
+
+
+def _pieces(free: BoolArray, nodes: IndexArray) -> tuple[LabelArray, BoolArray]:
+    """The piece (h, w) of `free` that a cell is of, 0: none; and which pieces hold a node (n, 2).
+
+    Pieces are joined over edges and corners.
+    """
+    count, piece = cv2.connectedComponents(free.astype(np.uint8), connectivity=8)
+    held = np.zeros(count, dtype=bool)
+    held[piece[nodes[:, 0], nodes[:, 1]]] = True
+    held[0] = False
+    return np.asarray(piece, dtype=np.int32), held
+
+
+def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
+    """(h, w) the label of the nearest node (n, 2) for every free cell, as in the paper."""
+    result = np.full(free.shape, -1, dtype=np.int32)
+    if len(nodes):
+        cells = np.argwhere(free)
+        result[free] = labels[cKDTree(nodes).query(cells)[1]]
+    return result
+
+
+def spread_labels(labels: LabelArray, free: BoolArray, rings: int = RINGS) -> LabelArray:
+    """Fill what is unlabelled (-1) of every piece of `free` (H, W) that holds a label.
+
+    Labels creep `rings` cells through free space, so that none crosses a thin wall; what is left
+    takes the nearest label of all.
+    """
+    missing = free & (labels < 0)
+    if not missing.any():
+        return labels
+    grown = (labels + 1).astype(np.uint16)
+    around = np.ones((3, 3), dtype=np.uint8)
+    for _ in range(rings):
+        bigger = cv2.dilate(grown, around)
+        open_cells = missing & (grown == 0)
+        grown[open_cells] = bigger[open_cells]
+    missing &= grown == 0
+    if missing.any():
+        _, piece = cv2.connectedComponents(free.astype(np.uint8), connectivity=8)
+        reached = np.zeros(int(piece.max()) + 1, dtype=bool)
+        reached[piece[grown > 0]] = True
+        missing &= reached[piece]
+    if missing.any():
+        grown[missing] = nearest_values(grown)[0][missing]
+    return grown.astype(np.int32) - 1
+
+
+def local_widths(
+    clearance: FloatArray, lengths: FloatArray, pairs: IndexArray, widest: float
+) -> FloatArray:
+    """(n,) local thickness at each node: the largest free disc of a visible node that covers it.
+
+    `clearance` (n,) is each node's own, `lengths` (m,) the distances of the visible `pairs` (m, 2).
+    No width is above `widest`. A hall falls into pieces no larger than a sight line, and a border
+    that is wide compared with those pieces has to count as wide.
+    """
+    widths = clearance.copy()
+    for one, other in ((pairs[:, 0], pairs[:, 1]), (pairs[:, 1], pairs[:, 0])):
+        covered = lengths < clearance[other]
+        np.maximum.at(widths, one[covered], clearance[other[covered]])
+    return np.minimum(widths, widest)
+
+
+def border_widths(labels: LabelArray, clearance: FloatArray) -> dict[Pair, float]:
+    """Largest clearance on the common border of each two touching labels (smaller one first)."""
+    touching = contacts(labels)
+    width = np.minimum(clearance[tuple(touching.one.T)], clearance[tuple(touching.other.T)])
+    pairs, which = np.unique(touching.labels, axis=0, return_inverse=True)
+    widest = np.zeros(len(pairs))
+    np.maximum.at(widest, which.ravel(), width)
+    return {(a, b): w for (a, b), w in zip(pairs.tolist(), widest.tolist(), strict=True)}
+
+
+def join_wide(
+    borders: dict[Pair, float], widths: list[FloatArray], ratio: float, percentile: float
+) -> list[int]:
+    """New label of each cluster after joining pairs, the widest border in proportion first.
+
+    `widths` holds the local widths of each cluster's nodes. A pair joins while its border is at
+    least `ratio` times the geometric mean of the two clusters' `percentile` widths: a corridor
+    goes on where its width goes on, and ends where it opens into a hall or a room.
+    """
+    clusters = _Clusters(borders, widths, percentile)
+    while (pair := clusters.widest(ratio)) is not None:
+        clusters.join(*pair)
+    return clusters.names()
+
+
+class _Clusters:
+    """Clusters, their widths and the widths of their borders while they are being joined."""
+
+    def __init__(
+        self, borders: dict[Pair, float], widths: list[FloatArray], percentile: float
+    ) -> None:
+        self._percentile = percentile
+        self._nodes = list(widths)
+        self._width = [self._width_of(nodes) for nodes in widths]
+        self._kept = np.arange(len(widths))  # of each cluster: the one that it is a part of
+        self._touching: list[dict[int, float]] = [{} for _ in widths]
+        for (one, other), border in borders.items():
+            self._touching[one][other] = self._touching[other][one] = border
+
+    def _width_of(self, nodes: FloatArray) -> float:
+        return float(np.percentile(nodes, self._percentile)) if len(nodes) else 0.0
+
+    def widest(self, ratio: float) -> Pair | None:
+        """The pair with the widest border in proportion, the first of equals, or None."""
+        best, pair = ratio - _RATIO_SLACK, None
+        for one, around in enumerate(self._touching):
+            for other, border in around.items():
+                mean = (self._width[one] * self._width[other]) ** 0.5
+                if one < other and border > best * mean + _WIDTH_SLACK:
+                    best, pair = border / max(mean, _NARROWEST), (one, other)
+        return pair
+
+    def join(self, keep: int, gone: int) -> None:
+        """Make cluster `gone` a part of `keep`."""
+        self._kept[self._kept == gone] = keep
+        self._nodes[keep] = np.concatenate([self._nodes[keep], self._nodes[gone]])
+        self._width[keep] = self._width_of(self._nodes[keep])
+        for other, border in self._touching[gone].items():
+            del self._touching[other][gone]
+            if other != keep:
+                wider = max(border, self._touching[keep].get(other, 0.0))
+                self._touching[keep][other] = self._touching[other][keep] = wider
+        self._touching[gone] = {}
+
+    def names(self) -> list[int]:
+        """The label of every cluster: those that were kept are numbered 0, 1, ... in order."""
+        labels: list[int] = np.unique(self._kept, return_inverse=True)[1].tolist()
+        return labels
+
+
+def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
+    """(h, w) labels 0, 1, ... of the regions that most of some divisions (h, w) have.
+
+    Labels are -1 where all divisions have none. Cells of no such region go to the one that they are
+    together with most. Deterministic: of equals the first counts.
+    """
+    if len(divisions) == 1 or all((division < 0).all() for division in divisions):
+        return divisions[0]
+    atoms, labels = _atoms(divisions)
+    area = np.bincount(atoms[atoms >= 0], minlength=len(labels)).astype(np.float64)
+    holds = _regions(labels)
+    owner = _with_leftovers(_elected(holds, area, len(divisions)), holds, area, labels)
+    named = np.unique(owner, return_inverse=True)[1].astype(np.int32)
+    return np.where(atoms < 0, np.int32(-1), named[np.maximum(atoms, 0)])
+
+
+def _atoms(divisions: Sequence[LabelArray]) -> tuple[LabelArray, IntArray]:
+    """Number (h, w) of the set of labels that each cell has, -1 without one; the sets (m, k)."""
+    some = np.any([division >= 0 for division in divisions], axis=0)
+    columns = [division[some].astype(np.int64) for division in divisions]
+    code = np.zeros(len(columns[0]), dtype=np.int64)
+    for column in columns:
+        code, first = _in_order(code * (int(column.max()) + 2) + column + 1)
+    atoms = np.full(some.shape, -1, dtype=np.int32)
+    atoms[some] = code
+    return atoms, np.column_stack([column[first] for column in columns])
+
+
+def _in_order(codes: IntArray) -> tuple[IntArray, IntArray]:
+    """Codes (n,) as numbers 0, 1, ... in the order in which they appear, and where they first do.
+
+    So no number hangs on what the labels are called. Without sorting: n is that of all cells.
+    """
+    seen = np.full(int(codes.max()) + 1, -1, dtype=np.int64)
+    seen[codes[::-1]] = np.arange(len(codes))[::-1]  # the last one to be written is the first
+    first = np.sort(seen[seen >= 0])
+    seen[codes[first]] = np.arange(len(first))
+    return seen[codes], first
+
+
+def _regions(labels: IntArray) -> Any:
+    """(r, m) sparse: 1 where a region of any division holds an atom; `labels` (m, k) of each atom.
+
+    Regions stand in the order of their divisions.
+    """
+    spans = np.cumsum([0, *(labels.max(axis=0) + 1)])
+    atoms, division = np.nonzero(labels >= 0)
+    regions = (labels + spans[:-1])[atoms, division]
+    shape = (int(spans[-1]), len(labels))
+    return csr_array((np.ones(len(atoms)), (regions, atoms)), shape)
+
+
+def _elected(holds: Any, area: FloatArray, divisions: int) -> IntArray:
+    """(m,) the number of the elected region that each atom goes to, -1 for none.
+
+    An atom goes to the region of whose finds the largest share holds it.
+    """
+    owner, most = np.full(len(area), -1), np.zeros(len(area))
+    for number, share in enumerate(_elections(holds, area, divisions)):
+        more = share > most
+        owner[more], most[more] = number, share[more]
+    return owner
+
+
+def _elections(holds: Any, area: FloatArray, divisions: int) -> Iterator[FloatArray]:
+    """Of each region that is taken, the share (m,) of its finds that hold each atom."""
+    same = _same_regions(holds, area)
+    size = holds @ area
+    finds, alike = np.diff(same.indptr), same.sum(axis=1)
+    free, gone = np.ones(len(area), dtype=bool), np.zeros(len(size), dtype=bool)
+    for region in np.lexsort((-size, -alike, -finds)).tolist():
+        if 2 * finds[region] <= divisions:
+            return
+        mine = _row(holds, region)
+        if gone[region] or area[mine[free[mine]]].sum() <= _HALF * size[region]:
+            continue
+        found = _row(same, region)
+        votes = np.asarray(holds[found].sum(axis=0))
+        free &= 2 * votes <= len(found)
+        gone[found] = True
+        yield votes / len(found)
+
+
+def _same_regions(holds: Any, area: FloatArray) -> Any:
+    """(r, r) sparse: intersection over union of the regions that are the same, each itself, too."""
+    shared = (holds.multiply(area) @ holds.T).tocoo()  # numbers of cells: exact in any order
+    size = holds @ area
+    iou = shared.data / (size[shared.row] + size[shared.col] - shared.data)
+    alike = iou > _SAME
+    places = shared.row[alike], shared.col[alike]
+    same = csr_array((iou[alike], places), shared.shape)
+    same.sort_indices()
+    return same
+
+
+def _row(matrix: Any, number: int) -> IntArray:
+    """The columns of a row of a sparse matrix that are not zero."""
+    return np.asarray(matrix.indices[matrix.indptr[number] : matrix.indptr[number + 1]])
+
+
+def _with_leftovers(owner: IntArray, holds: Any, area: FloatArray, labels: IntArray) -> IntArray:
+    """The region (m,) of each atom, when some have no `owner` (m,).
+
+    They go to the owner of most of the regions that hold them, or stay what the first division
+    that has them makes of them.
+    """
+    left, taken = np.flatnonzero(owner < 0), np.flatnonzero(owner >= 0)
+    count = int(owner.max(initial=-1)) + 1
+    owner = owner.copy()
+    first = labels[left, (labels[left] >= 0).argmax(axis=1)]
+    owner[left] = count + first
+    if not count or not len(left):
+        return owner
+    owned = csr_array((area[taken], (taken, owner[taken])), (len(area), count))
+    parts = (holds @ owned).multiply(1.0 / (holds @ area)[:, None]).tocsr()
+    together = (holds.T.tocsr()[left] @ parts).toarray()
+    some = together.any(axis=1)
+    owner[left[some]] = together[some].argmax(axis=1)
+    return owner
