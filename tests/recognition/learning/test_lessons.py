@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import Config, LocalizationConfig, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
@@ -20,7 +20,7 @@ from specmap_cli.recognition.learning.training_data import (
     of_keyframes,
     together,
 )
-from tests.recognition.posed import posed
+from tests.recognition.posed import stored
 
 SUBMAPS = {0: list(range(20)), 3: list(range(20, 60))}
 STARTS = (40,)
@@ -37,11 +37,8 @@ def numbered(*keyframes: int) -> Samples:
 def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
     """Sixty keyframes in three rooms of the building."""
     building = request.getfixturevalue("building")
-    with KeyframeStore() as made:
-        for room in (0, 1, 2):
-            for pose in building.path(room, 1)[:20]:
-                scan = building.scans(pose[None])[0]
-                made.append(posed(scan, Pose2(*pose.tolist()), len(made)))
+    poses = np.vstack([building.path(room, 1)[:20] for room in (0, 1, 2)])
+    with stored(building.scans(poses), poses) as made:
         yield made
 
 

@@ -2,38 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit, near_returns
-from tests.recognition.posed import posed
+from tests.recognition.posed import stored
 
 CONFIG = LocalizationConfig()
 
 
-def stored(building: Any, poses: FloatArray, noise_m: float = 0.0) -> KeyframeStore:
-    rng, store = np.random.default_rng(3), KeyframeStore()
-    for k, (pose, scan) in enumerate(zip(poses, building.scans(poses), strict=True)):
-        ranges = scan.ranges + rng.normal(0.0, noise_m, len(scan.ranges))
-        store.append(
-            posed(
-                PlanarScan(k, scan.bearings, ranges, 20.0, full_circle=True),
-                Pose2(*pose.tolist()),
-                k,
-            )
-        )
-    return store
+def noisy(scans: list[PlanarScan], noise_m: float) -> list[PlanarScan]:
+    rng = np.random.default_rng(3)
+    return [
+        replace(scan, ranges=scan.ranges + rng.normal(0.0, noise_m, len(scan.ranges)))
+        for scan in scans
+    ]
 
 
 def misfit_of(building: Any, noise_m: float = 0.0, step: int = 1) -> HeldOutMisfit:
     poses = building.path(0, 2)[::step]
-    with stored(building, poses, noise_m) as store:
+    with stored(noisy(building.scans(poses), noise_m), poses) as store:
         return held_out_misfit(store, {5: range(len(poses))}, store.poses)
 
 
@@ -48,7 +41,7 @@ def test_what_was_seen_just_before_and_after_is_held_out_too(building: Any) -> N
     """A robot that never moved a metre has nothing left to compare with."""
     poses = np.zeros((12, 3)) + building.path(0, 2)[:1]
     poses[:, 0] += 0.05 * np.arange(12)
-    with stored(building, poses) as store:
+    with stored(building.scans(poses), poses) as store:
         found = held_out_misfit(store, {5: range(12)}, store.poses)
     assert found == HeldOutMisfit(0.0, 0)
 
@@ -56,7 +49,7 @@ def test_what_was_seen_just_before_and_after_is_held_out_too(building: Any) -> N
 def test_views_of_places_seen_once_are_not_held_out(building: Any) -> None:
     """Two keyframes metres apart: neither is a place that the other knows."""
     poses = building.path(0, 2)[[0, 20]]
-    with stored(building, poses) as store:
+    with stored(building.scans(poses), poses) as store:
         assert held_out_misfit(store, {5: [0, 1]}, store.poses).views == 0
 
 

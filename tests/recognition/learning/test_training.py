@@ -35,7 +35,7 @@ from specmap_cli.recognition.learning.sampling import (
 )
 from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_and_test
 from specmap_cli.recognition.localization.localizer import Localizer
-from tests.recognition.posed import posed
+from tests.recognition.posed import posed, stored
 from tests.turning import turn
 
 SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 are in none
@@ -56,13 +56,8 @@ def settings(**localization: Any) -> Config:
 def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
     """Forty keyframes in each of two rooms of the building."""
     building = request.getfixturevalue("building")
-    with KeyframeStore() as made:
-        for room in (0, 2):
-            for pose in building.path(room, 1):
-                at = Pose2(*pose.tolist())
-                number = len(made)
-                scan = building.scans(pose[None])[0]
-                made.append(posed(scan, at, number))
+    poses = np.vstack([building.path(room, 1) for room in (0, 2)])
+    with stored(building.scans(poses), poses) as made:
         yield made
 
 

@@ -145,14 +145,3 @@ def test_without_a_place_a_label_or_a_return_there_is_no_pose(building: Any) -> 
     assert tracker.locate(scan, place, None) is None
     assert tracker.locate(replace(scan, lost=True), place, 2) is None
     assert tracker.locate(blind, place, 2) is None
-
-
-def test_how_far_a_pose_is_sought_is_set(building: Any) -> None:
-    scan = walk(building, 2)[0]
-    place = place_of(building, 2, scan, Pose2(0.9, 0.0, 0.0))
-    found = []
-    for reach in (0.3, 1.2):
-        turn("recognition", follow_m=reach, lost_score=0.0)
-        found.append(tracker_of(building).locate(scan, place, 2))
-    near, far = (off_by(building, scan, fix).distance for fix in found)
-    assert far < near
