@@ -170,7 +170,7 @@ class UnknownOdds:
     def __init__(self, walls: WallCheck, config: LocalizationConfig) -> None:
         self.walls = walls
         self.config = config
-        self._fits, self._looks = _Clue(), _Clue()
+        self._fits, self._appearance = _Clue(), _Clue()
 
     @property
     def of_walls(self) -> float | None:
@@ -180,37 +180,37 @@ class UnknownOdds:
     def restart(self) -> None:
         """Forget every scan."""
         self.walls.restart()
-        self._fits, self._looks = _Clue(), _Clue()
+        self._fits, self._appearance = _Clue(), _Clue()
 
     def worth(
-        self, posed: PosedScan, evidence: ClassifiedScan, likely: Sequence[int], again: bool
+        self, posed: PosedScan, scan: ClassifiedScan, likely: Sequence[int], again: bool
     ) -> float:
         """Log likelihood of the view that the scan is of; `again` when it is the last scan's view.
 
         `likely` are the submaps, the likeliest first.
         """
-        for clue in (self._fits, self._looks):
+        for clue in (self._fits, self._appearance):
             clue.see(posed, again)
         if self.config.fit_submaps:
-            said = self.walls.unknown(posed, evidence.seen, likely)
+            said = self.walls.unknown(posed, scan.seen, likely)
             self._fits.add(said, instead=self.walls.found)
-        self._looks.add(self._strange(evidence))
-        return self._fits.worth + self._looks.worth
+        self._appearance.add(self._strange(scan))
+        return self._fits.worth + self._appearance.worth
 
-    def _strange(self, evidence: ClassifiedScan) -> float | None:
+    def _strange(self, scan: ClassifiedScan) -> float | None:
         """Log likelihood of unknown by what a scan looks like."""
-        if evidence.strange == -math.inf:
+        if scan.strange == -math.inf:
             return None
         most = _STRANGE_MOST
-        worth = _STRANGE_GAIN * (evidence.strange - _STRANGE_FROM)
+        worth = _STRANGE_GAIN * (scan.strange - _STRANGE_FROM)
         if worth > 0.0:
             # what a short window of a narrow laser has seen so far looks strange anywhere
-            worth *= evidence.shown**2
+            worth *= scan.shown**2
         return min(max(worth, -most), most)
 
 
 class _Clue:
-    """One kind of evidence: the mean of what is said in a view, by the motion since it last was."""
+    """One kind of clue: the mean of what is said in a view, by the motion since it last was."""
 
     def __init__(self) -> None:
         self._at: Pose2 | None = None
