@@ -33,6 +33,22 @@ _DIFFERENT_M, _DIFFERENT_RAD = 0.5, math.radians(2.0)
 RIVAL_M, RIVAL_RAD = 1.0, math.radians(10.0)
 
 _Placed = tuple[float, Pose2]
+CANDIDATES = 3  # best ranked old submaps whose grids are matched
+_HOPELESS_SCORE = 0.3  # a match below this is given up
+_SURE_SCORE = 0.8  # a match above this needs no other rotation
+_CONTRADICTION_M = 0.3  # a wall point farther than this from walls, and in free space, contradicts
+_CONTRADICTION_DEPTH_M = 0.25  # free space counts this far from its edge, which noise blurs
+MIN_LEAD = 0.1  # score over the next best match, or it is ambiguous
+MIN_WALL_M = 5.0  # metres of wall that agree, cell by cell
+MIN_OVERLAP = 0.4  # shared part of the walls of one of two submaps
+LEAST_OVERLAP = 0.15  # shared part of the walls of the other one
+CONTRADICTION_WEIGHT = 2.0  # separates right from wrong transforms of fr079 without an error
+# A wall may be drawn one cell beside where it is, or two where a turned grid is laid on another.
+_INLIER_CELLS, _CONTRADICTION_CELLS = 1.0, 2.5
+_REFINED = 3
+# Points and shift of the refinement: first from a coarse cell away, then for the last centimetres.
+_ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 160, 6, 0.6
+_FINE_POINTS, _FINE_STEPS, _FINE_SHIFT_M = 1000, 15, 0.2
 
 
 class TransformSearch:
@@ -129,24 +145,6 @@ def _slack_steps(old: PreparedGrid, new: PreparedGrid) -> int:
 def _slacks(steps: int) -> Sequence[float]:
     """Rotations off that of aligned walls, the smallest first, radians."""
     return (0.0, *(sign * k * _SLACK_RAD for k in range(1, steps + 1) for sign in (-1.0, 1.0)))
-
-
-CANDIDATES = 3  # best ranked old submaps whose grids are matched
-_HOPELESS_SCORE = 0.3  # a match below this is given up
-_SURE_SCORE = 0.8  # a match above this needs no other rotation
-_CONTRADICTION_M = 0.3  # a wall point farther than this from walls, and in free space, contradicts
-_CONTRADICTION_DEPTH_M = 0.25  # free space counts this far from its edge, which noise blurs
-MIN_LEAD = 0.1  # score over the next best match, or it is ambiguous
-MIN_WALL_M = 5.0  # metres of wall that agree, cell by cell
-MIN_OVERLAP = 0.4  # shared part of the walls of one of two submaps
-LEAST_OVERLAP = 0.15  # shared part of the walls of the other one
-CONTRADICTION_WEIGHT = 2.0  # separates right from wrong transforms of fr079 without an error
-# A wall may be drawn one cell beside where it is, or two where a turned grid is laid on another.
-_INLIER_CELLS, _CONTRADICTION_CELLS = 1.0, 2.5
-_REFINED = 3
-# Points and shift of the refinement: first from a coarse cell away, then for the last centimetres.
-_ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 160, 6, 0.6
-_FINE_POINTS, _FINE_STEPS, _FINE_SHIFT_M = 1000, 15, 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

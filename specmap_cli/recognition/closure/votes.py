@@ -33,6 +33,12 @@ _AREA_PRIOR = 0.5  # times the logarithm of a ratio of areas, where no classifie
 _FAR_BEHIND = 0.1  # of the best rank: a tenth of the chance
 
 Pair = tuple[int, int]
+# Votes for one transform: what a match of two grids is off, and how much more for each metre
+# between their places, which an error of its direction, or a bend of a map, makes.
+_APART_M, _APART_RAD, _APART_PER_M = 0.4, math.radians(4.0), 0.03
+_LEAST_RADIUS_M = 1.0  # of a submap: gives the direction of its vote some weight
+_PARTIES, _SEEDS = 8, 24  # the largest votes are tried: of hundreds of rooms most agree
+_ROUNDS = 3  # of fitting a transform and collecting the votes for it
 
 
 def likely_pairs(
@@ -110,14 +116,6 @@ def _by_area(old: MapToAlign, new: MapToAlign) -> FloatArray:
     ]
     gaps = np.abs(areas[0][:, None] - areas[1][None, :])
     return np.asarray(np.round(np.exp(-_AREA_PRIOR * gaps), _DECIMALS))
-
-
-# Votes for one transform: what a match of two grids is off, and how much more for each metre
-# between their places, which an error of its direction, or a bend of a map, makes.
-_APART_M, _APART_RAD, _APART_PER_M = 0.4, math.radians(4.0), 0.03
-_LEAST_RADIUS_M = 1.0  # of a submap: gives the direction of its vote some weight
-_PARTIES, _SEEDS = 8, 24  # the largest votes are tried: of hundreds of rooms most agree
-_ROUNDS = 3  # of fitting a transform and collecting the votes for it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,6 +26,7 @@ _VIRTUAL_SPACING_M = 0.2  # motion between the scans in a virtual scan
 _VIRTUAL_SPACING_RAD = 0.3  # turn between the scans in a virtual scan
 _RANGE_DECIMALS = 6  # of metres: far below the noise of a laser, far above that of a sum
 _NEAREST_M = 0.05  # a return this near to the virtual laser has no bearing to speak of
+_TURN = 2.0 * math.pi
 
 
 def all_round(ranges: FloatArray, range_max: float, stamp_ns: int = 0) -> PlanarScan:
@@ -128,9 +129,6 @@ def cast_circles(
     """Full-circle scans cast in a grid from origins (N, 2) of its frame."""
     ranges = cast_ranges(grid.obstacle_distance(), grid, origins, circle(beams), max_range)
     return [all_round(row, max_range) for row in ranges]
-
-
-_TURN = 2.0 * math.pi
 
 
 def outline(scan: PlanarScan, map_from_laser: Pose2, reach_m: float) -> FloatArray:

@@ -33,6 +33,9 @@ _USUAL_SPREAD, _VIEWS_ALIKE = 0.35, 10.0
 # A view that leaves N submaps open goes on to say the same for N times this motion: in places of
 # which little is known, scan after scan errs the same way.
 _STEADY = 0.3
+# Scans that are held out of a map together with the pieces of the way around them are surer by
+# these factors than those of another log: so much more do they lack.
+_HELD_OUT, _ANOTHER_LOG = (0.48, 0.59), (1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +55,6 @@ class Claim:
 # reliability.py`. Alone a scan says more than beside the virtual scan that it is part of.
 RAW_ALONE, VIRTUAL_ALONE = Claim(0.284, 3.49), Claim(0.217, 4.71)
 RAW, VIRTUAL = Claim(0.247, 0.41), Claim(0.202, 3.0)
-# Scans that are held out of a map together with the pieces of the way around them are surer by
-# these factors than those of another log: so much more do they lack.
-_HELD_OUT, _ANOTHER_LOG = (0.48, 0.59), (1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

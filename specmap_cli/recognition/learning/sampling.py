@@ -46,6 +46,10 @@ _AUGMENTATION_CLEARANCE_M = 0.25  # free cells taken lie this far from walls, as
 _WINDOW_SHARES = (0.1, 0.2, 0.5, 1.0)
 _DRAWS = 6  # free cells drawn for one that is wanted: most lie too far from the track
 _ALIKE_SHARE = 0.5  # of the cast samples is dealt out evenly, the rest by area
+_ASIDE_M, _TURNED_RAD = 0.1, math.radians(15.0)  # standard deviation; at most
+_NEAR = 4  # keyframes whose outlines are looked at: what one did not see another one did
+_PLACE_M, _CHORD = 0.5, 0.5  # keyframes so far apart, or so much turned, are as unlike each other
+_OUTLINES_KEPT = 256  # a few megabytes
 
 
 def raw_samples(
@@ -203,12 +207,6 @@ def _free_places(
     if not len(cells) or not count:
         return np.zeros((0, 2))
     return grid.centres_of(cells[rng.integers(len(cells), size=_DRAWS * count)])
-
-
-_ASIDE_M, _TURNED_RAD = 0.1, math.radians(15.0)  # standard deviation; at most
-_NEAR = 4  # keyframes whose outlines are looked at: what one did not see another one did
-_PLACE_M, _CHORD = 0.5, 0.5  # keyframes so far apart, or so much turned, are as unlike each other
-_OUTLINES_KEPT = 256  # a few megabytes
 
 
 def augmented_samples(

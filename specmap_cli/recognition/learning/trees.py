@@ -21,6 +21,16 @@ from specmap_cli.core.geometry import FloatArray
 
 BINS = 16  # more of them learn no better, and cost a round in proportion
 CodeArray = NDArray[np.uint8]
+VOTE_DECIMALS = 6  # of votes, which are of the order of one: readable, and safe from rounding
+IndexArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
+# Weight trimming (Friedman, Hastie and Tibshirani, 2000): every few rounds the samples that hold
+# the last 2 % of the weight are left out of the search for splits, which they hardly change.
+_TRIM_EVERY = 8
+_LIGHT_SHARE = 0.02
+_NO_EDGE = 1e300  # a threshold that no value reaches, as JSON knows no infinity
+_WHOLE = 2.0**52  # weights are whole multiples of 2^-52: sums of them below 2 are exact
+_SAMPLES_AT_ONCE = 1 << 15  # of all classifiers grown together: bounds the memory, some 10 MB
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,9 +60,6 @@ class Quantiser:
         for row, edges, values in zip(codes, self.edges, X.T, strict=True):
             row[:] = np.searchsorted(edges, values, side="right")
         return codes
-
-
-VOTE_DECIMALS = 6  # of votes, which are of the order of one: readable, and safe from rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,18 +106,6 @@ class Forest:
         votes = self.tree_votes(X)
         sums = votes.reshape(len(X), classes, votes.shape[1] // classes).sum(axis=2)
         return np.asarray(np.round(sums, VOTE_DECIMALS))
-
-
-IndexArray = NDArray[np.intp]
-BoolArray = NDArray[np.bool_]
-
-# Weight trimming (Friedman, Hastie and Tibshirani, 2000): every few rounds the samples that hold
-# the last 2 % of the weight are left out of the search for splits, which they hardly change.
-_TRIM_EVERY = 8
-_LIGHT_SHARE = 0.02
-_NO_EDGE = 1e300  # a threshold that no value reaches, as JSON knows no infinity
-_WHOLE = 2.0**52  # weights are whole multiples of 2^-52: sums of them below 2 are exact
-_SAMPLES_AT_ONCE = 1 << 15  # of all classifiers grown together: bounds the memory, some 10 MB
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,10 @@ VIEW_M = 0.05  # motion to a new view; scans of one view are averaged, not summe
 VIEW_RAD = 0.0524  # turn to a new view: a keyframe's, 3 degrees
 INDEPENDENT_M = 1.0  # motion to a view that says something new
 INDEPENDENT_RAD = 1.0  # turn to a view that says something new; a part of it counts so
+LEAP = 0.0001  # chance to be anywhere next, by a way that was never driven
+_LEAVE = 0.0001  # chance to leave the map, or to come back
+_UNKNOWN_PRIOR = 0.5  # chance of unknown at the start
+SMALLEST = 1e-300  # keeps a probability of nought out of a logarithm or a quotient
 
 
 def novelty(before: Pose2 | None, now: Pose2, so_far: float = 0.0) -> float:
@@ -86,12 +90,6 @@ class ViewGrouping:
     def of_scans(self, rows: list[FloatArray]) -> list[FloatArray]:
         """For each scan the row of its view; `rows` are those of the views of all tracks."""
         return [rows[view] for view in self._view_of]
-
-
-LEAP = 0.0001  # chance to be anywhere next, by a way that was never driven
-_LEAVE = 0.0001  # chance to leave the map, or to come back
-_UNKNOWN_PRIOR = 0.5  # chance of unknown at the start
-SMALLEST = 1e-300  # keeps a probability of nought out of a logarithm or a quotient
 
 
 class HiddenMarkovFilter:

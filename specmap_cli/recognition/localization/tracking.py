@@ -28,6 +28,13 @@ from specmap_cli.recognition.localization.unknown import FIT_SEARCH_M
 from specmap_cli.recognition.localization.wall_fit import Fitted, View, WallFit
 
 _HOPELESS = 8.0  # so much lighter than the heaviest: one in three thousand
+_MOST = 8  # places followed at once: each costs a match a look
+# Power of the filter's odds: it sums views that are nearly the same, and may be sure of a mistake
+# for metres.
+_TEMPER = 0.25
+_MISSED = 0.1  # chance that a search does not find the place: people, and things that were moved
+_LEAST_CHANCE = 0.005  # of a submap that is searched
+_SLACK = 1.0  # log likelihood by which a place may fit worse in the next submap, and cross over
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,15 +88,6 @@ def worth_following(
         if not any(each.place.is_near(other.place, frames, *SAME) for other in kept):
             kept.append(each)
     return kept
-
-
-_MOST = 8  # places followed at once: each costs a match a look
-# Power of the filter's odds: it sums views that are nearly the same, and may be sure of a mistake
-# for metres.
-_TEMPER = 0.25
-_MISSED = 0.1  # chance that a search does not find the place: people, and things that were moved
-_LEAST_CHANCE = 0.005  # of a submap that is searched
-_SLACK = 1.0  # log likelihood by which a place may fit worse in the next submap, and cross over
 
 
 class PlaceTracker:

@@ -29,6 +29,9 @@ FIT_SEARCH_M = 1.0  # path between searches while a scan fits no walls
 _FIT_STEP_M = 0.2  # motion between looks at walls while a scan fits where it leads
 _FIT_STEP_RAD = 0.2  # turn between looks at walls while a scan fits where it leads
 _BACK_M = 3.0  # so near to the last place that fitted, motion is asked first for the next one
+_STRANGE_FROM = 0.87  # from this share of the limit on, a scan speaks for unknown
+_STRANGE_GAIN = 2.0  # log likelihood for unknown, per share of the limit beyond that
+_STRANGE_MOST = 1.0  # the most of that likelihood: views that are strange come in a row
 
 
 class WallCheck:
@@ -157,11 +160,6 @@ class _Patience:
             self._tried, self._wait = (), 1
         elif not self._left:
             self._wait *= 2
-
-
-_STRANGE_FROM = 0.87  # from this share of the limit on, a scan speaks for unknown
-_STRANGE_GAIN = 2.0  # log likelihood for unknown, per share of the limit beyond that
-_STRANGE_MOST = 1.0  # the most of that likelihood: views that are strange come in a row
 
 
 class UnknownOdds:

@@ -24,6 +24,25 @@ from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
 from specmap_cli.recognition.localization.places import BESIDE, Place
 
+_MOST_RAYS = 120  # of a scan, one every three degrees all round: what is cast costs grows with them
+# What the pose of a match and the cells of a grid leave open, in heading and sideways. Along a wall
+# that moves the end of a ray by metres: so a ray may reach as far as any that passes so near.
+_SLANT_RAD, _SIDE_M = math.radians(3.0), 0.15
+_BEHIND_M = 0.3  # farther than a match is off, and than a wall is thick in a grid
+_FIT_MOST = 4.0  # log likelihood that walls give at the most
+_BEHIND_USUAL = 0.2  # share of a scan behind walls of its own place that moved
+_UNSEEN_WEIGHT = 0.25  # weight of returns off the walls where the map saw nothing
+# Share of returns off the walls of other places where they fit best, on average.
+_FOREIGN_MISFIT = 0.32
+_FOREIGN_MISFIT_SPREAD = 0.13  # standard deviation of that share, seen on plans and logs
+_LEAST_POINTS = 10  # fewer fit anywhere
+_OFF = 0.95  # a point that much off is a quarter of a metre from walls: behind none by noise
+# Of the search, coarse: what it finds within 0.3 m and a few degrees is mended by the refinement.
+_STEP_M, _STEP_RAD, _PLACES = 0.3, math.radians(5.0), 4
+# By how much the place that fits best is better than the next one, on average: of scans from
+# elsewhere, which fit by chance, and of the map's own.
+_FOREIGN_GAP, _OWN_GAP = 0.06, 0.15
+
 
 class Surroundings:
     """Score fields of submaps, each in its own frame; made when asked for.
@@ -68,13 +87,6 @@ def _draw(cells: CellArray, own: GridMap, other: GridMap, own_from_other: Pose2)
     cells[rows[unseen], columns[unseen]] = OCCUPIED
 
 
-_MOST_RAYS = 120  # of a scan, one every three degrees all round: what is cast costs grows with them
-# What the pose of a match and the cells of a grid leave open, in heading and sideways. Along a wall
-# that moves the end of a ray by metres: so a ray may reach as far as any that passes so near.
-_SLANT_RAD, _SIDE_M = math.radians(3.0), 0.15
-_BEHIND_M = 0.3  # farther than a match is off, and than a wall is thick in a grid
-
-
 class Sightlines:
     """Casts rays in the grids of submaps, in their frames, as far as `reach_m`."""
 
@@ -109,21 +121,6 @@ class Sightlines:
         first = np.searchsorted(bearings, bearings - around)
         last = np.searchsorted(bearings, bearings + around, side="right")
         return np.array([ranges[a:b].max() for a, b in zip(first, last, strict=True)])
-
-
-_FIT_MOST = 4.0  # log likelihood that walls give at the most
-_BEHIND_USUAL = 0.2  # share of a scan behind walls of its own place that moved
-_UNSEEN_WEIGHT = 0.25  # weight of returns off the walls where the map saw nothing
-# Share of returns off the walls of other places where they fit best, on average.
-_FOREIGN_MISFIT = 0.32
-_FOREIGN_MISFIT_SPREAD = 0.13  # standard deviation of that share, seen on plans and logs
-_LEAST_POINTS = 10  # fewer fit anywhere
-_OFF = 0.95  # a point that much off is a quarter of a metre from walls: behind none by noise
-# Of the search, coarse: what it finds within 0.3 m and a few degrees is mended by the refinement.
-_STEP_M, _STEP_RAD, _PLACES = 0.3, math.radians(5.0), 4
-# By how much the place that fits best is better than the next one, on average: of scans from
-# elsewhere, which fit by chance, and of the map's own.
-_FOREIGN_GAP, _OWN_GAP = 0.06, 0.15
 
 
 class Ratio:
