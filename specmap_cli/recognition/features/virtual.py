@@ -74,13 +74,9 @@ class RecentScans:
 
     def add(self, scan: PosedScan) -> None:
         """Take in one registered scan."""
-        points = scan.planar.hits(VIRTUAL_RANGE_M)
-        self.add_points(points, scan.map_from_base, scan.base_from_laser)
-
-    def add_points(self, points: FloatArray, map_from_base: Pose2, base_from_laser: Pose2) -> None:
-        """Take in the returns (N, 2) of one scan, in the laser's frame."""
-        if self.moves_on(map_from_base):
-            self.keep(points, map_from_base, base_from_laser)
+        if self.moves_on(scan.map_from_base):
+            points = scan.planar.hits(VIRTUAL_RANGE_M)
+            self.keep(points, scan.map_from_base, scan.base_from_laser)
 
     def moves_on(self, map_from_base: Pose2) -> bool:
         """Drive on to a pose; whether its scan, too, is to be kept: most are not."""

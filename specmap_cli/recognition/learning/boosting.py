@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -144,18 +144,8 @@ class StumpBoost:
 
     def to_dict(self) -> dict[str, Any]:
         """The fitted rounds by name, ready for JSON."""
-        return {
-            "kind": "stumps",
-            "rounds": [
-                {
-                    "feature": self.names[s.feature],
-                    "threshold": s.threshold,
-                    "polarity": s.polarity,
-                    "votes": s.votes,
-                }
-                for s in self.rounds_
-            ],
-        }
+        rounds = [asdict(stump) | {"feature": self.names[stump.feature]} for stump in self.rounds_]
+        return {"kind": "stumps", "rounds": rounds}
 
 
 class TreeBoost:
@@ -200,15 +190,13 @@ class TreeBoost:
     def to_dict(self) -> dict[str, Any]:
         """The fitted rounds by name, ready for JSON."""
         rounds = []
-        forest = self.forest_
-        for features, thresholds, votes in zip(
-            forest.features.tolist(), forest.thresholds.tolist(), forest.votes.tolist(), strict=True
-        ):
-            split = [
-                {"feature": self.names[f], "threshold": t}
-                for f, t in zip(features, thresholds, strict=True)
-            ]
-            rounds.append({"root": split[0], "below": split[1], "above": split[2], "votes": votes})
+        columns = self.forest_.features.tolist(), self.forest_.thresholds.tolist()
+        for features, thresholds, votes in zip(*columns, self.forest_.votes.tolist(), strict=True):
+            root, below, above = (
+                {"feature": self.names[feature], "threshold": threshold}
+                for feature, threshold in zip(features, thresholds, strict=True)
+            )
+            rounds.append({"root": root, "below": below, "above": above, "votes": votes})
         return {"kind": "trees", "rounds": rounds}
 
 

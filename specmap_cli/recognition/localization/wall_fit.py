@@ -145,15 +145,10 @@ class Ratio:
         off = (min(misfit, foreign) - foreign) / spread
         unknown = -0.5 * off**2 - math.log(spread * math.sqrt(2.0 * math.pi))
         known = -misfit / self.known - math.log(self.known)
-        said = unknown - known + _by_chance(gap)
+        elsewhere = -gap / _FOREIGN_GAP - math.log(_FOREIGN_GAP)
+        own = -gap / _OWN_GAP - math.log(_OWN_GAP)
+        said = unknown - known + min(0.0, elsewhere - own)
         return min(max(said, -_FIT_MOST), _FIT_MOST)
-
-
-def _by_chance(gap: float) -> float:
-    """Log likelihood of a gap elsewhere over that in the map, where it speaks for the map."""
-    elsewhere = -gap / _FOREIGN_GAP - math.log(_FOREIGN_GAP)
-    own = -gap / _OWN_GAP - math.log(_OWN_GAP)
-    return min(0.0, elsewhere - own)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -35,12 +35,18 @@ def recent_scans(**settings: float) -> RecentScans:
     return RecentScans()
 
 
+def add(recent: RecentScans, points: FloatArray, pose: Pose2) -> None:
+    """Take in what a scan saw from a pose."""
+    if recent.moves_on(pose):
+        recent.keep(points, pose, IDENTITY)
+
+
 def drive(recent: RecentScans, metres: float, step: float = 0.25) -> Pose2:
     """Drive straight on; each scan sees one point, a metre to the left of the robot."""
     pose = IDENTITY
     for k in range(round(metres / step) + 1):
         pose = Pose2(step * k, 0.0, 0.0)
-        recent.add_points(WALL, pose, IDENTITY)
+        add(recent, WALL, pose)
     return pose
 
 
@@ -106,18 +112,18 @@ def test_scans_too_near_to_the_last_are_left_out_but_their_way_counts() -> None:
     recent = recent_scans(virtual_spacing_m=0.5)
     for k in range(5):  # 0.1 m apart, each with another point
         point = np.array([[0.0, 1.0 + k]])
-        recent.add_points(point, Pose2(0.1 * k, 0.0, 0.0), IDENTITY)
+        add(recent, point, Pose2(0.1 * k, 0.0, 0.0))
     assert recent.filled == pytest.approx(0.2)
     ranges = recent.scan(0, IDENTITY).ranges
     assert np.isfinite(ranges).sum() == 1
-    recent.add_points(np.array([[1.0, 0.0]]), Pose2(0.5, 0.0, 0.0), IDENTITY)
+    add(recent, np.array([[1.0, 0.0]]), Pose2(0.5, 0.0, 0.0))
     assert np.isfinite(recent.scan(0, IDENTITY).ranges).sum() == 2
 
 
 def test_a_turn_on_the_spot_is_worth_a_scan() -> None:
     recent = recent_scans(virtual_spacing_rad=0.3)
     for theta in (0.0, 0.2, 0.4):
-        recent.add_points(np.array([[2.0, 0.0]]), Pose2(0.0, 0.0, theta), IDENTITY)
+        add(recent, np.array([[2.0, 0.0]]), Pose2(0.0, 0.0, theta))
     seen = np.isfinite(recent.scan(0, IDENTITY).ranges)
     assert seen.sum() == 2  # straight ahead, and at 0.4 rad; the turn of 0.2 added nothing
     assert recent.filled == 0.0
@@ -128,9 +134,9 @@ def test_after_a_restart_nothing_of_before_is_seen_and_the_window_fills_anew() -
     drive(recent, 3.0)
     recent.clear()
     assert recent.filled == 0.0
-    recent.add_points(WALL, Pose2(100.0, 0.0, 0.0), IDENTITY)
+    add(recent, WALL, Pose2(100.0, 0.0, 0.0))
     assert recent.filled == 0.0  # the leap between the two poses is no way driven
-    recent.add_points(WALL, Pose2(101.0, 0.0, 0.0), IDENTITY)
+    add(recent, WALL, Pose2(101.0, 0.0, 0.0))
     assert recent.filled == pytest.approx(0.5)
 
 
