@@ -25,7 +25,6 @@ from specmap_cli.recognition.closure.verification import (
 )
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.features.virtual import VIRTUAL_BEAMS, VIRTUAL_RANGE_M, cast_circles
-from specmap_cli.recognition.learning.classifiers import Recogniser
 
 _PLACES = 16  # of a submap from which scans are cast: a mean of chances to a tenth
 _DECIMALS = 6  # of a chance: the last digits of an exponential depend on the processor
@@ -70,9 +69,14 @@ def _ranks(old: MapToAlign, new: MapToAlign) -> FloatArray:
     ranks = [_claimed(new, by=old), _claimed(old, by=new)]
     known = [ranks[0], None if ranks[1] is None else ranks[1].T]
     claims = [chances for chances in known if chances is not None]
-    if not claims:
-        return _by_area(old, new)
-    return np.asarray(np.prod(claims, axis=0))
+    if claims:
+        return np.asarray(np.prod(claims, axis=0))
+    # where no classifier can be asked: how alike the free areas of submaps are, in (0, 1]
+    areas = [
+        np.log([max(map_.grids[i].free_area_m2, 1.0) for i in map_.ids]) for map_ in (old, new)
+    ]
+    gaps = np.abs(areas[0][:, None] - areas[1][None, :])
+    return np.asarray(np.round(np.exp(-_AREA_PRIOR * gaps), _DECIMALS))
 
 
 def _claimed(of: MapToAlign, *, by: MapToAlign) -> FloatArray | None:
@@ -85,37 +89,18 @@ def _claimed(of: MapToAlign, *, by: MapToAlign) -> FloatArray | None:
         return None
     if not all(len(of.tracks.get(i, ())) for i in of.ids):
         return None
-    return _chances(asked, by.ids, _cast(of, asked.feature_set)).T
-
-
-def _cast(known: MapToAlign, feature_set: str) -> list[FloatArray]:
-    """Features (n, F) of virtual scans of every submap, by id."""
-    features = []
-    for i in known.ids:
-        places = evenly(np.asarray(known.tracks[i])[:, :2], _PLACES)
-        origins = known.frames[i].inverse().apply(places)
-        scans = cast_circles(known.grids[i], origins, VIRTUAL_BEAMS, VIRTUAL_RANGE_M)
-        features.append(np.asarray(scans_features(scans, feature_set), dtype=np.float64))
-    return features
-
-
-def _chances(asked: Recogniser, ids: Sequence[int], scans: Sequence[FloatArray]) -> FloatArray:
-    """(len(scans), len(ids)) mean chances by which each submap claims each group of scans."""
-    columns = [asked.ids.index(i) for i in ids]
+    scans = []
+    for i in of.ids:
+        places = evenly(np.asarray(of.tracks[i])[:, :2], _PLACES)
+        origins = of.frames[i].inverse().apply(places)
+        cast = cast_circles(of.grids[i], origins, VIRTUAL_BEAMS, VIRTUAL_RANGE_M)
+        scans.append(np.asarray(scans_features(cast, asked.feature_set), dtype=np.float64))
     starts = np.cumsum([0, *(len(own) for own in scans)])[:-1]
+    columns = [asked.ids.index(i) for i in by.ids]
     margins = asked.margins(np.concatenate(scans))[:, columns]
     counts = np.array([len(own) for own in scans], dtype=np.float64)[:, None]
     chances = np.add.reduceat(1.0 / (1.0 + np.exp(-margins)), starts) / counts
-    return np.asarray(np.round(chances, _DECIMALS))
-
-
-def _by_area(old: MapToAlign, new: MapToAlign) -> FloatArray:
-    """(n_old, n_new) how alike the free areas of submaps are, in (0, 1]."""
-    areas = [
-        np.log([max(known.grids[i].free_area_m2, 1.0) for i in known.ids]) for known in (old, new)
-    ]
-    gaps = np.abs(areas[0][:, None] - areas[1][None, :])
-    return np.asarray(np.round(np.exp(-_AREA_PRIOR * gaps), _DECIMALS))
+    return np.asarray(np.round(chances, _DECIMALS)).T
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

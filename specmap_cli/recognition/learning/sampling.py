@@ -147,7 +147,11 @@ def cast_samples(
         if len(before.keyframes):
             samples[i] = before.rows(np.arange(min(counts[i], len(before.keyframes))))
             continue
-        drawn = _free_places(grids[i], _AUGMENTATION_CLEARANCE_M, counts[i], rng)
+        cells = np.argwhere(grids[i].clearance() > _AUGMENTATION_CLEARANCE_M)
+        drawn = np.zeros((0, 2))
+        if len(cells) and counts[i]:
+            chosen = rng.integers(len(cells), size=_DRAWS * counts[i])
+            drawn = grids[i].centres_of(cells[chosen])
         map_from_submap = Pose2(*poses[submaps[i][0]].tolist())
         distance, nearest = tree.query(map_from_submap.apply(drawn))
         near = (distance < _AUGMENTATION_REACH_M) & (owner[tracked][nearest] == i)
@@ -197,16 +201,6 @@ def _share_out(total: int, areas: Mapping[int, float]) -> dict[int, int]:
         i: round(total * (even + (by_area * area / whole if whole > 0.0 else even)))
         for i, area in sorted(areas.items())
     }
-
-
-def _free_places(
-    grid: GridMap, clearance_m: float, count: int, rng: np.random.Generator
-) -> FloatArray:
-    """(n, 2) places drawn from the free cells that lie farther than this from all others."""
-    cells = np.argwhere(grid.clearance() > clearance_m)
-    if not len(cells) or not count:
-        return np.zeros((0, 2))
-    return grid.centres_of(cells[rng.integers(len(cells), size=_DRAWS * count)])
 
 
 def augmented_samples(
