@@ -186,7 +186,7 @@ class Sheet:
         for number, row in enumerate(rows):
             x, y = float(MARGIN), TITLE + self.map_height + _BAR + 14.0 + _ROW * (number + 1)
             for words, symbol in row:
-                symbol(self.canvas, x + _SYMBOL_AT, y)
+                symbol(self.canvas, np.array([x + _SYMBOL_AT, y]))
                 self.canvas.text(x + _WORDS_AT, y, words, _LETTERS)
                 x += _entry_width(words)
 
@@ -217,9 +217,24 @@ def _padded(cells: NDArray[Any], step: int, fill: int) -> NDArray[Any]:
     return np.pad(cells, [(0, -side % step) for side in cells.shape], constant_values=fill)
 
 
-def extent_of(regions: Regions) -> tuple[FloatArray, FloatArray]:
-    """Lower left and upper right corner of the known cells, metres; half a metre when none is."""
-    grid = regions.grid
+def extent_of(
+    regions: Regions | None, places: FloatArray | None = None, beside_m: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Lower left and upper right corner of the known cells and of places (n, 2), metres.
+
+    There is paper `beside_m` round the places. It is half a metre when nothing is known, and a
+    metre when there is neither a map nor a place.
+    """
+    corners = [] if regions is None else [*_known(regions.grid)]
+    if places is not None and len(places):
+        corners += [places.min(axis=0) - beside_m, places.max(axis=0) + beside_m]
+    if not corners:
+        return np.zeros(2), np.ones(2)
+    return np.min(corners, axis=0), np.max(corners, axis=0)
+
+
+def _known(grid: GridMap) -> tuple[FloatArray, FloatArray]:
+    """The corners of the known cells of a grid."""
     known = grid.cells != UNKNOWN
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     if not len(rows):
