@@ -16,8 +16,8 @@ from hypothesis import HealthCheck, settings
 
 from specmap_cli.core import plugins
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.records import Sweep
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps.store import StoredMap, read_map

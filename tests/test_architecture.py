@@ -172,9 +172,8 @@ def test_commands_import_what_is_heavy_only_when_they_run() -> None:
     light = (
         "cli",
         "core.errors",
-        "core.legible",
         "core.progress",
-        "core.shortage",
+        "core.text",
         "__version__",
     )
     wrong = []

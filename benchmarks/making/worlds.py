@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.tracks import path_length, travelled
+from specmap_cli.core.geometry import FloatArray, Pose2, path_length, travelled
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.simulation.lasers import Laser, OdometryErrors, drifting_odometry, laser_bearings
 from specmap_cli.simulation.simulator import SimulatedTour

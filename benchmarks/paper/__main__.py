@@ -21,7 +21,7 @@ from benchmarks.paper.cases import cases
 from benchmarks.paper.page import Done, render
 from benchmarks.paper.parts import PARTS, Part
 from benchmarks.paper.workshop import Workshop
-from specmap_cli.core.threads import one_blas_thread
+from specmap_cli.core.process import one_blas_thread
 
 _DEFAULT = Path("paper")
 

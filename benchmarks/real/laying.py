@@ -19,9 +19,8 @@ import numpy as np
 from scipy import fft
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, travelled
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.tracks import travelled
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.store import StoredMap
 

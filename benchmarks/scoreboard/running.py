@@ -21,7 +21,7 @@ from benchmarks.data import missing
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.digest import ROOT, digest
 from benchmarks.scoreboard.rows import Figure, Row, Section, figure
-from specmap_cli.core.threads import one_blas_thread
+from specmap_cli.core.process import one_blas_thread
 
 AT_ONCE = 3  # of two processors: one may wait for a map that another builds
 _POLL_S = 0.2

@@ -30,7 +30,7 @@ from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.pipelines.known_maps import align_maps
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import simulation_options
-from specmap_cli.topology.blocked import Crossing
+from specmap_cli.topology.differences import Crossing
 
 Box = tuple[float, float, float, float]  # left, low, right, high; metres of the plan, y up
 

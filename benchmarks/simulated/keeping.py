@@ -32,7 +32,7 @@ from specmap_cli.evaluation.trajectories import (
     relation_errors,
 )
 from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.topology.border_changes import BorderChange, border_changes
+from specmap_cli.topology.identity import BorderChange, border_changes
 
 Error = Callable[[Path], float]  # of the trajectory of a map, metres
 

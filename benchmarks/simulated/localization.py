@@ -23,9 +23,8 @@ from benchmarks.localized import HEADER, Localized, judged, localized, nearest, 
 from benchmarks.making.recordings import write
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figure, Figures, Row
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion, travelled
 from specmap_cli.core.records import IntArray, Sweep
-from specmap_cli.core.tracks import travelled
 from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.simulation.simulator import SimulatedTour, SimulationOptions, simulated_tour

@@ -1,28 +1,32 @@
-"""A whole batch: jobs, workers, what is told and written meanwhile, and the summaries."""
+"""A whole batch: which job is done when, what is told and written meanwhile, and the summaries.
+
+Long jobs are handed out first, those in want of memory last. A batch holds nothing that its death
+would lose, since each result lies in the output before it is told here.
+"""
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-from specmap_cli.batch.cluster import (
-    Place,
+from specmap_cli.batch.ledger import EventRecord, Ledger
+from specmap_cli.batch.outputs import taken, write_files
+from specmap_cli.batch.places import path_at
+from specmap_cli.batch.records import Job, JobRecord, Terms, Turn
+from specmap_cli.batch.running import may_retry
+from specmap_cli.batch.sources import bytes_of
+from specmap_cli.batch.summaries import summaries_of
+from specmap_cli.batch.workers import (
+    Cluster,
+    Workers,
     opened,
     processors,
     require_dask,
     share_of_memory_mb,
 )
-from specmap_cli.batch.crew import DaskCrew, Terms
-from specmap_cli.batch.digest import bytes_of
-from specmap_cli.batch.dispatch import longest_first, worked_off
-from specmap_cli.batch.events import EventRecord
-from specmap_cli.batch.ledger import Ledger
-from specmap_cli.batch.outputs import Journal, taken, write_summaries
-from specmap_cli.batch.places import absolute
-from specmap_cli.batch.records import Job
 from specmap_cli.core.errors import UsageError
 
 _SUMMARY_EVERY_S = 60.0  # while the batch runs; each costs about a second for 10,000 jobs
@@ -40,7 +44,7 @@ class Listener:
 def run_batch(
     jobs: Sequence[Job],
     terms: Terms,
-    place: Place = Place(),
+    cluster: Cluster = Cluster(),
     retries: int = 1,
     listener: Listener = Listener(),
 ) -> Ledger:
@@ -52,64 +56,103 @@ def run_batch(
     if not jobs:
         raise UsageError("no logs: name a recording, a directory, a pattern or a file of jobs")
     require_dask()
-    terms = _with_memory(replace(terms, output=absolute(terms.output)), place)
-    sizes = sizes_of(jobs)
+    terms = _for_all_workers(terms, cluster)
+    with ThreadPoolExecutor(_ASKERS) as askers:
+        sizes = dict(zip((job.name for job in jobs), askers.map(bytes_of, jobs), strict=True))
     ledger = Ledger(jobs, sizes)
-    with taken(terms.output) as journal:
-        _work(longest_first(jobs, sizes), ledger, terms, place, retries, listener, journal)
+    with taken(terms.output) as write:
+
+        def note(event: EventRecord | None) -> None:
+            if event is not None:
+                write(event.line())
+                listener.tell(event)
+
+        note(ledger.began())
+        with opened(cluster) as client:
+            try:
+                written = time.monotonic()
+                with Workers(client, terms) as workers:
+                    for event in work_off(longest_first(jobs, sizes), workers, retries, ledger):
+                        note(event)
+                        listener.show(ledger)
+                        if time.monotonic() - written > _SUMMARY_EVERY_S:
+                            _write_summaries(terms.output, ledger)
+                            written = time.monotonic()
+            finally:  # however it ends, once there are workers
+                _write_summaries(terms.output, ledger)
+        note(ledger.ended())
     return ledger
 
 
-def sizes_of(jobs: Sequence[Job]) -> Mapping[str, int]:
-    """The bytes of the logs of each job, by its name."""
-    with ThreadPoolExecutor(_ASKERS) as askers:
-        return dict(zip((job.name for job in jobs), askers.map(bytes_of, jobs), strict=True))
+def longest_first(jobs: Sequence[Job], sizes: Mapping[str, int]) -> list[Job]:
+    """The jobs by the bytes of their logs, so that no long one is left when all others are done."""
+    return sorted(jobs, key=lambda job: (-sizes[job.name], job.name))
 
 
-def _work(
-    jobs: Sequence[Job],
-    ledger: Ledger,
-    terms: Terms,
-    place: Place,
-    retries: int,
-    listener: Listener,
-    journal: Journal,
-) -> None:
-    """Do the jobs, told of as they go; summed up however it ends, once there are workers."""
+def work_off(
+    jobs: Sequence[Job], workers: Workers, retries: int, ledger: Ledger
+) -> Iterator[EventRecord | None]:
+    """Do the jobs in their order, each tried `retries` times more where that may help.
 
-    def note(event: EventRecord) -> None:
-        journal.write(event)
-        listener.tell(event)
-
-    note(ledger.began())
-    written = time.monotonic()
-    with (
-        opened(place) as client,
-        _summed_up(terms.output, ledger),
-        DaskCrew(client, terms) as crew,
-    ):
-        for happening in worked_off(jobs, crew, retries):
-            if event := ledger.heard(happening):
-                note(event)
-            listener.show(ledger)
-            if time.monotonic() - written > _SUMMARY_EVERY_S:
-                write_summaries(terms.output, ledger)
-                written = time.monotonic()
-    note(ledger.ended())
-
-
-@contextmanager
-def _summed_up(output: str, ledger: Ledger) -> Iterator[None]:
-    """The summaries are written when the block ends."""
-    try:
-        yield
-    finally:
-        write_summaries(output, ledger)
+    Yields what happens as it happens, and None while nothing does. Never more jobs are handed out
+    than there are workers: nothing queues up elsewhere.
+    """
+    waiting, alone = deque(Turn(job) for job in jobs), deque[Turn]()
+    running = 0
+    while waiting or running or alone:
+        if not waiting and not running:
+            waiting.append(alone.popleft())
+        for _ in range(min(len(waiting), workers.slots() - running)):
+            turn = waiting.popleft()
+            workers.submit(turn)
+            running += 1
+            yield ledger.started(turn)
+        ended = workers.next_result()
+        if ended is None:
+            yield ledger.waits(workers.slots())
+            continue
+        running -= 1
+        turn, result = ended
+        if result is None:  # the scheduler began anew: the job is handed out again
+            waiting.appendleft(turn)
+            continue
+        again = _next_turn(turn, result.record, workers, retries)
+        if again is None:
+            yield ledger.finished(result)
+            continue
+        (alone if again.alone and not turn.alone else waiting).append(again)
+        yield ledger.retried(result.record)
 
 
-def _with_memory(terms: Terms, place: Place) -> Terms:
-    """The work with a limit of memory: on this machine each worker has its share."""
-    if terms.limits.memory_mb is not None or place.scheduler is not None:
-        return terms
-    share = share_of_memory_mb(place.workers or processors())
-    return replace(terms, limits=replace(terms.limits, memory_mb=share))
+def _next_turn(turn: Turn, record: JobRecord, workers: Workers, retries: int) -> Turn | None:
+    """The next attempt at a job; None where there is to be none.
+
+    A job that wanted memory has one more if it can have more memory when it is alone.
+    """
+    if record.kind != "memory":
+        more = may_retry(record, retries + 1)
+        return Turn(turn.job, turn.attempt + 1, turn.alone) if more else None
+    had = record.limits.memory_mb
+    if turn.alone or had is None:
+        return None
+    most = workers.alone_mb()
+    if most is not None and most <= had:
+        return None
+    return Turn(turn.job, turn.attempt + 1, alone=True)
+
+
+def _write_summaries(output: str, ledger: Ledger) -> None:
+    write_files(output, summaries_of([job.name for job in ledger.jobs], ledger.results))
+
+
+def _for_all_workers(terms: Terms, cluster: Cluster) -> Terms:
+    """The same for workers in another directory, with a limit of memory.
+
+    On this machine each worker has its share; a URL is the same everywhere.
+    """
+    path, limits = path_at(terms.output), terms.limits
+    if limits.memory_mb is None and cluster.scheduler is None:
+        share = share_of_memory_mb(cluster.workers or processors())
+        limits = replace(limits, memory_mb=share)
+    output = terms.output if path is None else str(path.absolute())
+    return replace(terms, output=output, limits=limits)

@@ -14,12 +14,15 @@
     [job.options.build]                      # over those above, option by option
     seed = 3
 
-Paths are relative to the file.
+Paths are relative to the file. A job has a name that is safe as a folder anywhere, no other job's,
+and the same in the next batch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -27,13 +30,21 @@ from typing import Annotated, Any, cast
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from specmap_cli.batch.discovery import Found, logs_at
-from specmap_cli.batch.naming import Names
 from specmap_cli.batch.places import path_at
 from specmap_cli.batch.records import Command, Job, Plan
+from specmap_cli.batch.sources import Found, logs_at
 from specmap_cli.batch.steps import steps_of
 from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.toml import TomlFormat, UnfitError, unless
+
+# Files that a batch writes beside the folders of its jobs.
+BESIDE_JOBS = frozenset(
+    {"index.html", "events.jsonl", "junit.xml", "summary.csv", "summary.md", "summary.parquet"}
+)
+_UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
+_LONGEST = 80  # characters of a name made of that of a log
+_TAG = 8  # hexadecimal digits
 
 
 def jobs_of(inputs: Sequence[str], defaults: Plan | None = None) -> tuple[Job, ...]:
@@ -45,16 +56,59 @@ def jobs_of(inputs: Sequence[str], defaults: Plan | None = None) -> tuple[Job, .
     UsageError for what makes no jobs, and for a TOML file that says what cannot be.
     """
     plan = Plan() if defaults is None else defaults
-    names = Names()
+    names = _Names()
     files = [place for place in inputs if place.lower().endswith(".toml")]
     named = {place: _in_file(_local(place), plan, names) for place in dict.fromkeys(files)}
     jobs: list[Job] = []
-    seen: set[str] = set()
+    known: set[str] = set()  # logs that have a job already
     for place in dict.fromkeys(inputs):
-        jobs += named[place] if place in named else _plain(place, plan, names, seen)
+        if place in named:
+            jobs += named[place]
+            continue
+        steps = steps_of(plan, Path())
+        for found in logs_at(place):
+            if found.log not in known:
+                known.add(found.log)
+                jobs.append(Job(names.of_log(found), (found.log,), steps))
     if not jobs:
         raise UsageError("no job given: name a log, a directory, a pattern or a TOML file of jobs")
     return tuple(jobs)
+
+
+class _Names:
+    """The names that are taken. Upper and lower case count as the same, as on some systems."""
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set(BESIDE_JOBS)
+
+    def of_person(self, name: object, where: str) -> str:
+        """A name that a person chose. Raises UsageError when it is unsafe or taken."""
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise UsageError(
+                f"{where}name is {name!r:.60}: expected letters, digits, dots, dashes and "
+                "underscores, a letter or digit first: it names a folder"
+            )
+        if name.lower() in self._taken:
+            whose = "a file of the batch's" if name.lower() in BESIDE_JOBS else "another job's"
+            raise UsageError(f"{where}name: {name} is {whose}, too: choose another")
+        self._taken.add(name.lower())
+        return name
+
+    def of_log(self, found: Found) -> str:
+        """A name made of that of a log, which is `a/b` for one in a directory.
+
+        A second one of the same name gets a tag made of its path, so that it is the same in the
+        next batch, whichever logs came to it.
+        """
+        safe = _UNSAFE.sub("_", found.name.replace("/", "-")).strip(".-_")[:_LONGEST] or "log"
+        if safe.lower() in self._taken:
+            path = found.log.encode("utf-8", "replace")
+            safe = f"{safe}-{hashlib.sha256(path).hexdigest()[:_TAG]}"
+        number, unique = 2, safe
+        while unique.lower() in self._taken:
+            unique, number = f"{safe}-{number}", number + 1
+        self._taken.add(unique.lower())
+        return unique
 
 
 def _local(place: str) -> Path:
@@ -62,15 +116,6 @@ def _local(place: str) -> Path:
     if path is None:
         raise UsageError(f"{place}: a file of jobs must be on this machine: copy it here")
     return path
-
-
-def _plain(place: str, plan: Plan, names: Names, seen: set[str]) -> Iterator[Job]:
-    """A job for each recording that a place stands for; none for one that has a job already."""
-    steps = steps_of(plan, Path())
-    for found in logs_at(place):
-        if found.log not in seen:
-            seen.add(found.log)
-            yield Job(names.of_log(found.name, found.log), (found.log,), steps)
 
 
 def _are(kind: type, value: Any) -> bool:
@@ -124,7 +169,7 @@ _FILE: TomlFormat[_File] = TomlFormat(model=_File, error=partial(UsageError, cod
 _JOB: TomlFormat[_JobTable] = TomlFormat(model=_JobTable, error=UsageError)
 
 
-def _in_file(path: Path, defaults: Plan, names: Names) -> list[Job]:
+def _in_file(path: Path, defaults: Plan, names: _Names) -> list[Job]:
     """The jobs of a file; where it is silent, `defaults` hold."""
     file = _FILE.read(path)
     try:
@@ -134,50 +179,37 @@ def _in_file(path: Path, defaults: Plan, names: Names) -> list[Job]:
         raise
 
 
-def _jobs(file: _File, path: Path, defaults: Plan, names: Names) -> list[Job]:
-    where = f"{path}: "
+def _jobs(file: _File, path: Path, defaults: Plan, names: _Names) -> list[Job]:
+    """The jobs of the logs of the whole file, then those of its tables."""
+    where, base = f"{path}: ", path.parent
     plan = _plan(file, defaults)
-    places = [f"{where}{_place(table, number)}" for number, table in enumerate(file.job)]
+    places = [f"{where}{_title(table, number)}: " for number, table in enumerate(file.job, 1)]
     tables = [_JOB.value(table, place) for table, place in zip(file.job, places, strict=True)]
-    chosen = [_name(table, names, place) for table, place in zip(tables, places, strict=True)]
-    jobs = list(_each(file.logs, path.parent, plan, names, where)) if file.logs else []
+    # names that a person gave are taken before any is made of a log
+    chosen = [
+        None if table.name is None else names.of_person(table.name, place)
+        for table, place in zip(tables, places, strict=True)
+    ]
+    jobs: list[Job] = []
+    if file.logs:
+        steps = steps_of(plan, base, where)
+        for found in _logs(file.logs, base, where):
+            jobs.append(Job(names.of_log(found), (found.log,), steps))
     for table, name, place in zip(tables, chosen, places, strict=True):
-        jobs.append(_job(table, name, path.parent, plan, names, place))
+        if table.logs is None:
+            raise UsageError(f'{place}logs: missing: say which, such as logs = ["lobby.mcap"]')
+        logs = _logs(table.logs, base, place)  # all are one recording
+        steps = steps_of(_plan(table, plan), base, place)
+        jobs.append(Job(name or names.of_log(logs[0]), tuple(each.log for each in logs), steps))
     if not jobs:
         raise UsageError(f"{where}no jobs: give logs = [...], or tables [[job]] with logs")
     return jobs
 
 
-def _place(table: Mapping[str, Any], number: int) -> str:
+def _title(table: Mapping[str, Any], number: int) -> str:
     """Which [[job]] it is."""
     name = table.get("name")
-    return f"job {number + 1}{f' ({name})' if isinstance(name, str) else ''}: "
-
-
-def _name(table: _JobTable, names: Names, where: str) -> str | None:
-    """The name that a person gave; those of all jobs are taken before any is made."""
-    return None if table.name is None else names.of_person(table.name, where)
-
-
-def _each(
-    places: tuple[str, ...], base: Path, plan: Plan, names: Names, where: str
-) -> Iterator[Job]:
-    """A job for each log of the whole file."""
-    steps = steps_of(plan, base, where)
-    for found in _logs(places, base, where):
-        yield Job(names.of_log(found.name, found.log), (found.log,), steps)
-
-
-def _job(
-    table: _JobTable, name: str | None, base: Path, plan: Plan, names: Names, where: str
-) -> Job:
-    """One job; all its logs are one recording."""
-    if table.logs is None:
-        raise UsageError(f'{where}logs: missing: say which, such as logs = ["lobby.mcap"]')
-    found = _logs(table.logs, base, where)
-    steps = steps_of(_plan(table, plan), base, where)
-    logs = tuple(each.log for each in found)
-    return Job(name or names.of_log(found[0].name, found[0].log), logs, steps)
+    return f"job {number}{f' ({name})' if isinstance(name, str) else ''}"
 
 
 def _logs(places: tuple[str, ...], base: Path, where: str) -> list[Found]:

@@ -1,27 +1,74 @@
-"""How far a batch has come: what is known of each job, and the events that it makes."""
+"""How far a batch has come: what is known of each job, and the events that are told meanwhile.
+
+An event is a line of JSON. `EventRecord` is its format; `batch.schema.json` beside this file is the
+same as JSON Schema, for other tools. After a change of the model,
+`python -m specmap_cli.batch.ledger` prints the new one.
+"""
 
 from __future__ import annotations
 
+import json
+import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Literal
 
-from specmap_cli.batch.dispatch import Finished, Happening, Quiet, Retried, Started
-from specmap_cli.batch.events import Event, EventRecord
-from specmap_cli.batch.records import Job, JobResult
-from specmap_cli.batch.tables import Row, row_of
+from pydantic import Field
+
+from specmap_cli.batch.records import Job, JobRecord, JobResult, Kind, Turn
+from specmap_cli.core.json_values import Record
+from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.core.text import counted
 from specmap_cli.report.words import lasting
 
+SCHEMA_VERSION = 1
+
+# What happens:
+#   began    the batch, with so many jobs
+#   started  a job was handed to a worker
+#   resumed  the result of a job was there already, and is as good as a new one
+#   retried  an attempt failed; the job will be tried again
+#   done     a job has a result
+#   failed   a job has none, and will not be tried again
+#   stranded no worker is left of a scheduler; the batch waits until one comes
+#   ended    the batch: every job is done or failed
+Event = Literal["began", "started", "resumed", "retried", "done", "failed", "stranded", "ended"]
+
+
+class EventRecord(Record):
+    """One line."""
+
+    schema_version: Literal[1] = Field(default=1, description="the version of this format")
+    event: Event = Field(description="what happened")
+    time_utc: str = Field(description="when, ISO 8601")
+    job: str | None = Field(default=None, description="name of the job; null: of the whole batch")
+    attempt: int | None = Field(default=None, description="which attempt at the job, from 1")
+    state: Literal["done", "failed"] | None = Field(
+        default=None, description="how the attempt ended; null where it did not"
+    )
+    kind: Kind | None = Field(default=None, description="what kind of failure")
+    reason: str | None = Field(default=None, description="why it failed or waits, in a line")
+    verdict: str | None = Field(default=None, description="on the map: good, doubtful or poor")
+    scans: int | None = Field(default=None, description="scans that were read")
+    wall_s: float | None = Field(default=None, description="seconds that the attempt took")
+    jobs: int = Field(description="jobs of the batch")
+    done: int = Field(description="jobs that are done by now")
+    failed: int = Field(description="jobs that failed by now")
+
+    def line(self) -> str:
+        """The event as one line of JSON, with its line break."""
+        return json.dumps(self.model_dump(), sort_keys=True, ensure_ascii=True) + "\n"
+
 
 class Ledger:
-    """The results of a batch so far. It is told what happens, in order."""
+    """What came of the jobs of a batch so far. It is told what happens, in order."""
 
     def __init__(self, jobs: Sequence[Job], sizes: Mapping[str, int]) -> None:
-        self.results: dict[str, JobResult] = {}
+        self.results: dict[str, JobRecord] = {}
         self.jobs = tuple(jobs)
+        self.resumed = 0  # results that were there already
         self._sizes = sizes
         self._began = time.monotonic()
         self._bytes, self._scans = 0, 0
@@ -38,34 +85,40 @@ class Ledger:
         """How many jobs failed and will not be tried again."""
         return self._states["failed"]
 
-    def rows(self) -> list[Row]:
-        """A row of the summary for each job, in order of names."""
-        names = sorted(job.name for job in self.jobs)
-        return [row_of(name, self.results.get(name)) for name in names]
-
     def began(self) -> EventRecord:
-        """The event that the batch began."""
+        """The batch begins."""
         return self._event("began")
 
     def ended(self) -> EventRecord:
-        """The event that the batch ended."""
+        """The batch has ended."""
         return self._event("ended")
 
-    def heard(self, happening: Happening) -> EventRecord | None:
-        """Take down what happened; returns the event that it makes, if it makes one."""
-        if isinstance(happening, Quiet):
-            return self._still(happening)
+    def started(self, turn: Turn) -> EventRecord:
+        """A job was handed to a worker."""
         self._stranded = False
-        if isinstance(happening, Started):
-            turn = happening.turn
-            return self._event("started", turn.job.name, attempt=turn.attempt)
-        if isinstance(happening, Retried):
-            return self._told("retried", happening.result)
-        return self._finished(happening)
+        return self._event("started", turn.job.name, attempt=turn.attempt)
 
-    def _still(self, quiet: Quiet) -> EventRecord | None:
-        """Nothing happened: an event when that is for want of workers, one for each time."""
-        before, self._stranded = self._stranded, quiet.slots == 0
+    def retried(self, record: JobRecord) -> EventRecord:
+        """An attempt failed, and the job will be tried again."""
+        self._stranded = False
+        return self._told("retried", record)
+
+    def finished(self, result: JobResult) -> EventRecord:
+        """A job has come to its end."""
+        self._stranded = False
+        record = result.record
+        self.results[record.name] = record
+        self._states[record.state] += 1
+        if result.resumed:
+            self.resumed += 1
+            return self._told("resumed", record)
+        self._bytes += self._sizes[record.name]
+        self._scans += _scans(record) or 0
+        return self._told(record.state, record)
+
+    def waits(self, slots: int) -> EventRecord | None:
+        """Nothing happened for a while: an event, once, when that is for want of workers."""
+        before, self._stranded = self._stranded, slots == 0
         if before or not self._stranded:
             return None
         return self._event("stranded", reason="no worker is left: the batch waits for one")
@@ -78,37 +131,24 @@ class Ledger:
         elapsed = time.monotonic() - self._began
         if self._scans:
             said.append(f"{self._scans / elapsed:,.0f} scans/s")
-        if left := self._left(elapsed):
-            said.append(f"{lasting(left)} left")
+        # by the bytes of the logs: long ones come first
+        left = sum(self._sizes[job.name] for job in self.jobs if job.name not in self.results)
+        if self._bytes and left:
+            said.append(f"{lasting(elapsed * left / self._bytes)} left")
         return ", ".join(said)
 
-    def _left(self, elapsed: float) -> float | None:
-        """Seconds until the end, by the bytes of the logs: long ones come first."""
-        open_ = sum(self._sizes[job.name] for job in self.jobs if job.name not in self.results)
-        return elapsed * open_ / self._bytes if self._bytes else None
-
-    def _finished(self, happening: Finished) -> EventRecord:
-        result = happening.result
-        self.results[result.name] = result
-        self._states[result.state] += 1
-        if result.resumed:
-            return self._told("resumed", result)
-        self._bytes += self._sizes[result.name]
-        self._scans += int(_scans(result) or 0)
-        return self._told("done" if result.state == "done" else "failed", result)
-
-    def _told(self, event: Event, result: JobResult) -> EventRecord:
-        verdict = result.figures.get("verdict")
+    def _told(self, event: Event, record: JobRecord) -> EventRecord:
+        verdict = record.figures.get("verdict")
         return self._event(
             event,
-            result.name,
-            attempt=result.attempts,
-            state=result.state,
-            kind=result.kind,
-            reason=result.reason,
+            record.name,
+            attempt=record.attempts,
+            state=record.state,
+            kind=record.kind,
+            reason=record.reason,
             verdict=None if verdict is None else str(verdict),
-            scans=_scans(result),
-            wall_s=round(result.wall_s, 3),
+            scans=_scans(record),
+            wall_s=round(record.wall_s, 3),
         )
 
     def _event(self, event: Event, job: str | None = None, **more: Any) -> EventRecord:
@@ -123,6 +163,12 @@ class Ledger:
         )
 
 
-def _scans(result: JobResult) -> int | None:
-    scans = result.figures.get("scans")
+def _scans(record: JobRecord) -> int | None:
+    scans = record.figures.get("scans")
     return int(scans) if isinstance(scans, int | float) else None
+
+
+SCHEMA = ModelSchema(EventRecord, "batch", SCHEMA_VERSION, "specmap batch --json: one line")
+
+if __name__ == "__main__":
+    sys.stdout.write(SCHEMA.text())

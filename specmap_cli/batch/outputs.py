@@ -1,46 +1,206 @@
-"""What a batch writes beside the folders of its jobs: summaries, index, the journal of events."""
+"""What a batch leaves in its output, on this machine or in a store.
+
+That is a folder for each job, which is complete or not there, and beside them the summaries, the
+index page and the journal of events.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Protocol, TextIO
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
 
-from specmap_cli.batch.events import EventRecord
-from specmap_cli.batch.index import as_html
-from specmap_cli.batch.ledger import Ledger
+from pydantic import ValidationError
+
 from specmap_cli.batch.places import path_at, reaching, store_at
-from specmap_cli.batch.tables import as_csv, as_junit, as_markdown, as_parquet
-from specmap_cli.core.errors import UsageError
-from specmap_cli.core.files import write_together
-from specmap_cli.core.locks import lock
-from specmap_cli.core.shortage import reason
+from specmap_cli.batch.records import JobRecord
+from specmap_cli.batch.steps import JOB, MAP
+from specmap_cli.core.errors import UsageError, reason
+from specmap_cli.core.files import lock, read_bytes, write_together
+from specmap_cli.core.text import to_json
+from specmap_cli.maps import filenames
+from specmap_cli.maps.directory import OutputDirectory
 
-SUMMARIES = {
-    "summary.csv": as_csv,
-    "summary.parquet": as_parquet,
-    "summary.md": as_markdown,
-    "junit.xml": as_junit,
-}
-INDEX, JOURNAL, LOCK = "index.html", "events.jsonl", ".specmap-batch.lock"
-
-
-class Journal(Protocol):
-    """Keeps the events of a batch."""
-
-    def write(self, event: EventRecord) -> None:
-        """Keep one more."""
+_JOURNAL, _LOCK = "events.jsonl", ".specmap-batch.lock"
+_EDITS = f"{MAP}/{filenames.EDITS}"
+_MOST_MB = 16.0  # of a job.json: some hundred thousand files
+_FLAT = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "memory"}  # without directories
+_BEGUN = "job.begun"  # lies in a folder of a store while it is written
 
 
-def write_summaries(output: str, ledger: Ledger) -> None:
-    """Write all summaries anew, each complete or not at all.
+class Folder:
+    """Where the result of one job is kept: a directory here, or a folder of a store."""
+
+    def __init__(self, place: str) -> None:
+        self.place = place
+
+    def stored(self) -> JobRecord | None:
+        """The record of a complete result, None when there is none.
+
+        Complete: all files are there as it says; those of a map that was edited since may differ.
+        """
+        record, sizes = self._found()
+        if record is None:
+            return None
+        edited = _is_edited(record, sizes)
+        complete = all(
+            sizes.get(name) == size or (edited and name in sizes and name.startswith(f"{MAP}/"))
+            for name, size in record.files.items()
+        )
+        return record if complete else None
+
+    def edited(self) -> str | None:
+        """Where a person's decisions about the map lie that are not of the job; None for none."""
+        record, sizes = self._found()
+        return None if record is None or not _is_edited(record, sizes) else f"{self.place}/{_EDITS}"
+
+    def fresh(self, scratch: Path) -> AbstractContextManager[Path]:
+        """A directory to write a new result into; it takes its place when the block ends well.
+
+        Raises UsageError when something else lies there, PlaceError for a store out of reach.
+        """
+        raise NotImplementedError
+
+    def _read(self) -> tuple[bytes, Mapping[str, int]] | None:
+        """What job.json holds, and the files beside it in bytes; None where there is none."""
+        raise NotImplementedError
+
+    def _found(self) -> tuple[JobRecord | None, Mapping[str, int]]:
+        """The record that lies there and the files beside it in bytes; None for what is none."""
+        found = self._read()
+        if found is None:
+            return None, {}
+        try:
+            return JobRecord.model_validate_json(found[0]), found[1]
+        except ValidationError:
+            return None, {}
+
+
+def folder_at(output: str, name: str) -> Folder:
+    """The folder of the job `name` in an output directory, a path or a URL."""
+    path = path_at(output)
+    return _InStore(f"{output.rstrip('/')}/{name}") if path is None else _Here(path / name)
+
+
+def files_in(directory: Path) -> dict[str, int]:
+    """The files below a directory and their bytes; without job.json."""
+    found = {
+        path.relative_to(directory).as_posix(): path.stat().st_size
+        for path in sorted(directory.rglob("*"))
+        if path.is_file()
+    }
+    found.pop(JOB, None)
+    return found
+
+
+def write_record(directory: Path, record: JobRecord) -> None:
+    """Write job.json."""
+    (directory / JOB).write_text(to_json(record.model_dump()), encoding="utf-8")
+
+
+def _is_edited(record: JobRecord, sizes: Mapping[str, int]) -> bool:
+    """Whether a person decided about the map since the job made it: `specmap edit`."""
+    return _EDITS in sizes and sizes[_EDITS] != record.files.get(_EDITS)
+
+
+class _Here(Folder):
+    """A folder on this machine: a hidden sibling is renamed when it is complete."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(str(path))
+        self._path = path
+
+    def _read(self) -> tuple[bytes, Mapping[str, int]] | None:
+        try:
+            return read_bytes(self._path / JOB, _MOST_MB), files_in(self._path)
+        except OSError:
+            return None
+
+    @contextmanager
+    def fresh(self, scratch: Path) -> Iterator[Path]:
+        """A new result beside the old one, which goes when it is complete."""
+        del scratch  # a rename needs the same file system
+        with OutputDirectory(self._path, overwrite=True, marker=JOB) as directory:
+            yield directory
+
+
+class _InStore(Folder):
+    """A folder in a store, where nothing can be renamed: job.json goes first and comes last."""
+
+    def __init__(self, url: str) -> None:
+        super().__init__(url)
+        self._system, self._root = store_at(url)
+
+    def _read(self) -> tuple[bytes, Mapping[str, int]] | None:
+        sizes = self._sizes()
+        if JOB not in sizes or sizes[JOB] > _MOST_MB * 1e6:
+            return None
+        with reaching(self.place):
+            return self._system.cat_file(self._at(JOB)), sizes
+
+    @contextmanager
+    def fresh(self, scratch: Path) -> Iterator[Path]:
+        """A directory in the scratch, copied to the store when it is complete."""
+        present = self._sizes()
+        if present and not {JOB, _BEGUN} & set(present):
+            raise UsageError(
+                f"{self.place}: is not empty and holds no earlier result (no {JOB} in it): "
+                "choose another output directory"
+            )
+        directory = scratch / "result"
+        directory.mkdir()
+        yield directory
+        with reaching(self.place):
+            self._replace(directory)
+
+    def _replace(self, directory: Path) -> None:
+        """Old away, new in; whenever this is cut off, there is no job.json or a complete result."""
+        system: Any = self._system
+        present = self._sizes()
+        self._make(self._root)
+        system.pipe_file(self._at(_BEGUN), b"")
+        if JOB in present:
+            system.rm_file(self._at(JOB))
+        for name in sorted(set(present) - {JOB, _BEGUN}):
+            system.rm_file(self._at(name))
+        made = {self._root}
+        for name in [*files_in(directory), JOB]:
+            parent = self._at(name).rsplit("/", 1)[0]
+            if parent not in made:
+                self._make(parent)
+                made.add(parent)
+            system.put_file(str(directory / name), self._at(name))
+        system.rm_file(self._at(_BEGUN))
+
+    def _make(self, directory: str) -> None:
+        """Make a directory where files need one; elsewhere it could only make a whole bucket."""
+        spoken = self._system.protocol
+        if _FLAT.isdisjoint([spoken] if isinstance(spoken, str) else spoken):
+            self._system.makedirs(directory, exist_ok=True)
+
+    def _sizes(self) -> dict[str, int]:
+        """The files in the folder and their bytes."""
+        with reaching(self.place):
+            self._system.invalidate_cache()
+            try:
+                found = self._system.find(self._root, detail=True)
+            except FileNotFoundError:
+                return {}
+        return {
+            path.removeprefix(self._root).lstrip("/"): info["size"] for path, info in found.items()
+        }
+
+    def _at(self, name: str) -> str:
+        return f"{self._root.rstrip('/')}/{name}"
+
+
+def write_files(output: str, contents: Mapping[str, bytes]) -> None:
+    """Write files beside the folders of the jobs anew, each complete or not at all.
 
     Raises UsageError or PlaceError where they cannot be written.
     """
-    rows = ledger.rows()
-    contents = {name: made(rows) for name, made in SUMMARIES.items()}
-    contents[INDEX] = as_html(rows, ledger.results)
     directory = path_at(output)
     if directory is not None:
         write_together({directory / name: data for name, data in contents.items()})
@@ -52,21 +212,24 @@ def write_summaries(output: str, ledger: Ledger) -> None:
 
 
 @contextmanager
-def taken(output: str) -> Iterator[Journal]:
-    """The output of a batch made ready, and its journal; nobody else's while the block lasts.
+def taken(output: str) -> Iterator[Callable[[str], object]]:
+    """The output of a batch made ready, nobody else's while the block lasts; what keeps a line.
 
-    A directory of this machine is made where there is none, and held by a lock. A store has no
-    locks; there the journal is written when the block ends. Raises UsageError for a directory that
-    another batch holds or that cannot be made.
+    The lines are those of the journal of events. A directory of this machine is made where there is
+    none, and held by a lock. A store has no locks; there the journal is written when the block
+    ends. Raises UsageError for a directory that another batch holds or that cannot be made.
     """
     directory = path_at(output)
-    if directory is None:
-        with _in_store(output) as journal:
-            yield journal
-        return
+    with _taken_in_store(output) if directory is None else _taken_here(directory) as write:
+        yield write
+
+
+@contextmanager
+def _taken_here(directory: Path) -> Iterator[Callable[[str], object]]:
+    """Each line is in the journal as soon as it is written."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        holder = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        holder = os.open(directory / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
         why = reason(error, "choose another place")
         raise UsageError(f"{directory}: cannot be written: {why}") from None
@@ -76,48 +239,26 @@ def taken(output: str) -> Iterator[Journal]:
                 f"{directory}: another batch is writing there: wait for it, or choose another "
                 "directory"
             )
-        with (directory / JOURNAL).open("a", encoding="utf-8") as file:
-            yield _Appended(file)
+        with (directory / _JOURNAL).open("a", buffering=1, encoding="utf-8") as file:
+            yield file.write
     finally:
         os.close(holder)
 
 
-class _Appended:
-    """A journal in a file; each line is there as soon as it is written."""
-
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-
-    def write(self, event: EventRecord) -> None:
-        """Append a line."""
-        self._file.write(event.line())
-        self._file.flush()
-
-
-class _Gathered:
-    """A journal in memory."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def write(self, event: EventRecord) -> None:
-        """Keep a line."""
-        self.lines.append(event.line())
-
-
 @contextmanager
-def _in_store(output: str) -> Iterator[Journal]:
+def _taken_in_store(output: str) -> Iterator[Callable[[str], object]]:
     """A journal that goes to a store at the end, after the lines that are there.
 
     It is written once before: whether the store lets us write is told before any job is done.
     """
-    journal, (system, root) = _Gathered(), store_at(output)
-    place = f"{root}/{JOURNAL}"
+    lines: list[str] = []
+    system, root = store_at(output)
+    journal = f"{root}/{_JOURNAL}"
     with reaching(output):
-        before = system.cat_file(place) if system.exists(place) else b""
-        system.pipe_file(place, before)
+        before = system.cat_file(journal) if system.exists(journal) else b""
+        system.pipe_file(journal, before)
     try:
-        yield journal
+        yield lines.append
     finally:
         with reaching(output):
-            system.pipe_file(place, before + "".join(journal.lines).encode())
+            system.pipe_file(journal, before + "".join(lines).encode())

@@ -1,17 +1,25 @@
-"""Where logs are and where results go: paths of this machine, and stores that fsspec knows."""
+"""Places of files: paths of this machine, stores that fsspec knows, and temporary directories."""
 
 from __future__ import annotations
 
+import errno
+import os
 import re
+import shutil
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError
+from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError, reason
+from specmap_cli.core.files import lock
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)(://|::)")
 _LOCAL = ("file://", "local://")
+_SCRATCH = "specmap-job-"
+_OURS = re.compile(_SCRATCH + "[0-9a-f]{8}")
+_TRIES = 5  # to have a temporary directory that nobody sweeps away
 
 
 class PlaceError(SpecmapError):
@@ -27,12 +35,6 @@ def path_at(place: str) -> Path | None:
         if place.startswith(scheme):
             return Path(place.removeprefix(scheme))
     return None if _SCHEME.match(place) else Path(place)
-
-
-def absolute(place: str) -> str:
-    """The same place for a worker in another directory: an absolute path, or a URL as it is."""
-    path = path_at(place)
-    return place if path is None else str(path.absolute())
 
 
 def store_at(url: str) -> tuple[Any, str]:
@@ -56,9 +58,9 @@ def store_at(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def reaching(url: str) -> Iterator[None]:
-    """A block that speaks with a store: whatever it raises is a PlaceError, and a missing file.
+    """A block that speaks with a store: whatever it raises is a PlaceError.
 
-    Raises FileNotFoundError as it is.
+    Raises FileNotFoundError and errors of our own as they are.
     """
     try:
         yield
@@ -67,3 +69,58 @@ def reaching(url: str) -> Iterator[None]:
     except Exception as error:  # any of any store's library: they have no class in common
         said = " ".join(str(error).split()) or type(error).__name__
         raise PlaceError(f"{url}: cannot be reached or used: {said:.300}") from error
+
+
+@contextmanager
+def scratch_directory(root: str | None) -> Iterator[Path]:
+    """A directory of its own below `root` (None: that of the system), removed after the block.
+
+    Those that killed runs left there are removed before: no living run holds a lock on them.
+    Raises PlaceError when there can be none.
+    """
+    parent = Path(root or tempfile.gettempdir())
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        _sweep(parent)
+        directory, descriptor = _locked(parent)
+    except OSError as error:
+        why = reason(error, "choose another scratch directory")
+        raise PlaceError(f"{parent}: no temporary files can be made there: {why}") from None
+    try:
+        yield directory
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
+        os.close(descriptor)
+
+
+def _locked(parent: Path) -> tuple[Path, int]:
+    """A new directory and the descriptor that holds its lock.
+
+    Between the two, another run may have taken the directory for one that nobody has: it holds the
+    lock until the directory is gone. Where no lock can be had at all, nobody sweeps either.
+    """
+    for left in reversed(range(_TRIES)):
+        directory = parent / f"{_SCRATCH}{os.urandom(4).hex()}"
+        directory.mkdir(mode=0o700)
+        with suppress(FileNotFoundError):
+            descriptor = os.open(directory, os.O_RDONLY)
+            if (lock(descriptor) or not left) and os.path.lexists(directory):
+                return directory, descriptor
+            os.close(descriptor)
+        with suppress(OSError):
+            directory.rmdir()
+    raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN), str(parent))
+
+
+def _sweep(parent: Path) -> None:
+    """Remove what killed runs left."""
+    for path in list(parent.iterdir()):
+        if not _OURS.fullmatch(path.name) or path.is_symlink():
+            continue
+        with suppress(OSError):
+            descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                if lock(descriptor):
+                    shutil.rmtree(path, ignore_errors=True)
+            finally:
+                os.close(descriptor)

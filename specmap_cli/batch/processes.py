@@ -1,7 +1,9 @@
-"""A process that is watched: its memory, its time, and that nothing of it is left."""
+"""One step of a job as a process: watched while it runs, and judged by how it ended."""
 
 from __future__ import annotations
 
+import errno
+import json
 import os
 import signal
 import subprocess
@@ -12,14 +14,43 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import IO, Literal
+from typing import IO, Any, Literal
 
-from specmap_cli.batch import tether
-from specmap_cli.core.errors import PACKAGE, UsageError
+from specmap_cli.batch.records import Kind, Limits, Step, StepOutcome
+from specmap_cli.core.errors import BROKEN_RULE, MACHINE, MEMORY, PACKAGE, UsageError
+from specmap_cli.core.text import legible
 
 _LOOK_S = 0.05  # how often memory and time are looked at: some 20 microseconds each
-_KIN_S = 1.0  # how often its children are looked for, which takes longer
+_CHILDREN_S = 1.0  # how often its children are looked for, which takes longer
 _BYTES_PER_MB = 1e6
+# Run by Python as PARENT COMMAND...: it becomes the command, which on Linux dies with the process
+# PARENT, however that one ends. It imports nothing of ours, so that it costs some milliseconds.
+_TIED_TO_PARENT = """
+import ctypes, os, signal, sys
+parent, *command = sys.argv[1:]
+if sys.platform == "linux":
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+    if os.getppid() != int(parent):  # it died before it could be told
+        raise SystemExit(1)
+os.execv(command[0], command)
+"""
+_BY_CODE: Mapping[int, Kind] = {
+    1: "bug",
+    2: "settings",
+    3: "log",
+    4: "no-result",
+    BROKEN_RULE: "rule",
+    128 + signal.SIGINT: "worker",
+    128 + signal.SIGTERM: "worker",
+    -signal.SIGINT: "worker",
+    -signal.SIGTERM: "worker",
+    -signal.SIGKILL: "memory",
+}
+# Codes of errors that mean more than the exit code, and what the system says of a disk.
+_BY_WORD: Mapping[str, Kind] = {MEMORY: "memory", MACHINE: "place"}
+_NO_PLACE = tuple(os.strerror(one) for one in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS))
+_MOST_CHARACTERS = 1000  # of a reason
+_MOST_WARNINGS = 20  # of a step; log.txt has them all
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,21 +71,16 @@ class GivenUpError(Exception):
     """Nobody wants the result of the process any more."""
 
 
-def always() -> bool:
-    """Whether the result is still wanted: it is."""
-    return True
-
-
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Most megabytes of the process with its children, and when it must end (`time.monotonic`).
+    """The limits of a job, the end of its time (`time.monotonic`), and whether it is still wanted.
 
-    `wanted` says whether anybody still waits for it; it is asked often.
+    `wanted` is asked often.
     """
 
-    memory_mb: float | None = None
-    deadline: float | None = None
-    wanted: Callable[[], bool] = always
+    limits: Limits
+    deadline: float
+    wanted: Callable[[], bool]
 
 
 def run_process(
@@ -73,7 +99,7 @@ def run_process(
     _need_psutil()
     began = time.monotonic()
     process = subprocess.Popen(
-        [sys.executable, "-I", "-S", tether.__file__, str(os.getpid()), *command],
+        [sys.executable, "-I", "-S", "-c", _TIED_TO_PARENT, str(os.getpid()), *command],
         cwd=folder,
         stdin=subprocess.DEVNULL,
         stdout=stdout,
@@ -98,20 +124,6 @@ def run_process(
     )
 
 
-def _watched(tree: _Tree, bounds: Bounds) -> Literal["memory", "time"] | None:
-    """Wait until the process ends or breaks a bound: which one."""
-    while not _has_ended(tree.pid):
-        held = tree.look()
-        if bounds.memory_mb is not None and held > bounds.memory_mb:
-            return "memory"
-        if bounds.deadline is not None and time.monotonic() > bounds.deadline:
-            return "time"
-        if not bounds.wanted():
-            raise GivenUpError
-        time.sleep(_LOOK_S)
-    return None
-
-
 def _need_psutil() -> None:
     try:
         import_module("psutil")
@@ -119,6 +131,20 @@ def _need_psutil() -> None:
         raise UsageError(
             "jobs need an extra: pip install 'specmap-cli[batch]'", code=PACKAGE
         ) from None
+
+
+def _watched(tree: _Tree, bounds: Bounds) -> Literal["memory", "time"] | None:
+    """Wait until the process ends or breaks a bound: which one."""
+    while not _has_ended(tree.pid):
+        held = tree.look()
+        if bounds.limits.memory_mb is not None and held > bounds.limits.memory_mb:
+            return "memory"
+        if time.monotonic() > bounds.deadline:
+            return "time"
+        if not bounds.wanted():
+            raise GivenUpError
+        time.sleep(_LOOK_S)
+    return None
 
 
 def _has_ended(pid: int) -> bool:
@@ -140,7 +166,7 @@ class _Tree:
 
     def look(self) -> float:
         """Megabytes now; those that have ended hold none."""
-        if time.monotonic() - self._looked > _KIN_S:
+        if time.monotonic() - self._looked > _CHILDREN_S:
             self._looked = time.monotonic()
             with suppress(self._gone):
                 self._members[1:] = self._members[0].children(recursive=True)
@@ -150,3 +176,107 @@ class _Tree:
                 held += member.memory_info().rss / _BYTES_PER_MB
         self.most_mb = max(self.most_mb, held)
         return held
+
+
+def judged(
+    step: Step,
+    ended: Ended,
+    answer: Path,
+    log: bytes,
+    limits: Limits,
+    places: Mapping[str, str],
+) -> tuple[StepOutcome, Kind | None]:
+    """What came of a step, and what kind of failure.
+
+    `answer` is the file of what it printed, `log` what it told besides. `places` has where each log
+    was fetched to: a person knows the log by its own name.
+    """
+    told = _answer(answer)
+    reason = None if ended.exit_code == 0 else _reason(step, ended, told, log, limits)
+    outcome = StepOutcome(
+        command=step.command,
+        exit_code=ended.exit_code,
+        wall_s=ended.wall_s,
+        cpu_s=ended.cpu_s,
+        memory_mb=ended.memory_mb,
+        reason=None if reason is None else _with_logs_named(reason, places),
+        warnings=tuple(_with_logs_named(each, places) for each in _warnings(told)),
+    )
+    return outcome, None if reason is None else _kind(ended, told, reason)
+
+
+def _answer(path: Path) -> dict[str, Any]:
+    """The object that a step printed; empty when it printed none."""
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return told if isinstance(told, dict) else {}
+
+
+def _part(told: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """An object in what a step printed; empty when there is none."""
+    found = told.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def _with_logs_named(text: str, places: Mapping[str, str]) -> str:
+    for log, path in places.items():
+        text = text.replace(path, log)
+    return text
+
+
+def _kind(ended: Ended, told: Mapping[str, Any], reason: str) -> Kind:
+    if ended.stopped is not None:
+        return ended.stopped
+    code = _part(told, "error").get("code")
+    if isinstance(code, str) and code in _BY_WORD:
+        return _BY_WORD[code]
+    if any(words in reason for words in _NO_PLACE):
+        return "place"
+    return _BY_CODE.get(ended.exit_code, "bug")
+
+
+def _reason(step: Step, ended: Ended, told: Mapping[str, Any], log: bytes, limits: Limits) -> str:
+    """Why a step failed, in a line."""
+    if ended.stopped == "memory":
+        return f"{step.command} needed more than {limits.memory_mb:,} MB of memory, the limit"
+    if ended.stopped == "time":
+        return f"the job took more than {limits.time_s:g} s, the limit; it was in {step.command}"
+    if ended.exit_code == BROKEN_RULE:
+        return _broken(step, told)
+    message = _part(told, "error").get("message")
+    if isinstance(message, str) and message:
+        return legible(message)[:_MOST_CHARACTERS]
+    if ended.exit_code == -signal.SIGKILL:
+        return f"{step.command} was killed, as a system does for want of memory"
+    if ended.exit_code < 0:
+        return f"{step.command} was ended by {_signal(-ended.exit_code)}"
+    lines = log.decode("utf-8", "backslashreplace").split("\n")
+    last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+    said = legible(last.removeprefix("specmap: error: "))[:_MOST_CHARACTERS]
+    return said or f"{step.command} ended with exit code {ended.exit_code}"
+
+
+def _broken(step: Step, told: Mapping[str, Any]) -> str:
+    """Which rules the map breaks."""
+    rules = told.get("rules")
+    if isinstance(rules, list):
+        broken = [str(rule.get("rule")) for rule in rules if not rule.get("passed")]
+        return legible(f"breaks {len(broken)} of {len(rules)} rules: {', '.join(broken)}")
+    verdict = _part(told, "quality").get("verdict", "doubtful or poor")
+    return f"{step.command}: the map is {verdict}"
+
+
+def _signal(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _warnings(told: Mapping[str, Any]) -> list[str]:
+    """What the step warned of, as it printed it."""
+    said = told.get("warnings")
+    texts = [each for each in said if isinstance(each, str)] if isinstance(said, list) else []
+    return [legible(each)[:_MOST_CHARACTERS] for each in texts[:_MOST_WARNINGS]]

@@ -11,10 +11,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from specmap_cli.core.json_values import Value
 from specmap_cli.core.schemas import ModelSchema
 
 SCHEMA_VERSION = 1
@@ -35,8 +36,6 @@ COMMANDS: tuple[Command, ...] = get_args(Command)
 Kind = Literal["log", "no-result", "rule", "settings", "memory", "time", "place", "worker", "bug"]
 
 OptionValue = str | int | float | bool | list[Any]
-
-
 Meaning = Literal["flag", "text", "input", "output"]
 
 
@@ -91,12 +90,36 @@ class Plan:
     known: Mapping[Command, Mapping[str, Option]] = field(default_factory=dict)
 
 
+# Megabytes at any time and seconds for all steps; what a job may use, and what it might.
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """What a job may use: megabytes at any time, seconds for all its steps; None: any."""
+class Limits(Value):
+    """The limits that held."""
 
-    memory_mb: int | None = None
-    time_s: float | None = None
+    memory_mb: Annotated[int | None, Field(description="megabytes; null: none")] = None
+    time_s: Annotated[float | None, Field(description="seconds; null: none")] = None
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What is the same for all jobs.
+
+    `output` is a directory or a URL of fsspec, `scratch` a directory for temporary files (None:
+    that of the system), `redo` whether results that are there are made again.
+    """
+
+    output: str
+    limits: Limits = field(default_factory=Limits)
+    scratch: str | None = None
+    redo: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """One attempt at a job; `alone`: nothing else runs, and it may use what all workers may."""
+
+    job: Job
+    attempt: int = 1
+    alone: bool = False
 
 
 class _Record(BaseModel):
@@ -125,13 +148,6 @@ class InputRecord(_Record):
     identity: str = Field(description="hash of what it was known by: see docs/batch.md")
 
 
-class LimitsRecord(_Record):
-    """The limits that held."""
-
-    memory_mb: int | None = Field(description="megabytes; null: none")
-    time_s: float | None = Field(description="seconds; null: none")
-
-
 class JobRecord(_Record):
     """The whole of job.json: a folder that has it holds a complete result."""
 
@@ -145,7 +161,7 @@ class JobRecord(_Record):
     kind: Kind | None = Field(description="what kind of failure; null where it is done")
     reason: str | None = Field(description="why it failed, in a line; null where it is done")
     attempts: int = Field(description="how many times it was tried, this time included")
-    limits: LimitsRecord = Field(description="the limits of the last attempt")
+    limits: Limits = Field(description="the limits of the last attempt")
     started_utc: str = Field(description="when the last attempt began, ISO 8601")
     wall_s: float = Field(description="seconds of the last attempt, fetching of logs included")
     cpu_s: float = Field(description="seconds of processor time of its steps")
@@ -158,15 +174,12 @@ class JobRecord(_Record):
     files: dict[str, int] = Field(description="the files of the result and their bytes")
 
 
-class JobResult(JobRecord):
+@dataclass(frozen=True, slots=True)
+class JobResult:
     """What a worker returns of a job: its record, and whether it was there already."""
 
+    record: JobRecord
     resumed: bool = False
-
-    @property
-    def record(self) -> JobRecord:
-        """What stands in the file."""
-        return JobRecord.model_validate(self.model_dump(exclude={"resumed"}))
 
 
 SCHEMA = ModelSchema(JobRecord, "job", SCHEMA_VERSION, "specmap batch: job.json")

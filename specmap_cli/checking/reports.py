@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 from specmap_cli.checking.record import CheckRecord, OutcomeRecord
 from specmap_cli.core import tables
-from specmap_cli.core.legible import legible
 from specmap_cli.core.tables import Case, markdown_table, markdown_text
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, legible
 
 _SIGNS = {"most": "<=", "least": ">="}
 

@@ -1,34 +1,15 @@
-"""The application and its commands."""
+"""The application and its commands; those that tell of the program itself are here."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from specmap_cli.cli import (
-    batch,
-    build,
-    check,
-    compare,
-    config,
-    convert,
-    edit,
-    evaluate,
-    export,
-    history,
-    info,
-    localize,
-    merge,
-    report,
-    schema,
-    segment,
-    simulate,
-    update,
-)
-from specmap_cli.cli.options import telling
-from specmap_cli.cli.typer_extras import JoinedCommand, unfolded
+from specmap_cli.cli import batch, edit, evaluate, making, maps, recordings
+from specmap_cli.cli.entry import print_text
+from specmap_cli.cli.options import Common, JoinedCommand, Settings, telling, unfolded
 from specmap_cli.core.errors import UsageError
 
 EXIT_CODES = (
@@ -56,8 +37,7 @@ app = typer.Typer(
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from specmap_cli.cli.streams import print_text
-        from specmap_cli.core.versions import versions
+        from specmap_cli.core.process import versions
 
         print_text("".join(f"{name} {version}\n" for name, version in versions().items()))
         raise typer.Exit
@@ -90,28 +70,81 @@ def _options(
         raise typer.Exit(UsageError.exit_code)
 
 
-_COMMANDS: dict[str, Callable[..., Any]] = {
-    "info": info.info,
-    "build": build.build,
-    "localize": localize.localize,
-    "update": update.update,
-    "merge": merge.merge,
-    "compare": compare.compare,
-    "check": check.check,
-    "history": history.history,
-    "batch": batch.batch,
-    "edit": edit.edit,
-    "report": report.report,
-    "segment": segment.segment,
-    "evaluate": evaluate.evaluate,
-    "simulate": simulate.simulate,
-    "convert": convert.convert,
-    "export": export.export,
-    "config": config.config,
-    "schema": schema.schema,
-}
-for _name, _command in _COMMANDS.items():
-    app.command(_name, epilog=EXIT_CODES, cls=JoinedCommand)(unfolded(telling(_command)))
+def config(settings: Settings, common: Common) -> None:
+    """Print the configuration in force as TOML.
+
+    Every key with its value and what it is for, ready to edit and give back with --config.
+
+    \b
+    specmap config > specmap.toml
+    specmap config --preset paper --set seed=3
+    """
+    from specmap_cli.core.toml import to_toml
+
+    effective = settings.load()
+    as_json = common.as_json
+    print_text(effective.model_dump_json(indent=2) + "\n" if as_json else to_toml(effective))
+
+
+def schema(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="NAME", help="One of those listed without a name.", show_default=False
+        ),
+    ] = None,
+    *,
+    common: Common,
+) -> None:
+    """Print a JSON Schema, or list those that there are.
+
+    There is one of what each command prints with --json, by the name of the command; one of an
+    error; and one of each JSON file in a map. The last number of its $id is the schema_version of
+    what it describes: it changes when a program that reads it would have to.
+
+    \b
+    specmap schema
+    specmap schema build > build.schema.json
+    """
+    import json
+
+    from specmap_cli.core.schemas import read_schema, schema_names
+
+    if name is not None:
+        print_text(json.dumps(read_schema(name), indent=2, sort_keys=True) + "\n")
+        return
+    entries = []
+    for each in schema_names():
+        found = read_schema(each)
+        entries.append({"name": each, "id": found["$id"], "title": found["title"]})
+    lines = [f"{entry['name']:<12} {entry['title']}" for entry in entries]
+    common.show({"schemas": entries}, lines)
+
+
+_COMMANDS: tuple[Callable[..., None], ...] = (  # in the order of the help
+    recordings.info,
+    making.build,
+    maps.localize,
+    making.update,
+    making.merge,
+    maps.compare,
+    maps.check,
+    maps.history,
+    batch.batch,
+    edit.edit,
+    maps.report,
+    making.segment,
+    evaluate.evaluate,
+    recordings.simulate,
+    recordings.convert,
+    maps.export,
+    config,
+    schema,
+)
+for _command in _COMMANDS:
+    app.command(_command.__name__, epilog=EXIT_CODES, cls=JoinedCommand)(
+        unfolded(telling(_command))
+    )
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

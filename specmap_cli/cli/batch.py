@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from specmap_cli.cli.options import Common, Settings, options_of, output, place_of
+from specmap_cli.cli.options import Common, Settings, cluster_of, options_of, output
 from specmap_cli.core.errors import BROKEN_RULE
 
 if TYPE_CHECKING:
@@ -30,56 +30,48 @@ class StepName(StrEnum):
     check = "check"
 
 
-Inputs = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="LOG|DIR|GLOB|JOBS.toml",
-        help="Recordings, directories and patterns of recordings, TOML files of jobs; paths or "
-        "URLs such as s3://bucket/logs.",
-        show_default=False,
-    ),
-]
-Workers = Annotated[
-    int | None, typer.Option(min=1, help="Worker processes; default: one a processor.")
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="Dask scheduler to use, such as tcp://host:8786."),
-]
-MemoryLimit = Annotated[
-    int | None,
-    typer.Option(
-        min=64, metavar="MB", help="Memory of a worker; default: its share of the machine's."
-    ),
-]
-TimeLimit = Annotated[
-    float | None,
-    typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job."),
-]
-Retries = Annotated[
-    int, typer.Option(min=0, help="How often to try again what a lost worker or disk made fail.")
-]
-Steps = Annotated[
-    list[StepName] | None,
-    typer.Option("--step", help="Step of each job; repeatable. Default: build, report, check."),
-]
-Scratch = Annotated[Path | None, typer.Option(help="Directory of the workers for temporary files.")]
-Redo = Annotated[bool, typer.Option("--redo", help="Do again what is complete.")]
-
-
 def batch(
-    inputs: Inputs,
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOG|DIR|GLOB|JOBS.toml",
+            help="Recordings, directories and patterns of recordings, TOML files of jobs; paths or "
+            "URLs such as s3://bucket/logs.",
+            show_default=False,
+        ),
+    ],
     out: Annotated[
         str, output("Directory, or URL such as s3://bucket/maps, to write.", metavar="DIR")
     ],
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    memory_limit: MemoryLimit = None,
-    time_limit: TimeLimit = None,
-    retries: Retries = 1,
-    step: Steps = None,
-    scratch: Scratch = None,
-    redo: Redo = False,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes; default: one a processor.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler to use, such as tcp://host:8786."),
+    ] = None,
+    memory_limit: Annotated[
+        int | None,
+        typer.Option(
+            min=64, metavar="MB", help="Memory of a worker; default: its share of the machine's."
+        ),
+    ] = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job."),
+    ] = None,
+    retries: Annotated[
+        int,
+        typer.Option(min=0, help="How often to try again what a lost worker or disk made fail."),
+    ] = 1,
+    step: Annotated[
+        list[StepName] | None,
+        typer.Option("--step", help="Step of each job; repeatable. Default: build, report, check."),
+    ] = None,
+    scratch: Annotated[
+        Path | None, typer.Option(help="Directory of the workers for temporary files.")
+    ] = None,
+    redo: Annotated[bool, typer.Option("--redo", help="Do again what is complete.")] = False,
     *,
     settings: Settings,
     common: Common,
@@ -95,11 +87,10 @@ def batch(
     specmap batch 'logs/*.mcap' -o maps --workers 4 --step build
     specmap batch jobs.toml -o s3://bucket/maps --scheduler tcp://host:8786
     """
-    place = place_of(workers, scheduler)
+    cluster = cluster_of(workers, scheduler)
     from specmap_cli.batch.batch import run_batch
-    from specmap_cli.batch.crew import Terms
     from specmap_cli.batch.jobs import jobs_of
-    from specmap_cli.batch.records import Limits
+    from specmap_cli.batch.records import Limits, Terms
 
     settings.load()  # a wrong setting is told of once, not by every job
     jobs = jobs_of(inputs, _plan(step, settings))
@@ -108,7 +99,7 @@ def batch(
     )
     with common.progress() as progress:
         progress.start(f"0 of {len(jobs)} jobs", len(jobs))
-        ledger = run_batch(jobs, terms, place, retries, _listener(common, progress))
+        ledger = run_batch(jobs, terms, cluster, retries, _listener(common, progress))
     if not common.as_json:
         common.show({}, _lines(out, ledger))
     if ledger.failed:
@@ -143,8 +134,8 @@ def known_options() -> dict[Command, dict[str, Option]]:
 def _listener(common: Common, progress: ConsoleProgress) -> Listener:
     """Events as lines of JSON on stdout; what a person should know, and a bar, on stderr."""
     from specmap_cli.batch.batch import Listener
-    from specmap_cli.batch.events import EventRecord
-    from specmap_cli.cli.streams import print_text
+    from specmap_cli.batch.ledger import EventRecord
+    from specmap_cli.cli.entry import print_text
 
     def tell(event: EventRecord) -> None:
         if common.as_json:
@@ -163,15 +154,17 @@ def _listener(common: Common, progress: ConsoleProgress) -> Listener:
 
 def _lines(out: str, ledger: Ledger) -> list[str]:
     """How it went, for a person; what failed and why was told when it failed."""
-    from specmap_cli.batch.outputs import INDEX
-    from specmap_cli.batch.tables import headline, kinds_of
+    from specmap_cli.batch.summaries import INDEX, headline, kinds_of, rows_of
 
-    rows = ledger.rows()
-    resumed = sum(result.resumed for result in ledger.results.values())
+    rows = rows_of((job.name for job in ledger.jobs), ledger.results)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in kinds_of(rows))
     return [
         f"{out}: {headline(rows)}",
-        *([f"{out}: {resumed:,} of the results were there already"] if resumed else []),
+        *(
+            [f"{out}: {ledger.resumed:,} of the results were there already"]
+            if ledger.resumed
+            else []
+        ),
         *([f"{out}: failures: {kinds}; reasons are in summary.md"] if kinds else []),
         f"look at {out}/{INDEX}",
     ]

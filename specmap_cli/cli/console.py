@@ -9,7 +9,7 @@ from rich.progress import BarColumn, ProgressColumn, Task, TaskID, TextColumn, T
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
-from specmap_cli.cli.streams import one_line
+from specmap_cli.cli.entry import one_line
 from specmap_cli.core.progress import Level
 
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from specmap_cli.cli.options import Common, Map, Overwrite, Settings, output
+from specmap_cli.cli.options import Common, Map, Overwrite, Settings, output, values_of
 from specmap_cli.cli.targets import keep_inputs
-from specmap_cli.cli.typer_extras import values_of
 from specmap_cli.core.errors import UsageError
 
 if TYPE_CHECKING:

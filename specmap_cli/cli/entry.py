@@ -1,18 +1,21 @@
-"""Where a run begins and ends: signals, the one place where errors become a line and an exit code.
+"""Where a run begins and ends: signals, stdout, and the one place where errors become a line.
 
-It imports nothing that takes time, so that a signal is heeded from the first moment on.
+Ctrl-C and SIGTERM are an exception, so that every `with` block on the way out cleans up. This
+module imports nothing that takes time, so that a signal is heeded from the first moment on.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
-from collections.abc import Sequence
-from contextlib import suppress
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from types import FrameType
 
-from specmap_cli.cli.interruption import Interruption, interruptible
-from specmap_cli.cli.streams import JSON_VARIABLE, discard_stdout, one_line, print_text
 from specmap_cli.core.errors import (
     INTERRUPTED,
     MACHINE,
@@ -20,8 +23,52 @@ from specmap_cli.core.errors import (
     InputError,
     SpecmapError,
     UsageError,
+    is_of_the_machine,
+    is_of_the_place,
+    reason,
 )
-from specmap_cli.core.shortage import is_of_the_machine, is_of_the_place, reason
+from specmap_cli.core.text import legible
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# A second signal within this time is the same impatience and must not stop the cleaning up.
+_PATIENCE_S = 1.0
+
+
+class Interruption(BaseException):
+    """A signal asked the run to end; not an Exception, so that nothing swallows it."""
+
+    def __init__(self, number: int) -> None:
+        self.name = signal.Signals(number).name
+        self.exit_code = 128 + number
+
+
+@contextmanager
+def interruptible(*, last: bool = False) -> Iterator[None]:
+    """Raise Interruption inside the block when a signal asks to end.
+
+    Afterwards all is as before; when the block is the `last` thing a process does, signals find it
+    done and are ignored, so that the exit code stays what it was. Only the main thread receives
+    signals: in another one the block runs as it is.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heeded = -_PATIENCE_S
+
+    def interrupt(number: int, _frame: FrameType | None) -> None:
+        nonlocal heeded
+        now = time.monotonic()
+        if now - heeded >= _PATIENCE_S:
+            heeded = now
+            raise Interruption(number)
+
+    before = {number: signal.signal(number, interrupt) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_IGN if last else handler or signal.SIG_DFL)
+
 
 _YES = {"1", "true", "t", "yes", "y", "on"}  # as Typer reads a flag
 _NO_TEMPORARY = "No usable temporary directory"  # how Python's own error begins
@@ -144,3 +191,38 @@ def _print_error(error: SpecmapError, as_json: bool) -> None:
     with suppress(OSError):
         text = json.dumps({"schema_version": 1, "error": parts}, ensure_ascii=False)
         print_text(text + "\n")
+
+
+JSON_VARIABLE = "SPECMAP_JSON"  # in the environment: as `--json` on the command line
+
+
+def print_text(text: str) -> None:
+    """`text` on stdout; a reader that has seen enough, such as `head`, is no error.
+
+    What the terminal cannot show, such as a file name of any bytes, is escaped.
+    """
+    try:
+        try:
+            print(text, end="", flush=True)
+        except UnicodeEncodeError:
+            encoding = sys.stdout.encoding
+            shown = text.encode(encoding, "backslashreplace").decode(encoding)
+            print(shown, end="", flush=True)
+    except BrokenPipeError:
+        discard_stdout()
+
+
+def discard_stdout() -> None:
+    """What is still buffered has nowhere to go: the interpreter must not try again at its exit."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    with suppress(OSError, AttributeError):  # closed, or no file at all
+        os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+
+
+def one_line(text: str) -> str:
+    """`text` as one line: spaces for white space, escapes for what no terminal can show.
+
+    That is control characters, which it would obey, and bytes of a file name that are no text.
+    """
+    return legible(" ".join(text.split()))

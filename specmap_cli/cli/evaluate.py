@@ -116,19 +116,16 @@ class Found:
     scores: ClassificationScores | None = None
 
 
-Logs = Annotated[
-    list[Path] | None,
-    typer.Argument(
-        metavar="[LOG] [LOG2]",
-        help="holdout: a log. revisit: a log or its map directory, and the other log. "
-        "room-hallway: the log to learn from, and the log to name.",
-        show_default=False,
-    ),
-]
-
-
 def evaluate(
-    logs: Logs = None,
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[LOG] [LOG2]",
+            help="holdout: a log. revisit: a log or its map directory, and the other log. "
+            "room-hallway: the log to learn from, and the log to name.",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         output("PNG of the confusion matrix to write (with --protocol).", "--confusion"),

@@ -64,9 +64,10 @@ def _clear(outputs: Iterable[Path], common: Common) -> None:
                 )
 
 
-def files_of_map(directory: Path) -> list[Path]:
-    """The files in a map directory, which no output may replace."""
-    return [path for path in directory.rglob("*") if path.is_file()] if directory.is_dir() else []
+def files_of_maps(*directories: Path | None) -> list[Path]:
+    """The files in map directories, which no output may replace; None stands for no map."""
+    there = [one for one in directories if one is not None and one.is_dir()]
+    return [path for one in there for path in one.rglob("*") if path.is_file()]
 
 
 def keep_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:

@@ -2,20 +2,24 @@
 
 Flags go over the file (`--config specmap.toml`), the file over the preset, the preset over the
 defaults of `core/settings.py`. Unknown keys are refused, retired ones have no effect, which is told
-by a warning (`core/retired.py`). `specmap config` prints what is in force.
+by a warning. `specmap config` prints what is in force.
+
+A retired setting is a constant now, since nobody needed to turn it. `retired.toml` has the last
+default of each, which is the value of the constant.
 """
 
 from __future__ import annotations
 
+import json
+import tomllib
 import warnings
 from collections.abc import Mapping
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from specmap_cli.core.arguments import path_of
 from specmap_cli.core.errors import SETTING, UsageError
-from specmap_cli.core.retired import RetiredSetting, is_fixed, sentence, without_retired
 from specmap_cli.core.settings import Config
 from specmap_cli.core.toml import TomlFormat
 
@@ -170,3 +174,52 @@ def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
         both = isinstance(value, dict) and isinstance(merged.get(key), dict)
         merged[key] = _merge(merged[key], value) if both else value
     return merged
+
+
+_RETIRED = Path(__file__).with_name("retired.toml")
+
+
+class RetiredSetting(UserWarning):
+    """A setting was given that is retired: it has no effect."""
+
+
+@cache
+def last_defaults() -> Mapping[str, Mapping[str, Any]]:
+    """The last default of each retired setting, by section and key."""
+    return tomllib.loads(_RETIRED.read_text(encoding="utf-8"))
+
+
+def without_retired(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Nested settings without those that are retired, and these by dotted key.
+
+    A section in which nothing is left goes, too.
+    """
+    left: dict[str, Any] = {}
+    retired: dict[str, Any] = {}
+    for name, section in settings.items():
+        gone = last_defaults().get(name, {})
+        if gone and isinstance(section, Mapping):
+            retired |= {f"{name}.{key}": section[key] for key in section if key in gone}
+            section = {key: value for key, value in section.items() if key not in gone}
+            if not section:
+                continue
+        left[name] = section
+    return left, retired
+
+
+def is_fixed(key: str, value: Any) -> bool:
+    """Whether a value is the one at which a retired setting is fixed."""
+    return bool((list(value) if isinstance(value, tuple) else value) == _last_default(key))
+
+
+def sentence(key: str, value: Any) -> str:
+    """What to say of a retired setting that was given a value."""
+    no_effect = "" if is_fixed(key, value) else f"; {json.dumps(value, default=str)} has no effect"
+    return (
+        f"{key} was retired: its value is now fixed at {json.dumps(_last_default(key))}{no_effect}"
+    )
+
+
+def _last_default(key: str) -> Any:
+    section, name = key.split(".")
+    return last_defaults()[section][name]

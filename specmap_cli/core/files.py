@@ -1,4 +1,7 @@
-"""Single files: read within bounds, and written complete or not at all."""
+"""Single files: read within bounds, written complete or not at all, locked by the run that writes.
+
+By a lock a run shows that it lives: the system lets go of it however the run ends.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +15,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from specmap_cli.core.errors import MACHINE, OUTPUT, UsageError
-from specmap_cli.core.locks import is_nobody_s, lock
-from specmap_cli.core.shortage import reason
+from specmap_cli.core.errors import MACHINE, OUTPUT, UsageError, reason
 
 # A pipe does not keep the opening waiting for a writer. Not every system has such pipes.
 _AT_ONCE = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -123,3 +124,27 @@ def remove_leftovers(target: Path) -> tuple[Path, ...]:
             path.unlink(missing_ok=True)
             removed.append(path)
     return tuple(removed)
+
+
+def lock(descriptor: int) -> bool:
+    """Take the lock of an open file or directory; False when somebody has it or there are none."""
+    try:
+        import fcntl  # not on every system
+    except ImportError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def is_nobody_s(path: Path) -> bool:
+    """Whether no living run holds a file or directory; where there are no locks, nobody can say."""
+    with suppress(OSError):
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        try:
+            return lock(descriptor)
+        finally:
+            os.close(descriptor)
+    return False

@@ -1,4 +1,4 @@
-"""Rigid motions of the plane and of space.
+"""Rigid motions of the plane and of space, and the ways that robots drive.
 
 `a_from_b` maps coordinates in frame b to coordinates in frame a, so that
 `a_from_c = a_from_b @ b_from_c`.
@@ -183,3 +183,35 @@ def rpy_from_quaternions(quaternions: NDArray[Any]) -> FloatArray:
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return np.column_stack([roll, pitch, yaw])
+
+
+def step_lengths(poses: NDArray[Any]) -> FloatArray:
+    """(n - 1,) metres from each place of `poses` (n, 2 or more columns) to the next; (0,) of none.
+
+    NaN where one of the two places is not known.
+    """
+    steps = np.diff(np.asarray(poses, dtype=np.float64)[:, :2], axis=0)
+    return np.asarray(np.hypot(steps[:, 0], steps[:, 1]), dtype=np.float64)
+
+
+def path_length(poses: NDArray[Any]) -> float:
+    """Metres along `poses` (n, 2 or more columns)."""
+    return float(step_lengths(poses).sum())
+
+
+def travelled(poses: NDArray[Any]) -> FloatArray:
+    """(n,) metres driven from the first of `poses` (n, 2 or more columns) to each of them."""
+    way = np.zeros(len(poses))
+    np.cumsum(step_lengths(poses), out=way[1:])
+    return way
+
+
+def moved(before: Pose2 | None, now: Pose2, distance_m: float, angle_rad: float) -> bool:
+    """Whether the robot drove `distance_m` or turned `angle_rad` since `before`, or more.
+
+    Without a pose before, it has: the first scan always counts.
+    """
+    if before is None:
+        return True
+    step = before.inverse() @ now
+    return step.distance >= distance_m or abs(step.theta) >= angle_rad

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, path_length
 from specmap_cli.core.json_values import Count, MaybeNan, Motion, Value
-from specmap_cli.core.tracks import path_length
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]

@@ -1,7 +1,7 @@
 """Every setting and its default, on one page, a section a stage.
 
 A setting is what somebody with another robot, sensor or building would turn. What is nobody's to
-turn is a constant beside its use, and what was a setting once is in `core/retired.py`.
+turn is a constant beside its use, and what was a setting once is in `core/config.py`.
 `specmap config` prints the settings with the values in force; how files, presets and flags change
 them is in `core/config.py`.
 """

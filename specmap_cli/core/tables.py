@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
-from specmap_cli.core.legible import legible
+from specmap_cli.core.text import legible
 
 # What a spreadsheet takes for a formula, and a text that would be read back as one defused.
 _FORMULA = re.compile(r"'*[=+\-@\t\r]")

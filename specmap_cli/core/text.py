@@ -1,4 +1,7 @@
-"""Numbers and JSON as text, the same bytes for the same values."""
+"""Numbers, names and JSON as text, the same bytes for the same values.
+
+A topic, a frame and a file may be called by any bytes: they are shown `legible`.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,6 @@ import json
 import math
 import re
 from typing import Any
-
-import numpy as np
-
-from specmap_cli.core.legible import encodable as encodable
-from specmap_cli.core.legible import legible as legible
-from specmap_cli.core.legible import legible_json
 
 _NS = 1_000_000_000
 _DECIMALS = 6
@@ -60,14 +57,10 @@ def plain(value: Any) -> Any:
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
-    if isinstance(value, np.ndarray):
+    if hasattr(value, "tolist"):  # an array of numpy, or one number of it
         return plain(value.tolist())
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (float, np.floating)):
-        return rounded(float(value))
-    if isinstance(value, np.integer):
-        return int(value)
+    if isinstance(value, float):
+        return rounded(value)
     return value if value is None or isinstance(value, int) else encodable(str(value))
 
 
@@ -109,3 +102,32 @@ def decimal(value: float, places: int = _DECIMALS) -> str:
     """Fixed decimals, without a negative zero."""
     text = f"{value:.{places}f}"
     return text[1:] if text.startswith("-") and float(text) == 0.0 else text
+
+
+# Control characters (C0, DEL, C1), line and paragraph separators, marks and overrides of direction.
+_UNSHOWN = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u2028\u2029\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]"
+)
+
+
+def legible(text: str) -> str:
+    """`text` in one line that shows what it holds.
+
+    Escaped are line breaks and other control characters, which a terminal would obey, those that
+    turn the direction of writing, and what is no Unicode.
+    """
+    return encodable(_UNSHOWN.sub(lambda match: ascii(match[0])[1:-1], text))
+
+
+def legible_json(text: str) -> str:
+    """JSON with JSON's own escapes for what `legible` escapes; it is read back as it was."""
+    return _UNSHOWN.sub(lambda match: match[0] if match[0] == "\n" else _escaped(match[0]), text)
+
+
+def _escaped(character: str) -> str:
+    return f"\\u{ord(character):04x}"
+
+
+def encodable(text: str) -> str:
+    """`text` with escapes for what is no Unicode."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")

@@ -17,8 +17,7 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
-from specmap_cli.core.errors import SpecmapError
-from specmap_cli.core.shortage import reason
+from specmap_cli.core.errors import SpecmapError, reason
 
 Model = TypeVar("Model", bound=BaseModel)
 Keys = tuple[int | str, ...]  # the keys and numbers that lead to a value

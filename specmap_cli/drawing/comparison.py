@@ -15,10 +15,8 @@ from specmap_cli.drawing.sheet import Sheet, extent_of
 from specmap_cli.drawing.symbols import Legend, Symbol
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.blocked import Crossing
-from specmap_cli.topology.differences import Differences
+from specmap_cli.topology.differences import Crossing, Differences, Thing, walls_in_common
 from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.things import Thing, walls_in_common
 
 OLD: Colour = (196, 110, 30)
 NEW: Colour = (0, 120, 240)

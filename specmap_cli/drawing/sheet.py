@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.labels import runs
+from specmap_cli.core.arrays import runs
+from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.drawing.canvas import Canvas, fitting_height, text_width
 from specmap_cli.drawing.palette import BORDER, INK, PAPER, QUIET, SHADE, Colour
 from specmap_cli.drawing.symbols import Legend, Symbol

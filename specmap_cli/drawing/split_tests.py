@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.geometry import step_lengths
 from specmap_cli.core.text import counted
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.drawing.canvas import Canvas, Image, fitting_height, text_width
 from specmap_cli.drawing.palette import INK, PAPER, QUIET, Colour, paler
 from specmap_cli.drawing.sheet import round_length, strokes

@@ -18,19 +18,16 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray, PlanarScan
 from specmap_cli.core.settings import Config
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.evaluation.protocols import (
     STAMP_REACH_NS,
     ClassificationScores,
     classification_scores,
 )
-from specmap_cli.evaluation.trajectories import (
-    associate,
-    read_tum,
-)
+from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream

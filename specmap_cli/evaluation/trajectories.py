@@ -24,11 +24,11 @@ from specmap_cli.core.geometry import (
     invert,
     nearest_motion,
     rotation_from_quaternion,
+    travelled,
     yaw_of,
 )
 from specmap_cli.core.records import IntArray, Trajectory
 from specmap_cli.core.text import stamp_ns
-from specmap_cli.core.tracks import travelled
 
 PATH_LENGTHS_M = (1.0, 5.0, 20.0)  # a room's details, a room, a wing of a building
 _LATEST_S = 9.2e9  # the year 2261: later stamps in nanoseconds overflow 64 bits

@@ -26,10 +26,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.files import temporary_files
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, wrap_angles
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, moved, wrap_angles
 from specmap_cli.core.records import BoolArray, IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, KeyframeConfig
-from specmap_cli.core.tracks import moved
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
 

@@ -27,11 +27,10 @@ from pydantic import (
     model_validator,
 )
 
-from specmap_cli.core.errors import TOO_LARGE, MapError
+from specmap_cli.core.errors import TOO_LARGE, MapError, reason
 from specmap_cli.core.files import read_bytes, write_bytes, write_text
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.core.yaml import read_yaml
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
 

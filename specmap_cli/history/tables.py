@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from specmap_cli.core.legible import legible
 from specmap_cli.core.tables import csv_text
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, legible
 from specmap_cli.history.record import BuildingRecord, ChangeRecord, HistoryRecord, RoomRecord
 
 _WORDS: Mapping[str, str] = {

@@ -9,10 +9,10 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.labels import runs
+from specmap_cli.core.geometry import path_length
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
-from specmap_cli.core.tracks import path_length
 from specmap_cli.history.record import DayRecord, StayRecord
 
 _NS = 1_000_000_000

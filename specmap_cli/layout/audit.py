@@ -15,9 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, moved, step_lengths
 from specmap_cli.core.settings import GridConfig
-from specmap_cli.core.tracks import moved, step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, CellArray, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.grids.matching import Window, refine, search

@@ -7,10 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angle, wrap_angles
-from specmap_cli.core.labels import runs
+from specmap_cli.core.arrays import runs
+from specmap_cli.core.geometry import (
+    FloatArray,
+    compose,
+    invert,
+    travelled,
+    wrap_angle,
+    wrap_angles,
+)
 from specmap_cli.core.records import BoolArray, IntArray, Trajectory
-from specmap_cli.core.tracks import travelled
 from specmap_cli.grids.keyframes import KeyframeStore
 
 _SAME = 2e-6  # metres and radians: text files have six decimals

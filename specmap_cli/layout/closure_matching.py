@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.score_field import thinned
 from specmap_cli.layout.line_fitting import on_lines, onto_lines

@@ -14,9 +14,8 @@ from itertools import compress, pairwise
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, step_lengths
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.motion_edges import Bridge, motion_links
 from specmap_cli.layout.path_graph import NODE_M, chosen_nodes

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, moved, step_lengths
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.tracks import moved, step_lengths
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.motion_edges import Bridge, motion_links
 from specmap_cli.layout.pose_graph import Link

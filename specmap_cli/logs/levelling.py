@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from specmap_cli.core.arrays import first_in_cells
 from specmap_cli.core.geometry import FloatArray, inverse3, product
-from specmap_cli.core.thinning import first_in_cells
 
 FLOOR_RADIUS_M = 10.0  # a floor of unknown height is sought among the returns this near
 # Floors are sought up to this tilt of the lidar: 45 degrees, as carried by hand.

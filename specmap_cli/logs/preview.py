@@ -10,9 +10,9 @@ from itertools import islice
 
 import numpy as np
 
+from specmap_cli.core.geometry import step_lengths
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.text import counted, decimal
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.logs.checking import PAUSE_INTERVALS
 from specmap_cli.logs.clocks import odometry_of
 from specmap_cli.logs.first_scans import LOOK_SCANS

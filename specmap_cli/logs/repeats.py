@@ -9,9 +9,8 @@ import math
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, moved
 from specmap_cli.core.records import Sweep
-from specmap_cli.core.tracks import moved
 
 # Odometry of a robot that stands still may tremble by this. Where it does, what repeats the scan
 # before says nothing new either.

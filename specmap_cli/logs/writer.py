@@ -19,11 +19,9 @@ from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
 from specmap_cli.core.arguments import path_of
-from specmap_cli.core.errors import OUTPUT, UsageError
-from specmap_cli.core.files import partial_of, remove_leftovers
+from specmap_cli.core.errors import OUTPUT, UsageError, reason
+from specmap_cli.core.files import lock, partial_of, remove_leftovers
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.locks import lock
-from specmap_cli.core.shortage import reason
 from specmap_cli.logs.readers.encoding import (
     cloud_cdr,
     in_space,

@@ -18,9 +18,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType, TracebackType
 
-from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError
+from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError, is_of_the_place, reason
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.shortage import is_of_the_place, reason
 from specmap_cli.maps.filenames import TOPOLOGY
 from specmap_cli.maps.leftovers import held, put_right, sibling
 
@@ -66,9 +65,9 @@ class OutputDirectory:
         self._partial = sibling(self._target, "partial", os.urandom(4).hex())
         self._parents: list[Path] = []
         self._lock = ExitStack()
-        # Also runs at the exit of the interpreter: an interruption between the lines of the
-        # methods below leaves nothing behind either.
-        self._clean_up = weakref.finalize(self, _remove, self._partial, self._parents)
+        # Runs when this object goes, at the latest at the exit of the interpreter, unless
+        # `_clean_up` came to its end: wherever an interruption falls, nothing is left behind.
+        self._finalizer = weakref.finalize(self, _remove, self._partial, self._parents)
 
     def __enter__(self) -> Path:
         try:
@@ -97,11 +96,20 @@ class OutputDirectory:
             if kind is None:
                 self._commit()
         finally:
-            self._lock.close()
             self._clean_up()
         if isinstance(error, OSError) and self._is_of_output(error):
             why = reason(error, "choose another output directory")
             raise UsageError(f"{self.path}: cannot be written: {why}", code=OUTPUT) from None
+
+    def _clean_up(self) -> None:
+        """Take back what entering made; an interruption meanwhile is raised when that is done."""
+        try:
+            self._lock.close()
+            _remove(self._partial, self._parents)
+        except BaseException:  # interrupted before the signals were held back
+            _remove(self._partial, self._parents)
+            raise
+        self._finalizer.detach()
 
     def _is_of_output(self, error: OSError) -> bool:
         """Whether the system refused to write what belongs into the directory."""
@@ -185,7 +193,7 @@ class OutputDirectory:
 def _remove(partial: Path, parents: list[Path]) -> None:
     """Take back what entering made: the partial directory, and its parents while they are empty.
 
-    After the partial directory was renamed there is nothing to take back.
+    After the partial directory was renamed there is nothing to take back. It may run twice.
     """
     with _signals_held():
         shutil.rmtree(partial, ignore_errors=True)
@@ -207,9 +215,10 @@ def _signals_held() -> Iterator[None]:
     def remember(number: int, _frame: FrameType | None) -> None:
         received.append(number)
 
-    held = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, remember) for number in held}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
+        for number in before:
+            signal.signal(number, remember)
         yield
     finally:
         for number, handler in before.items():

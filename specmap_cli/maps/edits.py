@@ -27,8 +27,7 @@ from specmap_cli.core.json_values import PropertyValue, Record, point
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.toml import Keys, TomlFormat
 from specmap_cli.maps import filenames
-from specmap_cli.topology.borders import Border, Merge, Split
-from specmap_cli.topology.topological_map import Said, SubmapKind
+from specmap_cli.topology.topological_map import BorderEdit, Merge, Said, Split, SubmapKind
 
 _LONGEST_NAME = 80  # characters: what a badge, a row of a table and a legend can show
 _SHORTEST_LINE_M = 0.1
@@ -196,12 +195,12 @@ def said_in(edits: Edits) -> tuple[Said, ...]:
     )
 
 
-def borders_in(edits: Edits) -> list[Border]:
+def borders_in(edits: Edits) -> list[BorderEdit]:
     """The borders that are asked for, to the decimals that a map keeps."""
     return [_wished(change) for change in edits.changes if not isinstance(change, ForbidEdit)]
 
 
-def _wished(change: MergeEdit | SplitEdit) -> Border:
+def _wished(change: MergeEdit | SplitEdit) -> BorderEdit:
     if isinstance(change, MergeEdit):
         return Merge(change.merge)
     one, other = change.line

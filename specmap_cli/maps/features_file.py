@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.errors import TOO_LARGE, MapError
+from specmap_cli.core.errors import TOO_LARGE, MapError, reason
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.shortage import reason
 
 KINDS = ("raw", "beside", "along", "cast")
 KEYFRAMES_OF = "_keyframes"

@@ -8,9 +8,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from specmap_cli.core.errors import MapError
+from specmap_cli.core.errors import MapError, reason
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.maps.tables import read_text
 
 

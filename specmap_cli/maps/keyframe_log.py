@@ -14,11 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import TOO_LARGE, LogError, MapError
+from specmap_cli.core.errors import TOO_LARGE, LogError, MapError, reason
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs.messages import (
     BadMessageError,

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from specmap_cli.core.locks import is_nobody_s, lock
+from specmap_cli.core.files import is_nobody_s, lock
 from specmap_cli.maps.filenames import TOPOLOGY
 
 _TOKEN = "[0-9a-f]{8}"  # of the names that OutputDirectory gives

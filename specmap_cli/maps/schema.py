@@ -35,11 +35,10 @@ from specmap_cli.core.records import Closure
 from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.core.text import to_json
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.topology.borders import Border
-from specmap_cli.topology.kinds import kind_of
-from specmap_cli.topology.outlines import Outline
 from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.shapes import Outline, kind_of
 from specmap_cli.topology.topological_map import (
+    BorderEdit,
     Break,
     Door,
     Edge,
@@ -60,7 +59,7 @@ class EditsRecord(Record):
     """Which of a person's edits the map shows."""
 
     submaps: tuple[Said, ...] = Field(description="names, kinds and properties, by id")
-    borders: tuple[Border, ...] = Field(
+    borders: tuple[BorderEdit, ...] = Field(
         description="merges and splits, in the order in which they were made"
     )
 

@@ -28,9 +28,14 @@ from specmap_cli.maps.json_files import first_finding, map_json, map_text
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.tables import read_labels
 from specmap_cli.maps.topology_file import read_topology
-from specmap_cli.topology.borders import Merge, fences_of
 from specmap_cli.topology.regions import Regions, divide
-from specmap_cli.topology.topological_map import LogInfo, TopologicalMap, default_name
+from specmap_cli.topology.topological_map import (
+    LogInfo,
+    Merge,
+    TopologicalMap,
+    default_name,
+    fences_of,
+)
 
 _FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell of a map; matching scans in finer ones takes forever
 

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import MapError
+from specmap_cli.core.errors import MapError, reason
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import decimal, stamp_ns, stamp_text
 

@@ -13,7 +13,7 @@ from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.maps.json_files import first_finding, map_json
 from specmap_cli.maps.schema import SCHEMA_VERSION, EditsRecord, TopologyRecord
 from specmap_cli.maps.upgrading import MISSING, upgraded, version_of
-from specmap_cli.topology.borders import Split
+from specmap_cli.topology.topological_map import Split
 
 
 def read_topology(path: Path, limits: LimitsConfig) -> tuple[TopologyRecord, str]:

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import MapError
+from specmap_cli.core.arrays import runs
+from specmap_cli.core.errors import MapError, reason
 from specmap_cli.core.geometry import quaternions_from_rpy, rpy_from_quaternions
-from specmap_cli.core.labels import runs
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.core.text import counted, decimal, stamp_ns, stamp_text
 from specmap_cli.maps.tables import read_text
 

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.errors import NoResultError, UsageError
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream

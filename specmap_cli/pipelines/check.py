@@ -14,9 +14,9 @@ from specmap_cli.checking.rules import VERDICT, Rules, judged, read_rules
 from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.findings import Finding, Severity
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import plain
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.compare import compare_maps

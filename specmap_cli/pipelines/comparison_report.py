@@ -21,8 +21,7 @@ from specmap_cli.maps.comparison import (
 )
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.closure.alignment import Alignment
-from specmap_cli.topology.blocked import Crossing
-from specmap_cli.topology.differences import Differences, PlacedThing
+from specmap_cli.topology.differences import Crossing, Differences, PlacedThing
 from specmap_cli.topology.identity import Identity
 from specmap_cli.topology.topological_map import default_name, driven_m, starts_of
 

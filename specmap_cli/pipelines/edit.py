@@ -16,12 +16,11 @@ import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
-from specmap_cli.core.threads import one_blas_thread
-from specmap_cli.core.versions import versions
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words

@@ -23,12 +23,16 @@ from specmap_cli.maps.edits import (
     said_in,
 )
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.topology.borders import Border, Split
-from specmap_cli.topology.detours import with_detours
-from specmap_cli.topology.forbidding import Forbidden, Shut, shut_by, with_shut
+from specmap_cli.topology.navigation import Forbidden, Shut, shut_by, with_detours, with_shut
 from specmap_cli.topology.redrawing import redrawn
 from specmap_cli.topology.regions import Regions
-from specmap_cli.topology.topological_map import Said, TopologicalMap, default_name
+from specmap_cli.topology.topological_map import (
+    BorderEdit,
+    Said,
+    Split,
+    TopologicalMap,
+    default_name,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +44,7 @@ class Drawn:
     """
 
     submaps: IntArray
-    borders: tuple[Border, ...]
+    borders: tuple[BorderEdit, ...]
     next_id: int
     edits: Edits
     skipped: Mapping[int, str] = field(default_factory=dict)
@@ -75,7 +79,7 @@ def edits_of_stored(stored: StoredMap) -> Edits:
 
 
 def drawn(
-    whole: GridMap, labels: Labels, borders: Sequence[Border], edits: Edits, next_id: int
+    whole: GridMap, labels: Labels, borders: Sequence[BorderEdit], edits: Edits, next_id: int
 ) -> Drawn:
     """The keyframes with the borders that the edits ask for, instead of those that they have."""
     places = [n for n, change in enumerate(edits.changes) if not isinstance(change, ForbidEdit)]
@@ -123,7 +127,7 @@ def tell_unapplied(unapplied: Sequence[str], progress: Progress) -> None:
         progress.note(f"{filenames.EDITS}: not applied: {line}")
 
 
-def _with_id(change: object, made: Border | None) -> object:
+def _with_id(change: object, made: BorderEdit | None) -> object:
     """A change; a split that was made has the id of the new submap."""
     if isinstance(change, SplitEdit) and isinstance(made, Split):
         return change.model_copy(update={"new": made.new})
@@ -148,7 +152,7 @@ def _forbidden(
 
 
 def _wishes(
-    edits: Edits, borders: Sequence[Border], skipped: Mapping[int, str]
+    edits: Edits, borders: Sequence[BorderEdit], skipped: Mapping[int, str]
 ) -> Iterator[tuple[int, Forbidden]]:
     """What is forbidden, with the borders that were made after it was said."""
     made = 0

@@ -10,10 +10,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from specmap_cli.core.arrays import Neighbours, evenly, neighbours
 from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.core.labels import Neighbours, neighbours
 from specmap_cli.core.records import Closure, IntArray, PosedScan, Trajectory
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes

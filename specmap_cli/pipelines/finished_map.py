@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from specmap_cli.core.findings import Quality
+from specmap_cli.core.geometry import path_length
 from specmap_cli.core.records import IntArray, Labels, Trajectory
 from specmap_cli.core.text import legible
-from specmap_cli.core.tracks import path_length
 from specmap_cli.drawing.overview import render_overview
 from specmap_cli.layout.g2o import write_g2o
 from specmap_cli.layout.relaxation import Layout

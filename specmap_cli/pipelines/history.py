@@ -10,10 +10,10 @@ from typing import Any
 
 from specmap_cli.core.arguments import path_of
 from specmap_cli.core.errors import MapError
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.text import encodable, to_json
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.history.page import render_history
 from specmap_cli.history.record import (
     SCHEMA_VERSION,

@@ -33,10 +33,9 @@ from specmap_cli.pipelines.learning import divide, submap_grids, submaps_of, who
 from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.quality.verdict import LAYOUT_CODES, of_recording
 from specmap_cli.recognition.closure.known_map import KnownMap
-from specmap_cli.topology.borders import Border
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.regions import divide as divide_cells
-from specmap_cli.topology.topological_map import LogInfo, TopologicalMap, starts_of
+from specmap_cli.topology.topological_map import BorderEdit, LogInfo, TopologicalMap, starts_of
 
 Stays = Mapping[int, tuple[int, ...]]
 
@@ -65,7 +64,7 @@ class KeptMap:
     edits: Edits = field(default_factory=Edits)
     edits_text: str = ""
     lost: tuple[str, ...] = ()
-    borders: tuple[Border, ...] = ()
+    borders: tuple[BorderEdit, ...] = ()
 
     @property
     def starts(self) -> tuple[int, ...]:

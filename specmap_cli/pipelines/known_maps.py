@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.settings import Config
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.localize import classifiers_of

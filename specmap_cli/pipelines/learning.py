@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from specmap_cli.core.arrays import order_of_appearance
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.core.labels import order_of_appearance
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.core.settings import Config

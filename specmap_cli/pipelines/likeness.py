@@ -10,9 +10,9 @@ import numpy as np
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.errors import NOT_ALIGNED, NoResultError
 from specmap_cli.core.geometry import Pose2, compose
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.joining import placed
 from specmap_cli.logs import open_log

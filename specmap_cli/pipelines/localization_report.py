@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.files import write_together
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, step_lengths
 from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import counted, legible, stamp_text
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.recognition.localization.localizer import Label

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
+from specmap_cli.core.arrays import neighbours
 from specmap_cli.core.config import SETTINGS, load_config, with_overrides
 from specmap_cli.core.errors import SETTING, LogError, MapError, UsageError
-from specmap_cli.core.labels import neighbours
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.core.text import legible
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.filenames import CLASSIFIERS

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
 from specmap_cli.maps.store import StoredMap

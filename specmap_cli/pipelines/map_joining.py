@@ -25,7 +25,7 @@ from specmap_cli.pipelines.joint_edits import edits_of_both, without_borders
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, thinned_of
 from specmap_cli.pipelines.refutation import constraints_of, refute
 from specmap_cli.recognition.closure.joints import Joint
-from specmap_cli.topology.inheritance import Heritage, inherited
+from specmap_cli.topology.graph import Heritage, inherited
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, starts_of
 

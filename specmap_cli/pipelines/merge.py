@@ -17,11 +17,11 @@ import numpy as np
 from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import InputError, UsageError
 from specmap_cli.core.geometry import Pose2, nearest_motion
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Audit
@@ -43,8 +43,8 @@ from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.pipelines.stored_lessons import lessons_left, lessons_of_stored
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.lessons import Lessons
-from specmap_cli.topology.borders import fences_of
 from specmap_cli.topology.regions import divide
+from specmap_cli.topology.topological_map import fences_of
 
 
 @one_blas_thread()

@@ -16,7 +16,7 @@ from specmap_cli.pipelines.learning import divides_whole
 from specmap_cli.pipelines.map_joining import heritage_of
 from specmap_cli.pipelines.thinning import Thinned
 from specmap_cli.segmentation.division import regions_of
-from specmap_cli.topology.inheritance import inherited
+from specmap_cli.topology.graph import inherited
 
 
 def redivided(old: Seen, joint: KeptMap, fewer: Thinned, whole: GridMap, config: Config) -> KeptMap:

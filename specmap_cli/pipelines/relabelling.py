@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import MapError
+from specmap_cli.core.errors import MapError, reason
 from specmap_cli.core.findings import UNDOUBTED, Quality
-from specmap_cli.core.shortage import reason
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.overview import render_overview, render_segmentation
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
@@ -21,8 +20,8 @@ from specmap_cli.maps.schema import EditsRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.tum import read_trajectory
 from specmap_cli.quality.verdict import quality_of
-from specmap_cli.topology.kinds import kind_of
 from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.shapes import kind_of
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
 
 _REWRITTEN = (filenames.TOPOLOGY, filenames.OVERVIEW, filenames.EDITS)

@@ -20,9 +20,9 @@ from specmap_cli.pipelines.stopwatch import Stopwatch
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.verdict import of_layout, quality_of
 from specmap_cli.recognition.learning.lessons import NO_LESSONS
-from specmap_cli.topology.borders import fences_of
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import divide
+from specmap_cli.topology.topological_map import fences_of
 
 Judge = Callable[[int], Quality]
 

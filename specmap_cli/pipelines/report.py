@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.pipelines.comparison_report import lines_of

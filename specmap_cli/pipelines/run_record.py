@@ -9,10 +9,9 @@ from typing import Any
 
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.memory import peak_memory_mb
+from specmap_cli.core.process import peak_memory_mb, versions
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
-from specmap_cli.core.versions import versions
 from specmap_cli.logs.selection import Selection
 from specmap_cli.pipelines.finished_map import FinishedMap
 

@@ -11,9 +11,9 @@ import numpy as np
 from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, legible
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.drawing.overview import render_segmentation
 from specmap_cli.drawing.split_tests import draw_segmentation
 from specmap_cli.grids.gridmap import GridMap

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import runs_of
-from specmap_cli.core.labels import runs
 from specmap_cli.core.records import BoolArray, IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import UNKNOWN
@@ -30,8 +30,7 @@ from specmap_cli.layout.carrying import carried_places
 from specmap_cli.layout.dropping import gaps_of, tracked_over_gaps, without_keyframes
 from specmap_cli.pipelines.finished_map import ways_m
 from specmap_cli.pipelines.kept_map import KeptMap, Seen, thinned_of
-from specmap_cli.topology.borders import Border, Merge, heirs
-from specmap_cli.topology.topological_map import LogInfo
+from specmap_cli.topology.topological_map import BorderEdit, LogInfo, Merge, heirs
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +160,7 @@ def _renumbered(log: LogInfo, way_m: float, row: Mapping[int, int]) -> LogInfo:
     return replace(log, keyframes=keyframes, path_m=log.path_m if whole else log.path_m or way_m)
 
 
-def _left(border: Border, row: Mapping[int, int], gone: BoolArray) -> Border:
+def _left(border: BorderEdit, row: Mapping[int, int], gone: BoolArray) -> BorderEdit:
     """A border with the new numbers of the keyframes that came with it."""
     if not isinstance(border, Merge):
         return border

@@ -15,10 +15,10 @@ import numpy as np
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.errors import NOT_ALIGNED, InputError, NoResultError
+from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
-from specmap_cli.core.threads import one_blas_thread
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
@@ -43,7 +43,7 @@ from specmap_cli.pipelines.update_report import UpdateReport
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.features.sets import KeyframeFeatures, check_feature_sets
 from specmap_cli.recognition.learning.lessons import Lessons
-from specmap_cli.topology.border_changes import border_changes
+from specmap_cli.topology.identity import border_changes
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
 _SAME_SHARE = 0.5  # of the readings; those of a scan in motion stand at other bearings

@@ -11,7 +11,7 @@ from specmap_cli.core.findings import Quality
 from specmap_cli.core.text import counted
 from specmap_cli.pipelines.run_record import told
 from specmap_cli.recognition.closure.alignment import Alignment
-from specmap_cli.topology.border_changes import BorderChange
+from specmap_cli.topology.identity import BorderChange
 from specmap_cli.topology.regions import NOBODY
 
 _MOVED_IOU = 0.9  # below it a border is not the one that people knew

@@ -17,9 +17,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.findings import Finding, Where
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, step_lengths, travelled
 from specmap_cli.core.records import IntArray, Trajectory
-from specmap_cli.core.tracks import moved, step_lengths, travelled
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.quality.evidence import Evidence, Hole, HoleKind, place_at

@@ -6,11 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.findings import Finding, Where
-from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.core.labels import runs
+from specmap_cli.core.geometry import FloatArray, compose, invert, step_lengths, travelled
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.tracks import step_lengths, travelled
 from specmap_cli.quality.evidence import Evidence, place_at
 
 _UNMEASURED_M = 2.0  # longest way that nothing measured; a quarter of it may be wrong

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from specmap_cli.core.findings import Finding, Where
+from specmap_cli.core.geometry import step_lengths
 from specmap_cli.core.text import counted
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.layout.audit import Disagreement
 from specmap_cli.quality.evidence import Evidence, graded
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.findings import Finding, Where
-from specmap_cli.core.labels import runs
 from specmap_cli.core.text import counted
 from specmap_cli.quality.evidence import Evidence, graded, place_at
 

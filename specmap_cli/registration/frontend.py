@@ -15,10 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import Pose2, product
+from specmap_cli.core.geometry import Pose2, moved, product
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.core.tracks import moved
 from specmap_cli.grids.matching import weakest_direction
 from specmap_cli.registration.aligner import SensorKind
 from specmap_cli.registration.expected_motion import ExpectedMotion, MotionModel

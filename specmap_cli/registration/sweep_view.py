@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from specmap_cli.core.arrays import first_in_cells
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.core.thinning import first_in_cells
 from specmap_cli.grids.score_field import thinned
 from specmap_cli.registration.deskew import deskewed, moved_returns, usable_times
 from specmap_cli.registration.expected_motion import ExpectedMotion

@@ -19,8 +19,8 @@ from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.tum import read_trajectory
 from specmap_cli.report.frame import Frame
 from specmap_cli.report.words import shown
-from specmap_cli.topology.outlines import outline_of
 from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.shapes import outline_of
 from specmap_cli.topology.topological_map import starts_of
 
 _NO_LABELS = Labels(

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import Span
 from specmap_cli.core.records import Closure
-from specmap_cli.core.sampling import evenly
 from specmap_cli.drawing.overview import drawn_as
 from specmap_cli.report.colours import fill_names
 from specmap_cli.report.frame import Frame, path_data

@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from specmap_cli import __version__
-from specmap_cli.core.legible import encodable
+from specmap_cli.core.text import encodable
 
 PACKAGE = "specmap_cli.report"
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.sampling import evenly
+from specmap_cli.core.arrays import evenly
 from specmap_cli.report.evidence import Evidence, SplitLook
 from specmap_cli.report.frame import Frame
 

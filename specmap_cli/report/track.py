@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly, runs
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.labels import runs
 from specmap_cli.core.records import IntArray, Labels
-from specmap_cli.core.sampling import evenly
 from specmap_cli.drawing.sheet import strokes
 from specmap_cli.report.colours import STEPS
 from specmap_cli.report.frame import Frame, path_data

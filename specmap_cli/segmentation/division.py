@@ -13,10 +13,9 @@ import numpy as np
 from scipy import ndimage
 
 from specmap_cli.core.errors import NoResultError
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
 from specmap_cli.segmentation.cells import (
     RINGS,

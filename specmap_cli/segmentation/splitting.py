@@ -16,10 +16,9 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, moved, step_lengths
 from specmap_cli.core.records import BoolArray
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
-from specmap_cli.core.tracks import moved, step_lengths
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, add_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid

@@ -15,10 +15,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, path_length, wrap_angle
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.text import nanoseconds
-from specmap_cli.core.tracks import path_length
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.simulation.lasers import (
     Cloud,

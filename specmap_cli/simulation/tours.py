@@ -18,8 +18,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra, shortest_path
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import FloatArray, wrap_angles
-from specmap_cli.core.tracks import step_lengths, travelled
+from specmap_cli.core.geometry import FloatArray, step_lengths, travelled, wrap_angles
 from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.simulation.worlds import World
 

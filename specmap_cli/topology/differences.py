@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.bent import BentMotion
-from specmap_cli.topology.blocked import Crossing, blocked_ways
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.topology.identity import Identity, identify
-from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.things import Surveyed, Thing, things_in
+from specmap_cli.topology.regions import NOBODY, Regions, borders_of
 
 _DOORWAY_M = 0.5  # from a way, besides half its width: what stands there is its door
 _NEAR_M = 1.0  # from a submap's floor: what stands there stands in it
@@ -112,3 +115,229 @@ def _submap_at(regions: Regions, place: FloatArray) -> int | None:
     away = ((cells + (top, left) - (row, column)) ** 2).sum(axis=1)
     nearest = int(away.argmin())
     return int(window[tuple(cells[nearest])]) if away[nearest] * cell_m**2 <= _NEAR_M**2 else None
+
+
+# An obstacle is another one when it stands farther than this from all obstacles of the other map:
+# what cells, the noise of a laser and a map that is bent a little leave open.
+_APART_M, _APART_CELLS = 0.15, 2.5
+_ROUNDING_M = 1e-6  # of a whole number of cells
+# It must stand so deep in free space of the other map: its edge is where beams ended by chance.
+_DEPTH_M, _DEPTH_CELLS = 0.12, 2.0
+NEAR_M = 5.0  # farther off, half a degree and a slanting wall are more than that
+_BESIDE_CELLS = 1.5  # what hangs together with it belongs to it when it is off by more than this
+_LEAST_M, _LEAST_CELLS = 0.15, 5  # a hand's breadth and its noise; single cells flicker
+_GAP_M = 0.2  # between pieces of one thing: its faces are seen, and some of these from aside
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Thing:
+    """Something that one map has and the other has not.
+
+    `corners` (4, 2) are those of the smallest box round it, `centre` (2,) its middle, both in the
+    map that has it; `length_m` and `width_m` the sides of the box, the longer first; `cells` how
+    many cells of the map show it.
+    """
+
+    corners: FloatArray
+    centre: FloatArray
+    length_m: float
+    width_m: float
+    cells: int
+
+    @property
+    def area_m2(self) -> float:
+        """Square metres of the box."""
+        return self.length_m * self.width_m
+
+
+@dataclass(frozen=True, slots=True)
+class Surveyed:
+    """The grid of a map, and the `track` (n, 2 or more) of the robot that saw it."""
+
+    grid: GridMap
+    track: FloatArray
+
+    def saw_well(self, places: FloatArray) -> BoolArray:
+        """(N,) whether the robot came near each place (N, 2): from afar it sees at a slant."""
+        if not len(places) or not len(self.track):
+            return np.zeros(len(places), dtype=np.bool_)
+        away = cKDTree(self.track[:, :2]).query(places, distance_upper_bound=NEAR_M)[0]
+        return np.asarray(np.isfinite(away))
+
+
+def things_in(grid: GridMap, seen: Surveyed, other_from_grid: BentMotion) -> list[Thing]:
+    """What stands in a map where another one saw free space, the largest first."""
+    cells, other = np.argwhere(grid.occupied), seen.grid
+    apart_m, depth_m = _distances(other)
+    places = other_from_grid.apply(grid.centres_of(cells))
+    placed = other.cells_of(places)
+    inside = other.inside(placed)
+    inside[inside] = seen.saw_well(places[inside])
+    cells, (rows, columns) = cells[inside], placed[inside].T
+    free = other.cells[rows, columns] == FREE
+    apart = apart_m[rows, columns]
+    sure = free & (apart > max(_APART_M, _APART_CELLS * other.resolution) + _ROUNDING_M)
+    sure &= depth_m[rows, columns] > max(_DEPTH_M, _DEPTH_CELLS * other.resolution)
+    beside = free & (apart > _BESIDE_CELLS * other.resolution)
+    found = [_thing(grid, part) for part in _parts(grid, cells, sure, beside)]
+    large = [thing for thing in found if thing.length_m >= _LEAST_M and thing.cells >= _LEAST_CELLS]
+    return sorted(large, key=lambda thing: (-thing.length_m, *thing.centre.tolist()))
+
+
+def _distances(grid: GridMap) -> tuple[FloatArray, FloatArray]:
+    """(H, W) metres from each cell to the nearest obstacle, and to the nearest cell not free."""
+    return grid.obstacle_distance(), grid.clearance()
+
+
+def _parts(
+    grid: GridMap, cells: NDArray[np.intp], sure: BoolArray, beside: BoolArray
+) -> list[NDArray[np.intp]]:
+    """The cells (N, 2) of each thing: those that are sure and what hangs together with them."""
+    picture = np.zeros(grid.cells.shape, dtype=np.uint8)
+    picture[tuple(cells[sure | beside].T)] = 1
+    reach = max(1, round(0.5 * _GAP_M / grid.resolution))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    count, labels = cv2.connectedComponents(cv2.dilate(picture, kernel), connectivity=8)
+    some = cells[sure | beside]
+    of_cell = labels[tuple(some.T)]
+    known = np.bincount(labels[tuple(cells[sure].T)], minlength=count)
+    return [some[of_cell == k] for k in range(1, count) if known[k] >= _LEAST_CELLS]
+
+
+def _thing(grid: GridMap, cells: NDArray[np.intp]) -> Thing:
+    """The thing that some cells (N, 2) show."""
+    points = grid.centres_of(cells)
+    (x, y), sides, _ = box = cv2.minAreaRect(points.astype(np.float32))
+    length, width = sorted((float(side) + grid.resolution for side in sides), reverse=True)
+    return Thing(
+        corners=np.asarray(cv2.boxPoints(box), dtype=np.float64),
+        centre=np.array([x, y], dtype=np.float64),
+        length_m=length,
+        width_m=width,
+        cells=len(cells),
+    )
+
+
+def walls_in_common(grid: GridMap, other: GridMap, other_from_grid: BentMotion) -> BoolArray:
+    """(H, W) which obstacles of a map stand where the other one has some, too."""
+    cells = np.argwhere(grid.cells == OCCUPIED)
+    placed = other.cells_of(other_from_grid.apply(grid.centres_of(cells)))
+    inside = other.inside(placed)
+    near = np.zeros(len(cells), dtype=np.bool_)
+    rows, columns = placed[inside].T
+    reach_m = max(_APART_M, _APART_CELLS * other.resolution)
+    near[inside] = other.obstacle_distance()[rows, columns] <= reach_m
+    common = np.zeros(grid.cells.shape, dtype=np.bool_)
+    common[tuple(cells[near].T)] = True
+    return common
+
+
+_WAY_M = 0.6  # of a way: through a narrower one hardly a robot goes, and noise closes it
+_REACH_M = 0.6  # of a way beyond its border, besides half its width: a step into either room
+_ASIDE_M = 0.25  # what lies farther than this from a border is on one side of it
+_PASSABLE_M = 0.1  # from obstacles: a leaf of a door has gaps of a cell or two
+_SEEN = 0.5  # share of a side that the other map must have seen
+
+_Cells = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Crossing:
+    """Where two submaps of a map meet, `between` the smaller id and the larger.
+
+    `place` (2,) is the widest part of their border in that map, `width_m` the free width there.
+    """
+
+    between: tuple[int, int]
+    place: FloatArray
+    width_m: float
+
+
+def blocked_ways(regions: Regions, seen: Surveyed, other_from_map: BentMotion) -> list[Crossing]:
+    """The ways of a divided map that are blocked in another map, which saw one side at the least.
+
+    What hides the other side must stand all across: behind a closed door nothing is seen.
+
+    In order of the pairs of submaps, then of the places.
+    """
+    other = seen.grid, seen.grid.obstacle_distance()
+    return [
+        way
+        for way, border in _ways(regions)
+        if seen.saw_well(other_from_map.apply(way.place[None]))[0]
+        and _is_blocked(regions, way, border, other, other_from_map)
+    ]
+
+
+def _ways(regions: Regions) -> Iterator[tuple[Crossing, FloatArray]]:
+    """Each way with the cells (n, 2) of its border, metres of the map."""
+    grid, clearance = regions.grid, regions.grid.clearance()
+    for border in borders_of(regions.owner):
+        cells = np.unique(np.concatenate([border.low, border.high]), axis=0)
+        widths = clearance[tuple(cells.T)]
+        width_m = 2.0 * float(widths.max())
+        if width_m >= _WAY_M:
+            places = grid.centres_of(cells)
+            widest = places[int(widths.argmax())]
+            yield Crossing(between=border.pair, place=widest, width_m=width_m), places
+
+
+def _is_blocked(
+    regions: Regions,
+    way: Crossing,
+    border: FloatArray,
+    other: tuple[GridMap, FloatArray],
+    other_from_map: BentMotion,
+) -> bool:
+    """Whether the other map saw a side of a way, and something all across it."""
+    grid, near_m = other
+    cells, shape, sides = _around(regions, way, border)
+    placed = grid.cells_of(other_from_map.apply(regions.grid.centres_of(cells)))
+    inside = grid.inside(placed)
+    values = np.full(len(cells), UNKNOWN, dtype=np.uint8)
+    away = np.zeros(len(cells))
+    rows, columns = placed[inside].T
+    values[inside], away[inside] = grid.cells[rows, columns], near_m[rows, columns]
+    free = (values == FREE) & (away > _PASSABLE_M)
+    unknown = values == UNKNOWN
+    low = cells.min(axis=0)
+    if not any(side.any() and np.mean(values[side] == FREE) >= _SEEN for side in sides):
+        return False
+    return not _connects(cells - low, shape, free | unknown, sides) and bool(
+        (values[~(sides[0] | sides[1])] == OCCUPIED).any()
+    )
+
+
+def _around(
+    regions: Regions, way: Crossing, border: FloatArray
+) -> tuple[_Cells, tuple[int, int], tuple[BoolArray, BoolArray]]:
+    """The cells (n, 2) of the two submaps round a way, how many rows and columns they span, and
+    which of them are on either side of it.
+    """
+    reach_m = way.width_m / 2 + _REACH_M
+    box = regions.grid
+    low = box.cells_of((way.place - reach_m)[None])[0].clip(0)
+    high = box.cells_of((way.place + reach_m)[None])[0] + 1
+    window = regions.owner[low[0] : high[0], low[1] : high[1]]
+    cells = np.argwhere(np.isin(window, way.between)) + low
+    owners = regions.owner[tuple(cells.T)]
+    away = np.full(box.cells.shape, 1, dtype=np.uint8)
+    away[tuple(box.cells_of(border).T)] = 0
+    window_away = cv2.distanceTransform(
+        away[low[0] : high[0], low[1] : high[1]], cv2.DIST_L2, cv2.DIST_MASK_PRECISE
+    )
+    far = window_away[tuple((cells - low).T)] * box.resolution > _ASIDE_M
+    sides = far & (owners == way.between[0]), far & (owners == way.between[1])
+    span = cells.max(axis=0) - cells.min(axis=0) + 1
+    return cells, (int(span[0]), int(span[1])), sides
+
+
+def _connects(
+    cells: _Cells, shape: tuple[int, int], passable: BoolArray, sides: tuple[BoolArray, BoolArray]
+) -> bool:
+    """Whether one can go from one side to the other through cells (n, 2) that are passable (n,)."""
+    picture = np.zeros(shape, dtype=np.uint8)
+    picture[tuple(cells[passable].T)] = 1
+    _, labels = cv2.connectedComponents(picture, connectivity=4)
+    one, other = (set(labels[tuple(cells[side & passable].T)].tolist()) for side in sides)
+    return bool(one & other)

@@ -1,7 +1,9 @@
-"""Which submap of one map is which of another, once both are in one frame.
+"""Which submap of one map is which of another, and how its border changed.
 
-A submap is the same when most of its floor is: over the cells that both maps saw, intersection
-over union above a half, which at most one submap of the other map can reach.
+Both maps are in one frame. A submap is the same when most of its floor is: over the cells that both
+maps saw, intersection over union above a half, which at most one submap of the other map can reach.
+Of borders only cells that are free in both maps count: what nobody had seen before, or has not seen
+since, is neither kept nor lost.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Count, Value
+from specmap_cli.core.records import IntArray
 from specmap_cli.grids.gridmap import FREE, UNKNOWN
 from specmap_cli.topology.regions import NOBODY, Regions
 
@@ -181,3 +184,59 @@ def _members(groups: Mapping[int, tuple[int, ...]]) -> set[int]:
 def _chosen(ids: tuple[int, ...], wanted: NDArray[np.bool_], taken: set[int]) -> tuple[int, ...]:
     """The ids that are wanted (n,) and not taken."""
     return tuple(i for i, want in zip(ids, wanted.tolist(), strict=True) if want and i not in taken)
+
+
+_DECIMALS = 1  # of square metres: forty cells of 5 cm; less moves with the walls
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BorderChange:
+    """A submap before and after: intersection over union, and what it had, square metres.
+
+    `given` and `taken` are what it gave to others, and what it has of theirs, by their ids; NOBODY
+    stands for cells of no submap.
+    """
+
+    submap: int
+    iou: float
+    was_m2: float
+    given: Mapping[int, float]
+    taken: Mapping[int, float]
+
+
+def border_changes(old: Regions, new: Regions) -> tuple[BorderChange, ...]:
+    """What became of the submaps of `old` in `new`, by id; both are in one frame."""
+    before, after = _owners(old, new)
+    cell_m2 = old.grid.resolution**2
+    return tuple(_change(submap, before, after, cell_m2) for submap in sorted(old.outlines))
+
+
+def _owners(old: Regions, new: Regions) -> tuple[IntArray, IntArray]:
+    """(n,) who had and who has the cells of the old map that are free in both."""
+    cells = np.argwhere(old.grid.free)
+    places = old.grid.centres_of(cells)
+    both = new.grid.values_at(places) == FREE
+    was, now = old.grid.cells_of(places[both]), new.grid.cells_of(places[both])
+    return _of(old, was), _of(new, now)
+
+
+def _of(regions: Regions, cells: IntArray) -> IntArray:
+    return np.asarray(regions.owner[cells[:, 0], cells[:, 1]], dtype=np.int64)
+
+
+def _change(submap: int, before: IntArray, after: IntArray, cell_m2: float) -> BorderChange:
+    was, now = before == submap, after == submap
+    return BorderChange(
+        submap=submap,
+        iou=int(np.count_nonzero(was & now)) / max(1, int(np.count_nonzero(was | now))),
+        was_m2=float(np.count_nonzero(was)) * cell_m2,
+        given=_areas_by_owner(after[was & ~now], cell_m2),
+        taken=_areas_by_owner(before[now & ~was], cell_m2),
+    )
+
+
+def _areas_by_owner(owners: IntArray, cell_m2: float) -> dict[int, float]:
+    """Square metres by owner, those that round to nought left out."""
+    found, counts = np.unique(owners, return_counts=True)
+    areas = np.round(counts * cell_m2, _DECIMALS)
+    return {int(i): float(m2) for i, m2 in zip(found, areas, strict=True) if m2 > 0.0}

@@ -15,10 +15,9 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import IntArray, Labels
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.topology.borders import Border, Merge, Split, bare, fences_of
-from specmap_cli.topology.fences import fence_of, is_right_of
-from specmap_cli.topology.regions import divide
+from specmap_cli.grids.gridmap import BoolArray, GridMap
+from specmap_cli.topology.regions import NOBODY, Regions, beside, divide, drawn, flood
+from specmap_cli.topology.topological_map import BorderEdit, Line, Merge, Split, bare, fences_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +28,7 @@ class Redrawn:
     """
 
     submaps: IntArray
-    borders: tuple[Border, ...]
+    borders: tuple[BorderEdit, ...]
     next_id: int
     skipped: Mapping[int, str] = field(default_factory=dict)
 
@@ -37,8 +36,8 @@ class Redrawn:
 def redrawn(
     whole: GridMap,
     labels: Labels,
-    borders: Sequence[Border],
-    wished: Sequence[Border],
+    borders: Sequence[BorderEdit],
+    wished: Sequence[BorderEdit],
     next_id: int,
 ) -> Redrawn:
     """Make the borders that are `wished`, in order, instead of those that the labels have.
@@ -63,7 +62,7 @@ def redrawn(
     return state
 
 
-def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[Border]) -> IntArray:
+def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[BorderEdit]) -> IntArray:
     """The submap (n,) of each keyframe before the `borders` were made; `poses` (n, 3).
 
     Keyframes that came after a merge go to the submap of the keyframe nearest to them.
@@ -77,7 +76,9 @@ def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[Border]) -> I
     return before
 
 
-def carried(borders: Sequence[Border], old: FloatArray, new: FloatArray) -> tuple[Border, ...]:
+def carried(
+    borders: Sequence[BorderEdit], old: FloatArray, new: FloatArray
+) -> tuple[BorderEdit, ...]:
     """The borders of a map with keyframes `old` (n, 3) for one of `new` (m, 3) in the same frame.
 
     What came with a merge is what is nearest to the old keyframes that came with it.
@@ -109,7 +110,7 @@ def _parted(submaps: IntArray, poses: FloatArray, merge: Merge) -> IntArray:
     return parted
 
 
-def _made(whole: GridMap, labels: Labels, state: Redrawn, border: Border) -> Redrawn | str:
+def _made(whole: GridMap, labels: Labels, state: Redrawn, border: BorderEdit) -> Redrawn | str:
     """The keyframes with one border more, or why it cannot be made."""
     if isinstance(border, Merge):
         return _merged(state, border)
@@ -151,3 +152,54 @@ def _split(whole: GridMap, labels: Labels, state: Redrawn, border: Split) -> Red
         borders=(*state.borders, made),
         next_id=max(state.next_id, 1 + new),
     )
+
+
+_STEP = 0.5  # cells: no cell is passed over, but for its corner
+_BESIDE = 2.0  # cells: so near to a line a place is on one side of it for sure
+_LEFT, _RIGHT = 1, 2
+
+
+def fence_of(mine: BoolArray, grid: GridMap, line: Line) -> Line | None:
+    """The line from border to border of the cells `mine` (H, W); None where it crosses none.
+
+    An end that lies in them is moved on until it does not; one outside stays.
+    """
+    if not (mine & drawn([line], grid)).any():
+        return None
+    start, end = np.array(line[0]), np.array(line[1])
+    step = (end - start) / np.hypot(*(end - start)) * _STEP * grid.resolution
+    return _moved_on(mine, grid, start, -step), _moved_on(mine, grid, end, step)
+
+
+def is_right_of(fence: Line, mine: BoolArray, grid: GridMap, places: FloatArray) -> BoolArray:
+    """(n,) whether each place (n, 2 or more) is right of a fence across the cells `mine` (H, W).
+
+    A place is on the side from which one comes to it first on foot, without crossing the fence; one
+    that is out of reach is on its side of the straight line.
+    """
+    barrier = drawn([fence], grid)
+    along, across, length = beside(grid.centres_of(np.argwhere(mine)), fence)
+    near = (np.abs(across) <= _BESIDE * grid.resolution) & (along >= 0.0) & (along <= length)
+    markers = np.zeros(mine.shape, dtype=np.int32)
+    markers[mine] = np.where(near, np.where(across < 0.0, _RIGHT, _LEFT), 0)
+    markers[barrier] = 0
+    sides = flood(mine, markers, barrier)
+    sides[~mine | (sides < _LEFT)] = NOBODY
+    found = Regions(grid, sides, {}).owners(places)
+    along, across, _ = beside(places[:, :2], fence)
+    close = (np.abs(across) <= _BESIDE * grid.resolution) & (along >= 0.0) & (along <= length)
+    return np.where(close | (found == NOBODY), across < 0.0, found == _RIGHT)
+
+
+def _moved_on(
+    mine: BoolArray, grid: GridMap, place: FloatArray, step: FloatArray
+) -> tuple[float, float]:
+    """The first place of a way in equal steps that is not in the cells `mine`."""
+    steps = round(2.0 * sum(mine.shape) / _STEP)  # beyond the edge of the grid
+    way = place + step * np.arange(steps)[:, None]
+    cells = grid.cells_of(way)
+    inside = grid.inside(cells)
+    held = np.zeros(len(way), dtype=np.bool_)
+    held[inside] = mine[tuple(cells[inside].T)]
+    x, y = way[int(np.argmin(held))].tolist()
+    return x, y

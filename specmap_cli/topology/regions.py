@@ -1,12 +1,13 @@
-"""Which submap each cell of the whole map belongs to.
+"""Which submap each cell of the whole map belongs to, and where submaps touch.
 
 The grids of neighbouring submaps overlap: the robot saw through each door from both sides. So a
-cell belongs to the submap from which the robot would reach it first.
+cell belongs to the submap from which the robot would reach it first. Fronts spread through free
+cells from where the robot drove; they cross a wall or a fence only when nothing else is left.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +17,9 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
-from specmap_cli.grids.gridmap import BoolArray, GridMap
-from specmap_cli.topology.borders import Line
-from specmap_cli.topology.flooding import drawn, flood
-from specmap_cli.topology.outlines import NOTHING, Outline, outline_of
+from specmap_cli.grids.gridmap import BoolArray, GridMap, cell_distances, contacts, slices_near
+from specmap_cli.topology.shapes import NOTHING, Outline, outline_of
+from specmap_cli.topology.topological_map import Line
 
 OwnerArray = NDArray[np.signedinteger[Any]]
 
@@ -116,3 +116,140 @@ def _connected(cells: BoolArray, seeds: BoolArray) -> BoolArray:
     held = np.zeros(int(parts.max(initial=0)) + 1, dtype=np.bool_)
     held[parts[seeds & cells]] = True
     return np.asarray(held[parts])
+
+
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+_CELL = 0.7072  # of the side of a cell: from its centre to its corner, and no less
+
+
+def flood(
+    passable: BoolArray, markers: NDArray[np.int32], fences: BoolArray | None = None
+) -> NDArray[np.int32]:
+    """(H, W) the marker that reaches each cell first.
+
+    The watershed grows all markers a ring at a time over equal cells, and crosses an edge of the
+    picture only when nothing else is left. It leaves lines one cell wide where fronts meet.
+    """
+    entered = passable if fences is None else passable & ~fences
+    picture = np.pad(np.where(entered, np.uint8(0), np.uint8(255)), 1, constant_values=255)
+    flooded = cv2.watershed(cv2.merge([picture] * 3), np.pad(markers, 1))
+    closed = cv2.dilate(flooded.astype(np.float32), _CROSS)  # ids are exact in single precision
+    fronts = (flooded < 0) & np.pad(passable, 1)
+    return np.where(fronts, closed, flooded).astype(np.int32)[1:-1, 1:-1]
+
+
+def drawn(fences: Iterable[Line], grid: GridMap) -> BoolArray:
+    """(H, W) the cells that fences go through: no way from cell to next cell leads between them."""
+    cells = np.zeros(grid.cells.shape, dtype=np.bool_)
+    reach = _CELL * grid.resolution
+    for fence in fences:
+        ends = np.array(fence)
+        rows, columns = slices_near(ends, 2.0 * reach, grid.origin, grid.resolution, cells.shape)
+        window = np.mgrid[rows, columns].reshape(2, -1).T
+        along, across, length = beside(grid.centres_of(window), fence)
+        on = (np.abs(across) <= reach) & (along >= -reach) & (along <= length + reach)
+        cells[tuple(window[on].T)] = True
+    return cells
+
+
+def beside(places: FloatArray, line: Line) -> tuple[FloatArray, FloatArray, float]:
+    """How far along a line each place (n, 2) is, and how far left of it; the line's length."""
+    start, end = np.array(line[0]), np.array(line[1])
+    length = float(np.hypot(*(end - start)))
+    x, y = ((end - start) / length).tolist()
+    away = places - start
+    return away[:, 0] * x + away[:, 1] * y, away[:, 1] * x - away[:, 0] * y, length
+
+
+Pair = tuple[int, int]
+Window = tuple[slice, slice]
+
+_JOINED_HALF_CELLS = 2  # border points this near are one border: a diagonal one has such gaps
+
+
+@dataclass(frozen=True, slots=True)
+class Space:
+    """The cells of a map: `owner` (H, W) is the submap of each free one, or NOBODY.
+
+    `away` (H, W) are the cells from its centre to the nearest centre of a cell that is not free,
+    unknown ones among them; 0 where it is not free itself. `wall_depth` is how deep in its cell the
+    surface of a wall lies, in cells, on average: a half where a laser hit it, none in a drawing.
+    """
+
+    grid: GridMap
+    owner: OwnerArray
+    away: FloatArray
+    wall_depth: float = 0.0
+
+    @classmethod
+    def of(cls, regions: Regions, *, scanned: bool = False) -> Space:
+        """The space of the regions of a map, which a laser `scanned`, or somebody drew."""
+        free = regions.grid.free
+        away = cell_distances(np.pad(free.astype(np.uint8), 1))[1:-1, 1:-1]
+        owner = np.where(free, regions.owner, NOBODY)
+        return cls(regions.grid, owner, away, 0.5 if scanned else 0.0)
+
+    @property
+    def clearance(self) -> FloatArray:
+        """(H, W) metres from the centre of a free cell to the side of the nearest one that is not.
+
+        Zero for cells that are not free.
+        """
+        return np.asarray(np.maximum(self.away - 0.5, 0.0) * self.grid.resolution)
+
+    def place(self, cell: FloatArray | IntArray) -> tuple[float, float]:
+        """x and y in the map of a row and a column, which may have fractions."""
+        x, y = self.grid.centres_of(np.asarray(cell)[None])[0].tolist()
+        return x, y
+
+
+def windows_of(owner: OwnerArray) -> dict[int, Window]:
+    """The rows and columns that hold the cells of each submap, by id."""
+    from scipy import ndimage  # takes a fifth of a second to load, and `localize` never asks
+
+    found = enumerate(ndimage.find_objects(owner + 1))
+    return {submap: window for submap, window in found if window is not None}
+
+
+@dataclass(frozen=True, slots=True)
+class Border:
+    """One stretch along which two submaps touch, the smaller id first.
+
+    `low` and `high` (m, 2) are the rows and columns of the cells on both sides, side by side.
+    """
+
+    pair: Pair
+    low: IntArray
+    high: IntArray
+
+    def clearance(self, away: FloatArray) -> float:
+        """The widest place at which it can be crossed, as `Space.away`, in cells."""
+        both = np.minimum(away[tuple(self.low.T)], away[tuple(self.high.T)])
+        return float(both.max())
+
+
+def borders_of(owner: OwnerArray) -> list[Border]:
+    """Every stretch along which two submaps touch: by pair, then from the lowest row on."""
+    touching = contacts(owner)
+    swap = owner[tuple(touching.one.T)] != touching.labels[:, 0]
+    low = np.where(swap[:, None], touching.other, touching.one)
+    high = np.where(swap[:, None], touching.one, touching.other)
+    pairs, which = np.unique(touching.labels, axis=0, return_inverse=True)
+    found = []
+    for number, (a, b) in enumerate(pairs.tolist()):
+        mine = np.flatnonzero(which.ravel() == number)
+        for stretch in _stretches(low[mine] + high[mine]):
+            found.append(Border((a, b), low[mine[stretch]], high[mine[stretch]]))
+    return found
+
+
+def _stretches(spots: IntArray) -> list[IntArray]:
+    """The connected stretches of a border: rows of its points (m, 2), given in half cells."""
+    first = spots.min(axis=0)
+    picture = np.zeros(spots.max(axis=0) - first + 1, dtype=np.uint8)
+    picture[tuple((spots - first).T)] = 1
+    side = 2 * _JOINED_HALF_CELLS + 1
+    joined = cv2.dilate(picture, np.ones((side, side), dtype=np.uint8))
+    count, parts = cv2.connectedComponents(joined, connectivity=8)
+    part = parts[tuple((spots - first).T)]
+    return [np.flatnonzero(part == number) for number in range(1, count)]

@@ -1,16 +1,20 @@
-"""The topological map: submaps, the edges between them, the closures that were considered."""
+"""The topological map: submaps, the edges between them, the closures that were considered.
+
+What a person decided of it stands here, too: what was said of a submap, and which borders between
+submaps were moved: two made one, or one cut in two along a line.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, path_length
 from specmap_cli.core.json_values import (
     Amount,
     Corners,
@@ -22,19 +26,18 @@ from specmap_cli.core.json_values import (
     Span,
     StampNs,
     Value,
+    Written,
     numbers_of,
     titled,
 )
 from specmap_cli.core.records import Closure, Labels
-from specmap_cli.core.tracks import path_length
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.topology.borders import Border
 
 # traversed: the robot drove across; closure: joined by matching grids only; loose: joined by a
 # guess across scans that could not be registered; seen: they touch, but the robot never went from
 # one to the other; doorway: regions of a finished map that touch.
 EdgeKind = Literal["traversed", "closure", "loose", "seen", "doorway"]
-# What a submap is by its shape (`topology.kinds`), or by a person's word.
+# What a submap is by its shape (`topology.shapes`), or by a person's word.
 SubmapKind = Literal["room", "corridor", "hall"]
 
 
@@ -288,7 +291,7 @@ class TopologicalMap:
     doors: tuple[Door, ...] = ()
     robot_radius_m: float | None = None
     said: tuple[Said, ...] = ()
-    borders: tuple[Border, ...] = ()
+    borders: tuple[BorderEdit, ...] = ()
 
     @property
     def joined(self) -> list[tuple[int, int]]:
@@ -346,3 +349,87 @@ def driven_m(logs: Sequence[LogInfo], labels: Labels) -> float:
         path_length(way) if driven is None else driven
         for way, driven in zip(ways, known, strict=True)
     )
+
+
+Line = tuple[Point, Point]  # its two ends, metres
+
+
+@dataclass(frozen=True, slots=True)
+class Merge(Value):
+    """One submap became part of another."""
+
+    merge: Annotated[tuple[Count, Count], Field(description="[kept, gone]: ids of the two")]
+    runs: Annotated[
+        tuple[Span, ...],
+        Field(
+            alias="keyframes",
+            description="runs [first, last] of the keyframes that came with it, rows of labels.csv",
+        ),
+    ] = ()
+    known: Annotated[Count, Field(description="number of keyframes that the map had then")] = 0
+
+    @property
+    def kept(self) -> int:
+        """The submap that the other one became part of."""
+        return self.merge[0]
+
+    @property
+    def gone(self) -> int:
+        """The submap that became part of the other one."""
+        return self.merge[1]
+
+    @property
+    def keyframes(self) -> tuple[int, ...]:
+        """The keyframes that came with it, of the `known` first ones of the map."""
+        return numbers_of(self.runs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Split(Value):
+    """A submap was cut along a line."""
+
+    submap: Annotated[
+        Count,
+        Field(alias="split", description="id of the submap, and of what is left of the line"),
+    ]
+    new: Annotated[
+        int | None,
+        Written(Count),
+        Field(description="id of what is right of the line, seen along it"),
+    ] = None
+    line: Annotated[Line, Field(description="two places in the map, as a person gave them")]
+    fence: Annotated[
+        Line | None,
+        Written(Line),
+        Field(
+            description="the line from border to border of the submap; no region reaches across it"
+        ),
+    ] = None
+
+
+BorderEdit = Merge | Split
+
+
+def bare(border: BorderEdit) -> BorderEdit:
+    """A border as it was wished."""
+    if isinstance(border, Merge):
+        return Merge(border.merge)
+    return Split(submap=border.submap, line=border.line, new=border.new)
+
+
+def fences_of(borders: Iterable[BorderEdit]) -> tuple[Line, ...]:
+    """The lines that no region grows across."""
+    return tuple(
+        border.fence for border in borders if isinstance(border, Split) and border.fence is not None
+    )
+
+
+def heirs(submap: int, borders: Iterable[BorderEdit]) -> frozenset[int]:
+    """What a submap became by the borders that were made after it was called so."""
+    found = {submap}
+    for border in borders:
+        if isinstance(border, Merge) and border.gone in found:
+            found = found - {border.gone} | {border.kept}
+        elif isinstance(border, Split) and border.submap in found and border.new is not None:
+            found.add(border.new)
+    return frozenset(found)

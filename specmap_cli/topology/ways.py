@@ -1,20 +1,24 @@
-"""Ways from the anchor of a submap to that of its neighbour, for a robot of some radius."""
+"""Where a robot of some radius can stand in each submap, and how it gets to the next one.
+
+A way leads from the anchor of a submap to that of its neighbour. It is the cheapest over free
+cells, drawn as a line with few corners.
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.topology.anchors import Anchor
-from specmap_cli.topology.polylines import cells_on, straightened
-from specmap_cli.topology.space import Border, Pair, Space, Window, borders_of, windows_of
-from specmap_cli.topology.trees import Tree, tree
+from specmap_cli.topology.regions import Border, Pair, Space, Window, borders_of, windows_of
 
 # Out to so many radii from a wall each step is the cheaper the more room there is: a way keeps to
 # the middle of a door and of a corridor, and does not go round through a hall for it.
@@ -162,3 +166,237 @@ def _both(land: _Land, pair: Pair) -> tuple[Window, BoolArray]:
         slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(one, other, strict=True)
     )
     return (rows, columns), np.isin(land.space.owner[rows, columns], pair)
+
+
+_STRAY_M = 2.0  # on foot from the robot's way: farther off lies what was seen through glass
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+_SQUARE = cv2.getStructuringElement(cv2.MORPH_RECT, (3, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """A free cell of a submap, by row and column, and its clearance in metres."""
+
+    cell: tuple[int, int]
+    clearance_m: float
+
+
+def anchors_of(
+    space: Space, stood: IntArray, radius_m: float, margin_m: float
+) -> dict[int, Anchor]:
+    """The anchor of each submap that has a free cell.
+
+    It is the cell nearest to the middle of the submap that keeps the robot's radius and a margin
+    off all that is not free. Where no cell keeps so much, it is the one that keeps the most. Of a
+    submap in pieces that one counts in which the robot stood most often: rows and columns `stood`
+    (k, 2). Nor is what is far from the robot's way a place to stand, such as the floor behind a
+    railing or glass.
+    """
+    clearance = space.clearance
+    visits = np.zeros(space.owner.shape, dtype=np.int64)
+    np.add.at(visits, tuple(stood.T), 1)
+    anchors = {}
+    for submap, window in windows_of(space.owner).items():
+        mine, room = space.owner[window] == submap, clearance[window]
+        wide = mine & (room >= radius_m)
+        piece = _piece(wide if wide.any() else mine, visits[window])
+        piece = _near_on_foot(piece, visits[window] > 0, _STRAY_M / space.grid.resolution)
+        anchors[submap] = _anchor(piece, room, window, radius_m + margin_m)
+    return anchors
+
+
+def _anchor(roomy: BoolArray, clearance: FloatArray, window: Window, kept_m: float) -> Anchor:
+    """The cell of some of a window of the map that keeps enough, nearest to their middle."""
+    kept = np.where(roomy, clearance, -1.0)
+    cells = np.argwhere(kept >= min(kept_m, float(kept.max())))
+    middle = np.argwhere(roomy).mean(axis=0)
+    cell = cells[np.argmin(np.sum((cells - middle) ** 2, axis=1))]
+    row, column = (cell + [window[0].start, window[1].start]).tolist()
+    return Anchor((row, column), float(clearance[tuple(cell)]))
+
+
+def _near_on_foot(cells: BoolArray, stood: BoolArray, reach: float) -> BoolArray:
+    """Which of the cells are within reach of one where the robot stood; all where it never did.
+
+    A way goes through these cells only. It is as long as around an octagon: at most a tenth off.
+    """
+    if not (cells & stood).any():
+        return cells
+    near = cells & stood
+    for step in range(int(reach)):
+        near = cells & (cv2.dilate(near.astype(np.uint8), _SQUARE if step % 2 else _CROSS) > 0)
+    return near
+
+
+def _piece(cells: BoolArray, visits: IntArray) -> BoolArray:
+    """The connected part of some cells with the most visits; of equals the largest."""
+    count, parts = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)
+    size = np.bincount(parts.ravel(), minlength=count)
+    often = np.bincount(parts.ravel(), weights=visits.ravel(), minlength=count)
+    size[0] = often[0] = -1
+    return np.asarray(parts == np.lexsort([size, often])[-1])
+
+
+_STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # to half of the eight neighbours
+_NO_NODE = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """The cheapest ways from one cell over the cells of a window of the map.
+
+    `number` (h, w) is the node of each cell, or -1; `cells` (n, 2) the row and column on the map;
+    `cost` (n + 1,) that of the way, infinite where there is none and for node -1; `before` (n,) the
+    node that comes before it on the way, negative for the first.
+    """
+
+    window: Window
+    number: IntArray
+    cells: IntArray
+    cost: FloatArray
+    before: NDArray[np.int32]
+
+    def cost_to(self, cells: IntArray) -> FloatArray:
+        """(m,) the cost of the way to cells (m, 2) of the window, infinite where there is none."""
+        return np.asarray(self.cost[self._nodes(cells)])
+
+    def way_to(self, cell: IntArray) -> IntArray:
+        """(k, 2) the cells of the way to one that can be reached, from the first on."""
+        node = int(self._nodes(cell[None])[0])
+        way = [node]
+        while (node := int(self.before[node])) >= 0:
+            way.append(node)
+        return np.asarray(self.cells[way[::-1]])
+
+    def _nodes(self, cells: IntArray) -> IntArray:
+        rows, columns = (cells - [part.start for part in self.window]).T
+        return np.asarray(self.number[rows, columns])
+
+
+def tree(open_cells: BoolArray, price: FloatArray, window: Window, start: tuple[int, int]) -> Tree:
+    """The cheapest ways from `start`, a row and column of the map, over `open_cells` (h, w).
+
+    `price` (h, w) is that of a step of one cell, also across corners. Both are of a `window` of
+    the map. Takes n log n for n open cells.
+    """
+    from scipy.sparse import csr_matrix  # take a fifth of a second to load
+    from scipy.sparse.csgraph import dijkstra
+
+    number = np.full(open_cells.shape, _NO_NODE, dtype=np.int64)
+    cells = np.argwhere(open_cells)
+    number[open_cells] = np.arange(len(cells))
+    ends, prices = _steps(number, price)
+    graph = csr_matrix((prices, (ends[:, 0], ends[:, 1])), shape=(len(cells), len(cells)))
+    first = int(number[start[0] - window[0].start, start[1] - window[1].start])
+    cost, before = np.full(len(cells), np.inf), np.full(len(cells), _NO_NODE, dtype=np.int32)
+    if first != _NO_NODE:
+        cost, before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)
+    corner = [part.start for part in window]
+    return Tree(window, number, cells + corner, np.append(cost, np.inf), before)
+
+
+def _steps(number: IntArray, price: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Both nodes (m, 2) of each step between two numbered cells, and its price (m,)."""
+    ends, prices = [], []
+    height, width = number.shape
+    for down, right in _STEPS:
+        here = slice(0, height - down), slice(max(0, -right), width - max(0, right))
+        there = slice(down, height), slice(max(0, right), width - max(0, -right))
+        both = (number[here] != _NO_NODE) & (number[there] != _NO_NODE)
+        if down and right:  # a line across a corner touches the cells on both sides of it
+            both &= number[there[0], here[1]] != _NO_NODE
+            both &= number[here[0], there[1]] != _NO_NODE
+        ends.append(np.column_stack([number[here][both], number[there][both]]))
+        prices.append((price[here][both] + price[there][both]) * (0.5 * np.hypot(down, right)))
+    return np.concatenate(ends), np.concatenate(prices)
+
+
+_STRAY_CELLS = 2.0  # how far a straight piece may leave the cells that it stands for
+_HAIRS = 1e-6 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])  # to all sides
+_SLACK = 1e-9  # of prices that are equal but for the last digit
+
+
+def straightened(way: IntArray, price: FloatArray) -> IntArray:
+    """The corners (k, 2) of a line from the first to the last cell of a way (n, 2).
+
+    Cells that a line must not enter have an infinite `price` (H, W). A piece of the line costs no
+    more than the corners that it replaces: so it keeps off walls as the way does.
+    """
+    return _pulled(way[_corners(way, price)], price)
+
+
+def line_price(start: IntArray, end: IntArray, price: FloatArray) -> float:
+    """The price of a straight line between the centres of two cells."""
+    cells, lengths = cells_on(start, end)
+    prices = price[tuple(cells.T)]
+    return float(np.sum(prices * lengths)) if np.isfinite(prices).all() else math.inf
+
+
+def cells_on(start: IntArray, end: IntArray) -> tuple[IntArray, FloatArray]:
+    """(n, 2) every cell under a straight line, and the length (n,) of the line in it, in cells.
+
+    Through a corner the line touches the cells on both sides, at no length.
+    """
+    along = (end - start).astype(np.float64)
+    met = np.concatenate([[0.0, 1.0], *(_edges_met(part) for part in along.tolist())])
+    ends = np.unique(met)
+    middles = (ends[:-1] + ends[1:]) / 2.0
+    under = np.rint(start + middles[:, None] * along)
+    touched = np.rint(start + ends[:, None, None] * along + _HAIRS)
+    lengths = np.diff(ends) * math.hypot(*along)
+    return (
+        np.concatenate([under, touched.reshape(-1, 2)]).astype(np.int64),
+        np.concatenate([lengths, np.zeros(touched.size // 2)]),
+    )
+
+
+def _edges_met(along: float) -> FloatArray:
+    """The shares of a line, between 0 and 1, at which it meets an edge of cells on one axis."""
+    count = round(abs(along))
+    if not count:
+        return np.zeros(0)
+    return (np.arange(count) + 0.5) / count
+
+
+def _corners(way: IntArray, price: FloatArray) -> list[int]:
+    """Rows of a way between which a straight line may be drawn: Douglas and Peucker (1973)."""
+    kept, waiting = {0, len(way) - 1}, [(0, len(way) - 1)]
+    while waiting:
+        first, last = waiting.pop()
+        if last - first < 2:
+            continue
+        stray = _stray(way[first : last + 1])
+        open_line = math.isfinite(line_price(way[first], way[last], price))
+        if float(stray.max()) > _STRAY_CELLS or not open_line:
+            corner = first + 1 + int(np.argmax(stray[1:-1]))
+            kept.add(corner)
+            waiting += [(first, corner), (corner, last)]
+    return sorted(kept)
+
+
+def _stray(way: IntArray) -> FloatArray:
+    """(n,) how far the cells of a way lie from the straight line between its ends, in cells."""
+    along = way[-1] - way[0]
+    length = float(np.sqrt(np.sum(along**2)))
+    rows, columns = (way - way[0]).T
+    if length == 0.0:
+        return np.asarray(np.hypot(rows, columns))
+    return np.asarray(np.abs(rows * along[1] - columns * along[0]) / length)
+
+
+def _pulled(corners: IntArray, price: FloatArray) -> IntArray:
+    """The corners without those that a straight line can leave out at no higher price."""
+    prices = [line_price(a, b, price) for a, b in itertools.pairwise(corners)]
+    kept = [0]
+    while kept[-1] < len(corners) - 1:
+        here = kept[-1]
+        kept.append(
+            next(
+                there
+                for there in range(len(corners) - 1, here, -1)
+                if there == here + 1
+                or line_price(corners[here], corners[there], price)
+                <= sum(prices[here:there]) + _SLACK
+            )
+        )
+    return corners[kept]

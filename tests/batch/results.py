@@ -6,9 +6,17 @@ import os
 import signal
 from typing import Any
 
-from specmap_cli.batch.crew import Terms
-from specmap_cli.batch.dispatch import Turn
-from specmap_cli.batch.records import InputRecord, Job, JobResult, LimitsRecord, Step, StepOutcome
+from specmap_cli.batch.records import (
+    InputRecord,
+    Job,
+    JobRecord,
+    JobResult,
+    Limits,
+    Step,
+    StepOutcome,
+    Terms,
+    Turn,
+)
 
 FIGURES: dict[str, float | str | None] = {
     "verdict": "good",
@@ -24,9 +32,9 @@ def job(name: str) -> Job:
     return Job(name, (f"/logs/{name}.mcap",), (Step("build"),))
 
 
-def result(name: str, **changes: Any) -> JobResult:
+def result(name: str, **changes: Any) -> JobRecord:
     """A job that went well, but for the changes."""
-    return JobResult.model_validate(
+    return JobRecord.model_validate(
         {
             "schema_version": 1,
             "name": name,
@@ -36,7 +44,7 @@ def result(name: str, **changes: Any) -> JobResult:
             "kind": None,
             "reason": None,
             "attempts": 1,
-            "limits": LimitsRecord(memory_mb=1000, time_s=None),
+            "limits": Limits(memory_mb=1000),
             "started_utc": "2026-01-01T00:00:00+00:00",
             "wall_s": 18.0,
             "cpu_s": 17.0,
@@ -55,7 +63,7 @@ def result(name: str, **changes: Any) -> JobResult:
     )
 
 
-def warned(name: str, *warnings: str) -> JobResult:
+def warned(name: str, *warnings: str) -> JobRecord:
     """A job that went well, whose steps build and report both warned of something."""
     steps = [
         StepOutcome(
@@ -72,7 +80,7 @@ def warned(name: str, *warnings: str) -> JobResult:
     return result(name, steps=tuple(steps))
 
 
-def failed(name: str, kind: str = "log", reason: str = "holds no scans", **more: Any) -> JobResult:
+def failed(name: str, kind: str = "log", reason: str = "holds no scans", **more: Any) -> JobRecord:
     nothing = {"figures": {}, "files": {"log.txt": 1}, "memory_mb": None}
     return result(name, state="failed", kind=kind, reason=reason, **(nothing | more))
 
@@ -84,9 +92,11 @@ def at_once(turn: Turn, terms: Terms, _version: str) -> JobResult:
         os.kill(os.getpid(), signal.SIGKILL)
     if name.startswith("buggy"):
         raise ValueError("a bug of the worker")
-    limit = LimitsRecord(memory_mb=terms.limits.memory_mb, time_s=None)
+    limit = Limits(memory_mb=terms.limits.memory_mb)
     if name.startswith("hungry") and not turn.alone:
-        return failed(name, "memory", "too much", limits=limit, attempts=turn.attempt)
-    if name.startswith("bad"):
-        return failed(name, attempts=turn.attempt)
-    return result(name, attempts=turn.attempt, limits=limit)
+        record = failed(name, "memory", "too much", limits=limit, attempts=turn.attempt)
+    elif name.startswith("bad"):
+        record = failed(name, attempts=turn.attempt)
+    else:
+        record = result(name, attempts=turn.attempt, limits=limit)
+    return JobResult(record)

@@ -14,23 +14,18 @@ from typing import Any
 import pytest
 
 from specmap_cli import __version__
-from specmap_cli.batch import batch, cluster, crew
-from specmap_cli.batch import spread as spreading
-from specmap_cli.batch.batch import Listener, run_batch
-from specmap_cli.batch.cluster import Place
-from specmap_cli.batch.crew import DaskCrew, Terms
-from specmap_cli.batch.dispatch import Finished, Retried, Turn, worked_off
-from specmap_cli.batch.events import EventRecord
-from specmap_cli.batch.ledger import Ledger
+from specmap_cli.batch import batch, workers
+from specmap_cli.batch.batch import Listener, run_batch, work_off
+from specmap_cli.batch.ledger import EventRecord, Ledger
 from specmap_cli.batch.places import PlaceError
-from specmap_cli.batch.records import Limits
-from specmap_cli.batch.spread import spread
+from specmap_cli.batch.records import Limits, Terms, Turn
+from specmap_cli.batch.summaries import SUMMARIES
+from specmap_cli.batch.workers import Cluster, Workers, spread
 from specmap_cli.core.errors import MapError, NoResultError, UsageError
 from tests.batch.results import at_once, job
 
 distributed = pytest.importorskip("distributed")
 
-SUMMARIES = {"summary.csv", "summary.parquet", "summary.md", "junit.xml", "index.html"}
 # What Dask leaves to the garbage collector in a test's process is not ours.
 pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
@@ -55,19 +50,19 @@ def here(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """`run_batch` uses these workers, and jobs do what their names say."""
 
     @contextmanager
-    def opened(_place: Place) -> Iterator[Any]:
+    def opened(_: Cluster) -> Iterator[Any]:
         yield client
 
     monkeypatch.setattr(batch, "opened", opened)
-    monkeypatch.setattr(spreading, "opened", opened)
-    monkeypatch.setattr(crew, "on_worker", at_once)
+    monkeypatch.setattr(workers, "opened", opened)
+    monkeypatch.setattr(workers, "on_worker", at_once)
 
 
 def ran(out: Path, *names: str, retries: int = 0) -> tuple[Ledger, list[EventRecord]]:
     told: list[EventRecord] = []
     terms = Terms(str(out), Limits(memory_mb=500))
     jobs = [job(name) for name in names]
-    return run_batch(jobs, terms, Place(), retries, Listener(told.append)), told
+    return run_batch(jobs, terms, Cluster(), retries, Listener(told.append)), told
 
 
 @pytest.mark.usefixtures("here")
@@ -120,7 +115,7 @@ class TestBatch:
         before = (tmp_path / "summary.csv").read_bytes()
 
         @contextmanager
-        def nobody(_place: Place) -> Iterator[Any]:
+        def nobody(_: Cluster) -> Iterator[Any]:
             raise UsageError("no worker has come")
             yield
 
@@ -134,12 +129,12 @@ class TestBatch:
     ) -> None:
         outputs = []
 
-        class Told(DaskCrew):
+        class Told(Workers):
             def __init__(self, client: Any, terms: Terms) -> None:
                 outputs.append(terms.output)
                 super().__init__(client, terms)
 
-        monkeypatch.setattr(batch, "DaskCrew", Told)
+        monkeypatch.setattr(batch, "Workers", Told)
         monkeypatch.chdir(tmp_path)
         ran(Path("maps"), "a")
         assert outputs == [str(tmp_path / "maps")]
@@ -183,7 +178,7 @@ def test_no_jobs_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_worker_of_another_version_makes_nothing(tmp_path: Path) -> None:
-    made = crew.on_worker(Turn(job("a")), Terms(str(tmp_path)), "0.0")
+    made = workers.on_worker(Turn(job("a")), Terms(str(tmp_path)), "0.0").record
     assert made.kind == "worker"
     assert made.reason is not None
     assert f"the worker has specmap {__version__}, the client 0.0" in made.reason
@@ -191,28 +186,26 @@ def test_a_worker_of_another_version_makes_nothing(tmp_path: Path) -> None:
 
 
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_ANSWER_S", 0.2)
+    monkeypatch.setattr(workers, "_ANSWER_S", 0.2)
     with (
         pytest.raises(UsageError, match=r"tcp://127\.0\.0\.1:9: no Dask scheduler answers"),
-        cluster.opened(Place(scheduler="tcp://127.0.0.1:9")),
+        workers.opened(Cluster(scheduler="tcp://127.0.0.1:9")),
     ):
         pass
 
 
 def test_a_job_whose_worker_dies_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Real workers, one of which is killed by its job."""
-    monkeypatch.setattr(crew, "on_worker", at_once)
-    with cluster.opened(Place(workers=2)) as client, DaskCrew(client, Terms("")) as workers:
-        happened = list(worked_off([job("deadly"), job("a"), job("b")], workers, retries=1))
-    retried = [one.result for one in happened if isinstance(one, Retried)]
-    assert [(one.name, one.kind) for one in retried] == [("deadly", "worker")]
-    assert retried[0].reason is not None
-    assert retried[0].reason.startswith("the worker died with the job (tcp://127.0.0.1:")
-    done = {one.result.name: one.result for one in happened if isinstance(one, Finished)}
-    assert {name: one.state for name, one in done.items()} == dict.fromkeys(
-        ("a", "b", "deadly"), "done"
-    )
-    assert done["deadly"].attempts == 2
+    monkeypatch.setattr(workers, "on_worker", at_once)
+    names = ("deadly", "a", "b")
+    ledger = Ledger([job(name) for name in names], dict.fromkeys(names, 1))
+    with workers.opened(Cluster(workers=2)) as client, Workers(client, Terms("")) as some:
+        happened = list(work_off(ledger.jobs, some, 1, ledger))
+    (retried,) = (one for one in happened if one is not None and one.event == "retried")
+    assert (retried.job, retried.kind) == ("deadly", "worker")
+    assert str(retried.reason).startswith("the worker died with the job (tcp://127.0.0.1:")
+    assert ledger.done == 3
+    assert ledger.results["deadly"].attempts == 2
 
 
 @pytest.fixture
@@ -235,7 +228,7 @@ def test_a_scheduler_in_another_process(scheduler: str, tmp_path: Path) -> None:
     """Without a worker it is refused; with one it does the jobs, which fail as their logs ask."""
     with (
         pytest.raises(UsageError, match=r"no worker has come in 0 s: start one with `dask worker`"),
-        cluster.opened(Place(scheduler=scheduler, patience_s=0.1)),
+        workers.opened(Cluster(scheduler=scheduler, patience_s=0.1)),
     ):
         pass
     command = [sys.executable, "-m", "distributed.cli.dask_worker", scheduler, "--nthreads", "1"]
@@ -243,7 +236,7 @@ def test_a_scheduler_in_another_process(scheduler: str, tmp_path: Path) -> None:
     worker = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         terms = Terms(str(tmp_path / "out"), scratch=str(tmp_path))
-        ledger = run_batch([job("lost"), job("gone")], terms, Place(scheduler=scheduler))
+        ledger = run_batch([job("lost"), job("gone")], terms, Cluster(scheduler=scheduler))
     finally:
         worker.kill()
         worker.wait()
@@ -262,9 +255,9 @@ def _tripled(number: int) -> int:
 
 @pytest.mark.usefixtures("here")
 def test_a_function_of_many_things_is_spread_over_the_workers() -> None:
-    assert spread(Place(), _tripled, [1, 2, 3]) == [3, 6, 9]
+    assert spread(Cluster(), _tripled, [1, 2, 3]) == [3, 6, 9]
     with pytest.raises(MapError, match="-1: not a map"):
-        spread(Place(), _tripled, [1, -1])
+        spread(Cluster(), _tripled, [1, -1])
 
 
 class _Failing:
@@ -284,7 +277,7 @@ def test_a_worker_that_dies_while_it_starts_is_started_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(distributed, "LocalCluster", _Failing(1))
-    assert cluster._started(Place(1)) == "started"
+    assert workers._started(Cluster(1)) == "started"
     monkeypatch.setattr(distributed, "LocalCluster", _Failing(9))
     with pytest.raises(NoResultError, match=r"could not be started \(no worker process\): run "):
-        cluster._started(Place(1))
+        workers._started(Cluster(1))

@@ -1,21 +1,25 @@
-"""Which job is handed out when, with workers that do as they are told."""
+"""Which job is handed out when, with workers that do as they are told; and the events of it."""
 
 from __future__ import annotations
 
+import json
 from collections import deque
 from collections.abc import Callable
 
+import jsonschema
 import pytest
 
-from specmap_cli.batch import dispatch
-from specmap_cli.batch.dispatch import Finished, Happening, Quiet, Retried, Started, Turn
-from specmap_cli.batch.records import JobResult
+from specmap_cli.batch.batch import longest_first, work_off
+from specmap_cli.batch.ledger import EventRecord, Ledger
+from specmap_cli.batch.records import JobRecord, JobResult, Turn
+from specmap_cli.batch.workers import Workers
+from specmap_cli.core.schemas import read_schema
 from tests.batch.results import failed, job, result
 
-Answer = Callable[[Turn], JobResult | None]
+Answer = Callable[[Turn], JobRecord | None]
 
 
-class Obedient:
+class Obedient(Workers):
     """Workers that finish jobs in the order in which they got them."""
 
     def __init__(self, answer: Answer, slots: int = 2) -> None:
@@ -28,8 +32,8 @@ class Obedient:
     def slots(self) -> int:
         return self.free
 
-    def alone_mb(self) -> float:
-        return 1000.0 * self.most
+    def alone_mb(self) -> int:
+        return 1000 * self.most
 
     def submit(self, turn: Turn) -> None:
         self.running.append(turn)
@@ -42,78 +46,113 @@ class Obedient:
             self.free = self.most
             return None
         turn = self.running.popleft()
-        return turn, self.answer(turn)
+        record = self.answer(turn)
+        return turn, None if record is None else JobResult(record)
 
 
-def happenings(names: str, crew: Obedient, retries: int = 1) -> list[Happening]:
-    return list(dispatch.worked_off([job(name) for name in names], crew, retries))
+def ledger_of(names: str) -> Ledger:
+    return Ledger([job(name) for name in names], dict.fromkeys(names, 1))
 
 
-def finished(happened: list[Happening]) -> dict[str, str]:
-    return {one.result.name: one.result.state for one in happened if isinstance(one, Finished)}
+def happenings(names: str, workers: Obedient, retries: int = 1) -> list[EventRecord | None]:
+    """What happens; every job is done or failed in the end, and once."""
+    ledger = ledger_of(names)
+    happened = list(work_off(ledger.jobs, workers, retries, ledger))
+    ends = [one.job for one in happened if one is not None and one.event in ("done", "failed")]
+    assert sorted(map(str, ends)) == sorted(names)
+    assert workers.largest <= workers.most
+    return happened
+
+
+def states(happened: list[EventRecord | None]) -> dict[str | None, str]:
+    """How each job ended."""
+    ends = ("done", "failed")
+    return {one.job: one.event for one in happened if one is not None and one.event in ends}
 
 
 def test_long_logs_come_first_and_names_decide_among_equals() -> None:
     jobs = [job(name) for name in "dbca"]
-    ordered = dispatch.longest_first(jobs, {"a": 5, "b": 7, "c": 7, "d": 1})
+    ordered = longest_first(jobs, {"a": 5, "b": 7, "c": 7, "d": 1})
     assert "".join(one.name for one in ordered) == "bcad"
 
 
-def test_every_job_is_started_and_finished_once_and_never_more_run_than_there_are_workers() -> None:
-    crew = Obedient(lambda turn: result(turn.job.name))
-    happened = happenings("abcdef", crew)
-    assert finished(happened) == dict.fromkeys("abcdef", "done")
-    assert [one.turn.job.name for one in happened if isinstance(one, Started)] == list("abcdef")
-    assert crew.largest == 2
-
-
 def test_a_bad_log_is_not_tried_again_and_stops_no_other() -> None:
-    crew = Obedient(lambda turn: failed("b") if turn.job.name == "b" else result(turn.job.name))
-    assert finished(happenings("abc", crew)) == {"a": "done", "b": "failed", "c": "done"}
-    assert [name for name, *_ in crew.got] == ["a", "b", "c"]
+    workers = Obedient(lambda turn: (failed if turn.job.name == "b" else result)(turn.job.name))
+    assert states(happenings("abc", workers)) == {"a": "done", "b": "failed", "c": "done"}
+    assert [name for name, *_ in workers.got] == ["a", "b", "c"]
+    assert workers.largest == 2
 
 
 @pytest.mark.parametrize(("retries", "attempts"), [(0, 1), (1, 2), (3, 4)])
 def test_a_lost_worker_is_forgiven_so_often(retries: int, attempts: int) -> None:
-    crew = Obedient(lambda turn: failed("a", "worker", attempts=turn.attempt))
-    happened = happenings("a", crew, retries)
-    assert crew.got == [("a", attempt, False) for attempt in range(1, attempts + 1)]
-    assert sum(isinstance(one, Retried) for one in happened) == retries
-    assert finished(happened) == {"a": "failed"}
+    workers = Obedient(lambda turn: failed("a", "worker", attempts=turn.attempt))
+    happened = happenings("a", workers, retries)
+    assert workers.got == [("a", attempt, False) for attempt in range(1, attempts + 1)]
+    assert sum(one is not None and one.event == "retried" for one in happened) == retries
+    assert states(happened) == {"a": "failed"}
 
 
 def test_want_of_memory_is_tried_again_at_the_end_and_alone() -> None:
-    def answer(turn: Turn) -> JobResult:
+    def answer(turn: Turn) -> JobRecord:
         small = turn.job.name in "bc" and not turn.alone
         return failed(turn.job.name, "memory") if small else result(turn.job.name)
 
-    crew = Obedient(answer)
-    assert finished(happenings("abcd", crew, retries=0)) == dict.fromkeys("abcd", "done")
-    assert crew.got[-2:] == [("b", 2, True), ("c", 2, True)]
+    workers = Obedient(answer)
+    assert states(happenings("abcd", workers, retries=0)) == dict.fromkeys("abcd", "done")
+    assert workers.got[-2:] == [("b", 2, True), ("c", 2, True)]
 
 
-def test_a_job_that_wants_more_than_all_have_fails() -> None:
-    crew = Obedient(lambda _: failed("a", "memory"))
-    assert finished(happenings("a", crew, retries=5)) == {"a": "failed"}
-    assert crew.got == [("a", 1, False), ("a", 2, True)]
-
-
-def test_one_worker_has_no_more_memory_alone() -> None:
-    crew = Obedient(lambda _: failed("a", "memory"), slots=1)
-    assert finished(happenings("a", crew)) == {"a": "failed"}
-    assert crew.got == [("a", 1, False)]
+@pytest.mark.parametrize(
+    ("slots", "got"),
+    [(2, [("a", 1, False), ("a", 2, True)]), (1, [("a", 1, False)])],  # one has no more alone
+)
+def test_a_job_that_wants_more_than_all_have_fails(
+    slots: int, got: list[tuple[str, int, bool]]
+) -> None:
+    workers = Obedient(lambda _: failed("a", "memory"), slots)
+    assert states(happenings("a", workers, retries=5)) == {"a": "failed"}
+    assert workers.got == got
 
 
 def test_what_the_scheduler_forgot_is_handed_out_again_as_the_same_attempt() -> None:
     forgotten = iter([None, None])
-    crew = Obedient(lambda turn: next(forgotten, result(turn.job.name)))
-    assert finished(happenings("ab", crew, retries=0)) == {"a": "done", "b": "done"}
-    assert sorted(crew.got) == [("a", 1, False)] * 2 + [("b", 1, False)] * 2
+    workers = Obedient(lambda turn: next(forgotten, result(turn.job.name)))
+    assert states(happenings("ab", workers, retries=0)) == {"a": "done", "b": "done"}
+    assert sorted(workers.got) == [("a", 1, False)] * 2 + [("b", 1, False)] * 2
 
 
 def test_jobs_wait_while_no_worker_is_there() -> None:
-    crew = Obedient(lambda turn: result(turn.job.name))
-    crew.free = 0
-    happened = happenings("a", crew)
-    assert isinstance(happened[0], Quiet)
-    assert finished(happened) == {"a": "done"}
+    workers = Obedient(lambda turn: result(turn.job.name))
+    workers.free = 0
+    happened = happenings("a", workers)
+    assert happened[0] is None
+    assert states(happened) == {"a": "done"}
+
+
+def test_events_say_what_happened_in_order_as_their_schema_says() -> None:
+    ledger = ledger_of("abc")
+    heard = [
+        ledger.began(),
+        ledger.started(Turn(job("b"))),
+        ledger.retried(failed("b", "worker", attempts=1)),
+        ledger.finished(JobResult(result("a"))),
+        ledger.finished(JobResult(result("c"), resumed=True)),
+        *(ledger.waits(slots) for slots in (2, 0, 0, 1, 0)),
+        ledger.finished(JobResult(failed("b", attempts=2))),
+        ledger.ended(),
+    ]
+    told = [one for one in heard if one is not None]
+    for one in told:
+        jsonschema.validate(json.loads(one.line()), read_schema("batch"))
+        assert one.line().count("\n") == 1
+    assert [(one.event, one.job, one.attempt, one.done, one.failed) for one in told] == [
+        ("began", None, None, 0, 0),
+        ("started", "b", 1, 0, 0),
+        ("retried", "b", 1, 0, 0),
+        ("done", "a", 1, 1, 0),
+        ("resumed", "c", 1, 2, 0),
+        *[("stranded", None, None, 2, 0)] * 2,
+        ("failed", "b", 2, 2, 1),
+        ("ended", None, None, 2, 1),
+    ]
+    assert ledger.resumed == 1

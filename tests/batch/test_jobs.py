@@ -11,10 +11,9 @@ from pathlib import Path
 import pytest
 
 from specmap_cli.batch import jobs
-from specmap_cli.batch.naming import BESIDE_JOBS
-from specmap_cli.batch.outputs import INDEX, JOURNAL, SUMMARIES
 from specmap_cli.batch.records import COMMANDS, Job, Plan, Step
 from specmap_cli.batch.steps import SUFFIXES, arguments_of
+from specmap_cli.batch.summaries import SUMMARIES
 from specmap_cli.cli.batch import known_options
 from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.exports.table import exporters
@@ -76,8 +75,8 @@ def test_a_damaged_beginning_does_not_hide_a_recording(lay: Lay) -> None:
 
 
 def test_no_folder_of_a_job_stands_where_the_batch_writes(lay: Lay) -> None:
-    beside = {INDEX, JOURNAL, *SUMMARIES}
-    assert beside == BESIDE_JOBS
+    beside = {"events.jsonl", *SUMMARIES}
+    assert beside == jobs.BESIDE_JOBS
     where = lay(*(f"{name}.mcap" for name in beside))
     assert beside.isdisjoint(names(jobs_of([str(where)])))
     lay(jobs__toml='[[job]]\nname = "Index.html"\nlogs = ["index.html.mcap"]')

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
 import random
 import shutil
 import sys
@@ -16,18 +15,12 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from specmap_cli.batch import processes, work
-from specmap_cli.batch.digest import digest_of, inputs_of
-from specmap_cli.batch.folders import folder_at
+from specmap_cli.batch import processes, running
 from specmap_cli.batch.jobs import jobs_of
-from specmap_cli.batch.records import (
-    Job,
-    JobResult,
-    Limits,
-    Plan,
-    Step,
-)
+from specmap_cli.batch.outputs import folder_at
+from specmap_cli.batch.records import Job, JobRecord, JobResult, Limits, Plan, Step, Terms, Turn
 from specmap_cli.batch.running import failure, may_retry, run_job
+from specmap_cli.batch.sources import digest_of, inputs_of
 from specmap_cli.cli.batch import known_options
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.core.text import to_json
@@ -37,15 +30,15 @@ from tests.cli.conftest import QUICK
 pytest.importorskip("psutil")
 
 ALL = tuple(Step(command) for command in ("build", "report", "check"))
-Run = Callable[..., JobResult]
+Run = Callable[..., JobRecord]
 
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """The fake program in the place of specmap; the file has a line for each of its builds."""
     program = (sys.executable, "-I", "-S", fake_specmap.__file__)
-    monkeypatch.setattr(work, "PROGRAM", program)
-    monkeypatch.setattr(work, "read_map", _no_map)
+    monkeypatch.setattr(running, "PROGRAM", program)
+    monkeypatch.setattr(running, "read_map", _no_map)
     monkeypatch.setattr(processes, "_LOOK_S", 0.01)  # its steps are short
     monkeypatch.setenv("FAKE_NOTE", str(tmp_path / "builds"))
     monkeypatch.setenv("SPECMAP_PRESET", "paper")  # of a worker: no step may see it
@@ -60,19 +53,39 @@ def _no_map(path: Path) -> None:
 
 @pytest.fixture
 def run(fake: Path, tmp_path: Path) -> Run:
-    """Run a job of a log of these words with the fake program."""
+    """Run a job of a log of these words with the fake program; it was `resumed` or not."""
     assert not fake.exists()
 
     def run(
-        words: str = "fine", limits: Limits = Limits(), attempt: int = 1, **changes: object
-    ) -> JobResult:
+        words: str = "fine",
+        limits: Limits = Limits(),
+        attempt: int = 1,
+        *,
+        steps: tuple[Step, ...] = ALL,
+        redo: bool = False,
+        resumed: bool = False,
+    ) -> JobRecord:
         log = tmp_path / "monday.mcap"
         if not log.exists() or log.read_text() != words:
             log.write_text(words)
-        job = Job("monday", (str(log),), changes.get("steps", ALL))  # type: ignore[arg-type]
-        return run_job(job, str(tmp_path / "out"), limits, str(tmp_path / "scratch"), attempt)
+        turn = Turn(Job("monday", (str(log),), steps), attempt)
+        scratch = str(tmp_path / "scratch")
+        made = run_job(turn, Terms(str(tmp_path / "out"), limits, scratch, redo))
+        assert made.resumed == resumed
+        return made.record
 
     return run
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The folder of the job that `run` does."""
+    return tmp_path / "out" / "monday"
+
+
+def run_of(log: Path | str, tmp_path: Path, *, redo: bool = False) -> JobResult:
+    """What comes of the job of a log that is not that of `run`."""
+    return run_job(Turn(Job("monday", (str(log),), ALL)), Terms(str(tmp_path / "out"), redo=redo))
 
 
 def builds(note: Path) -> int:
@@ -89,47 +102,47 @@ def files(directory: Path) -> dict[str, bytes]:
     }
 
 
-def test_a_finished_job_leaves_all_that_it_made_and_nothing_else(run: Run, tmp_path: Path) -> None:
-    result = run()
-    folder = tmp_path / "out" / "monday"
-    assert (result.state, result.kind, result.reason, result.resumed) == ("done", None, None, False)
+def test_a_finished_job_leaves_all_that_it_made_and_nothing_else(
+    run: Run, folder: Path, tmp_path: Path
+) -> None:
+    record = run()
+    assert (record.state, record.kind, record.reason) == ("done", None, None)
     assert {path.name for path in folder.iterdir()} == {
         *("map", "report.html", "log.txt", "job.json"),
         *("build.json", "report.json", "check.json"),
     }
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["monday"]
     assert list((tmp_path / "scratch").iterdir()) == []
-    assert result.files["map/part-3"] == (folder / "map" / "part-3").stat().st_size
-    assert [step.command for step in result.steps] == ["build", "report", "check"]
+    assert record.files["map/part-3"] == (folder / "map" / "part-3").stat().st_size
+    assert [step.command for step in record.steps] == ["build", "report", "check"]
     assert "$ specmap check --json -- map" in (folder / "log.txt").read_text()
 
 
-def test_what_job_json_says_is_as_its_schema_says(run: Run, tmp_path: Path) -> None:
-    result = run("damaged")
-    written = json.loads((tmp_path / "out" / "monday" / "job.json").read_text())
+def test_what_job_json_says_is_as_its_schema_says(run: Run, folder: Path, tmp_path: Path) -> None:
+    record = run("damaged", Limits(time_s=60.0))
+    written = json.loads((folder / "job.json").read_text())
     jsonschema.validate(written, read_schema("job"))
-    assert to_json(result.record.model_dump()) == to_json(written)
+    assert to_json(record.model_dump()) == to_json(written)
     stored = folder_at(str(tmp_path / "out"), "monday").stored()
     assert stored is not None
-    assert stored.reason == result.reason
+    assert to_json(stored.model_dump()) == to_json(written)
 
 
-def test_a_complete_result_is_not_made_again(fake: Path, run: Run, tmp_path: Path) -> None:
+def test_a_complete_result_is_not_made_again(fake: Path, run: Run, folder: Path) -> None:
     first = run()
-    before = (tmp_path / "out" / "monday" / "job.json").stat().st_mtime_ns
-    again = run()
-    assert again.resumed
-    assert to_json(again.record.model_dump()) == to_json(first.record.model_dump())
-    assert (tmp_path / "out" / "monday" / "job.json").stat().st_mtime_ns == before
+    before = (folder / "job.json").stat().st_mtime_ns
+    assert to_json(run(resumed=True).model_dump()) == to_json(first.model_dump())
+    assert (folder / "job.json").stat().st_mtime_ns == before
     assert builds(fake) == 1
+    run(redo=True)
+    assert builds(fake) == 2
 
 
 @pytest.mark.parametrize("spoil", ["log", "option", "missing", "damaged", "cut", "no record"])
 def test_what_is_not_complete_or_of_other_inputs_is_made_again(
-    fake: Path, run: Run, tmp_path: Path, spoil: str
+    fake: Path, run: Run, folder: Path, spoil: str
 ) -> None:
     run()
-    folder = tmp_path / "out" / "monday"
     words, steps = "fine", ALL
     if spoil == "log":
         words = "fine too"
@@ -143,11 +156,10 @@ def test_what_is_not_complete_or_of_other_inputs_is_made_again(
         (folder / "report.html").write_text("")
     else:
         shutil.rmtree(folder)
-    result = run(words, steps=steps)
-    assert (result.state, result.resumed) == ("done", False)
+    assert run(words, steps=steps).state == "done"
     assert builds(fake) == 2
     assert words in (folder / "map" / "part-0").read_text()
-    assert run(words, steps=steps).resumed
+    run(words, steps=steps, resumed=True)
 
 
 def test_a_log_that_only_moved_is_the_same(run: Run, tmp_path: Path) -> None:
@@ -155,7 +167,7 @@ def test_a_log_that_only_moved_is_the_same(run: Run, tmp_path: Path) -> None:
     moved = tmp_path / "elsewhere" / "monday.mcap"
     moved.parent.mkdir()
     (tmp_path / "monday.mcap").rename(moved)
-    assert run_job(Job("monday", (str(moved),), ALL), str(tmp_path / "out")).resumed
+    assert run_of(moved, tmp_path).resumed
 
 
 @pytest.mark.parametrize(
@@ -169,18 +181,14 @@ def test_a_log_that_only_moved_is_the_same(run: Run, tmp_path: Path) -> None:
     ],
 )
 def test_a_failed_job_says_why_and_leaves_its_log(
-    run: Run, tmp_path: Path, words: str, kind: str, reason: str
+    run: Run, folder: Path, words: str, kind: str, reason: str
 ) -> None:
-    result = run(words)
-    assert (result.state, result.kind) == ("failed", kind)
-    assert result.reason is not None
-    assert result.reason.endswith(reason)
-    assert "\n" not in result.reason
-    assert {path.name for path in (tmp_path / "out" / "monday").iterdir()} == {
-        "job.json",
-        "log.txt",
-    }
-    assert may_retry(result) == (kind in ("place", "memory"))
+    record = run(words)
+    assert (record.state, record.kind) == ("failed", kind)
+    assert str(record.reason).endswith(reason)
+    assert "\n" not in str(record.reason)
+    assert {path.name for path in folder.iterdir()} == {"job.json", "log.txt"}
+    assert may_retry(record, 2) == (kind in ("place", "memory"))
 
 
 @pytest.mark.parametrize(
@@ -191,16 +199,14 @@ def test_a_failed_job_says_why_and_leaves_its_log(
     ],
 )
 def test_a_broken_rule_fails_the_job_and_loses_nothing(
-    fake: Path, run: Run, tmp_path: Path, words: str, reason: str
+    fake: Path, run: Run, folder: Path, words: str, reason: str
 ) -> None:
-    result = run(words)
-    assert (result.state, result.kind, result.reason) == ("failed", "rule", reason)
-    assert len(result.steps) == 3
-    assert {"map", "report.html", "check.json"} <= {
-        path.name for path in (tmp_path / "out" / "monday").iterdir()
-    }
-    assert not may_retry(result)
-    assert run(words).resumed
+    record = run(words)
+    assert (record.state, record.kind, record.reason) == ("failed", "rule", reason)
+    assert len(record.steps) == 3
+    assert {"map", "report.html", "check.json"} <= {path.name for path in folder.iterdir()}
+    assert not may_retry(record, 2)
+    run(words, resumed=True)
     assert builds(fake) == 1
 
 
@@ -209,120 +215,113 @@ def test_a_job_beyond_its_memory_is_stopped_and_tried_again_with_more(
 ) -> None:
     small = Limits(memory_mb=80)
     first = run("hungry", small)
-    assert (first.kind, first.reason) == (
-        "memory",
-        "build needed more than 80 MB of memory, the limit",
-    )
+    assert first.kind == "memory"
+    assert first.reason == "build needed more than 80 MB of memory, the limit"
     assert first.memory_mb is not None
     assert first.memory_mb > 80
-    assert may_retry(first)
-    assert run("hungry", small).resumed  # the same would happen again
+    assert may_retry(first, 2)
+    run("hungry", small, resumed=True)  # the same would happen again
     second = run("hungry", small, attempt=2)
-    assert (second.resumed, second.attempts, may_retry(second)) == (False, 2, False)
-    assert run("hungry", small).resumed
+    assert (second.attempts, may_retry(second, 2)) == (2, False)
+    run("hungry", small, resumed=True)
     assert run("hungry", Limits(memory_mb=2000)).state == "done"
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"monday"}
 
 
 def test_a_job_beyond_its_time_is_stopped(run: Run) -> None:
-    result = run("slow", Limits(time_s=0.3))
-    assert (result.kind, result.reason) == (
-        "time",
-        "the job took more than 0.3 s, the limit; it was in build",
-    )
-    assert not may_retry(result)
-    assert run("slow", Limits(time_s=0.2)).resumed
+    record = run("slow", Limits(time_s=0.3))
+    assert record.kind == "time"
+    assert record.reason == "the job took more than 0.3 s, the limit; it was in build"
+    assert not may_retry(record, 2)
+    run("slow", Limits(time_s=0.2), resumed=True)
 
 
 def test_without_the_extra_one_line_says_what_to_install(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "psutil", None)
-    result = run()
-    assert (result.kind, result.reason) == (
-        "settings",
-        "jobs need an extra: pip install 'specmap-cli[batch]'",
-    )
+    record = run()
+    assert record.kind == "settings"
+    assert record.reason == "jobs need an extra: pip install 'specmap-cli[batch]'"
 
 
 def test_a_missing_log_fails_the_job_alone(tmp_path: Path) -> None:
-    job = Job("gone", (str(tmp_path / "gone.mcap"),), ALL)
-    result = run_job(job, str(tmp_path / "out"))
-    assert (result.kind, result.digest) == ("log", "")
-    assert result.reason == f"{tmp_path / 'gone.mcap'}: no such file or directory"
-    assert not run_job(job, str(tmp_path / "out")).resumed
+    for _ in range(2):
+        made = run_of(tmp_path / "gone.mcap", tmp_path)
+        assert (made.record.kind, made.record.digest, made.resumed) == ("log", "", False)
+        assert made.record.reason == f"{tmp_path / 'gone.mcap'}: no such file or directory"
 
 
-def test_a_log_that_is_out_of_reach_does_not_cost_its_map(run: Run, tmp_path: Path) -> None:
+def test_a_log_that_is_out_of_reach_does_not_cost_its_map(
+    run: Run, folder: Path, tmp_path: Path
+) -> None:
     """As on a worker that lacks the shared folder."""
     run()
-    before = files(tmp_path / "out" / "monday")
-    (tmp_path / "monday.mcap").rename(tmp_path / "away")
-    job = Job("monday", (str(tmp_path / "monday.mcap"),), ALL)
+    before = files(folder)
+    log = tmp_path / "monday.mcap"
+    log.rename(tmp_path / "away")
     for redo in (False, True):
-        result = run_job(job, str(tmp_path / "out"), redo=redo)
-        assert (result.state, result.kind) == ("failed", "log")
-        assert files(tmp_path / "out" / "monday") == before
-    (tmp_path / "away").rename(tmp_path / "monday.mcap")
-    assert run().resumed
+        record = run_of(log, tmp_path, redo=redo).record
+        assert (record.state, record.kind) == ("failed", "log")
+        assert files(folder) == before
+    (tmp_path / "away").rename(log)
+    run(resumed=True)
 
 
 def test_a_reason_is_one_line_of_text_whatever_a_log_is_called(tmp_path: Path) -> None:
     log = str(tmp_path / "gone\n\udcff\x1b.mcap")
-    result = run_job(Job("gone", (log,), ALL), str(tmp_path / "out"))
-    assert result.reason == f"{tmp_path}/gone \\udcff\\x1b.mcap: no such file or directory"
-    lost = failure(Job("gone", (log,), ALL), "worker", "first\nsecond\udcff")
-    assert lost.reason == "first second\\udcff"
+    told = run_of(log, tmp_path).record.reason
+    assert told == f"{tmp_path}/gone \\udcff\\x1b.mcap: no such file or directory"
 
 
 def test_what_a_person_decided_about_a_map_is_never_lost(
-    fake: Path, run: Run, tmp_path: Path
+    fake: Path, run: Run, folder: Path
 ) -> None:
     run()
-    folder = tmp_path / "out" / "monday"
     (folder / "map" / "edits.toml").write_text("[names]\n", encoding="utf-8")
     for name in (folder / "map").iterdir():  # an edit writes the map anew
         name.write_bytes(name.read_bytes() + b" ")
-    built = fake.read_text()
-    assert run().resumed
-    for refused in (run("other words"), run("other words", redo=True)):
+    run(resumed=True)
+    for redo in (False, True):
+        refused = run("other words", redo=redo)
         assert (refused.state, refused.kind) == ("failed", "settings")
-        assert refused.reason is not None
-        assert "edits.toml: holds a person's decisions" in refused.reason
-    assert fake.read_text() == built
+        assert "edits.toml: holds a person's decisions" in str(refused.reason)
+    assert builds(fake) == 1
     assert (folder / "map" / "edits.toml").read_text() == "[names]\n "
     (folder / "map" / "edits.toml").unlink()
     assert run("other words").state == "done"
 
 
-def test_what_somebody_else_keeps_there_is_not_touched(run: Run, tmp_path: Path) -> None:
-    mine = tmp_path / "out" / "monday" / "thesis.txt"
+def test_what_somebody_else_keeps_there_is_not_touched(run: Run, folder: Path) -> None:
+    mine = folder / "thesis.txt"
     mine.parent.mkdir(parents=True)
     mine.write_text("years of work")
-    result = run()
-    assert (result.kind, may_retry(result)) == ("settings", False)
-    assert "choose another output directory" in str(result.reason)
+    record = run()
+    assert (record.kind, may_retry(record, 2)) == ("settings", False)
+    assert "choose another output directory" in str(record.reason)
     assert mine.read_text() == "years of work"
 
 
 def test_an_output_that_cannot_be_written_may_be_tried_again(run: Run, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("a file")
-    result = run()
-    assert (result.kind, may_retry(result)) == ("place", True)
+    record = run()
+    assert (record.kind, may_retry(record, 2)) == ("place", True)
 
 
 def test_a_lost_worker_is_told_of_without_a_file() -> None:
-    lost = failure(Job("monday", ("monday.mcap",), ALL), "worker", "the worker was lost", 1)
-    assert (lost.state, lost.files, may_retry(lost)) == ("failed", {}, True)
-    assert not may_retry(lost.model_copy(update={"attempts": 2}))
+    job = Job("monday", ("monday.mcap",), ALL)
+    for attempt, again in ((1, True), (2, False)):
+        told = "the worker\nwas lost\udcff"
+        lost = failure(Turn(job, attempt), "worker", told, Limits()).record
+        assert (lost.state, lost.files, may_retry(lost, 2)) == ("failed", {}, again)
+        assert lost.reason == "the worker was lost\\udcff"
 
 
 def test_killed_at_any_instant_it_leaves_a_complete_result_or_none(
-    fake: Path, run: Run, tmp_path: Path
+    fake: Path, run: Run, folder: Path, tmp_path: Path
 ) -> None:
     """SIGKILL, as a system does: no `finally` runs. The steps die with their worker."""
     run()
-    folder = tmp_path / "out" / "monday"
     expected = files(folder)
     shutil.rmtree(tmp_path / "out")
     chance = random.Random(5)
@@ -370,16 +369,18 @@ def test_a_real_log_without_its_end_becomes_a_map_with_figures_and_a_warning(
     log.write_bytes(tiny_log.read_bytes()[:-40])
     options = {"build": {"set": list(QUICK[1::2])}}
     (job,) = jobs_of([str(log)], Plan(("build",), options, known_options()))
-    result = run_job(job, str(tmp_path / "out"), Limits(memory_mb=4000), str(tmp_path / "scratch"))
-    assert result.state == "done", result.reason
-    assert result.figures["scans"] == 61
-    assert result.figures["verdict"] in ("good", "doubtful", "poor")
+    scratch = tmp_path / "scratch"
+    terms = Terms(str(tmp_path / "out"), Limits(memory_mb=4000), str(scratch))
+    record = run_job(Turn(job), terms).record
+    assert record.state == "done", record.reason
+    assert record.figures["scans"] == 61
+    assert record.figures["verdict"] in ("good", "doubtful", "poor")
     assert (tmp_path / "out" / "short" / "map" / "topology.json").is_file()
-    assert result.inputs[0].bytes == log.stat().st_size
-    assert result.memory_mb is not None
-    assert result.memory_mb > 50
-    assert os.listdir(tmp_path / "scratch") == []
-    (build,) = result.steps
+    assert record.inputs[0].bytes == log.stat().st_size
+    assert record.memory_mb is not None
+    assert record.memory_mb > 50
+    assert list(scratch.iterdir()) == []
+    (build,) = record.steps
     assert any(f"{log}: cut off" in each for each in build.warnings), build.warnings
     stored = json.loads((tmp_path / "out" / "short" / "job.json").read_text())
     assert stored["steps"][0]["warnings"] == list(build.warnings)
@@ -388,11 +389,10 @@ def test_a_real_log_without_its_end_becomes_a_map_with_figures_and_a_warning(
 def test_a_real_log_that_is_cut_off_says_so(tiny_log: Path, tmp_path: Path) -> None:
     log = tmp_path / "cut.mcap"
     log.write_bytes(tiny_log.read_bytes()[:100])
-    result = run_job(jobs_of([str(log)])[0], str(tmp_path / "out"))
-    assert result.kind == "log"
-    assert result.reason is not None
-    assert str(log) in result.reason
-    assert result.figures == {}
+    record = run_of(log, tmp_path).record
+    assert record.kind == "log"
+    assert str(log) in str(record.reason)
+    assert record.figures == {}
 
 
 def test_the_digest_knows_the_contents_of_option_files(tmp_path: Path) -> None:

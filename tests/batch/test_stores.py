@@ -1,11 +1,13 @@
-"""Logs and results in stores that fsspec knows: fetched, written whole, and killed in between."""
+"""Stores that fsspec knows, and temporary directories: whole, private, and killed in between."""
 
 from __future__ import annotations
 
 import importlib.util
 import itertools
 import json
+import os
 import shutil
+import stat
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,15 +16,15 @@ from typing import Any
 
 import pytest
 
-from specmap_cli.batch import work
-from specmap_cli.batch.digest import bytes_of
-from specmap_cli.batch.fetching import fetched
-from specmap_cli.batch.folders import files_in, folder_at, write_record
+from specmap_cli.batch import places, running
 from specmap_cli.batch.jobs import jobs_of
-from specmap_cli.batch.places import PlaceError, path_at, reaching, store_at
-from specmap_cli.batch.records import Job, Limits, Step
-from specmap_cli.batch.running import may_retry, run_job
+from specmap_cli.batch.outputs import files_in, folder_at, write_record
+from specmap_cli.batch.places import PlaceError, path_at, reaching, scratch_directory, store_at
+from specmap_cli.batch.records import Job, JobRecord, JobResult, Step, Terms, Turn
+from specmap_cli.batch.running import run_job
+from specmap_cli.batch.sources import bytes_of, fetched
 from specmap_cli.core.errors import LogError, MapError, UsageError
+from specmap_cli.core.files import lock
 from tests.batch import fake_specmap
 
 fsspec = pytest.importorskip("fsspec")
@@ -49,6 +51,15 @@ def put(system: Any, path: str, words: str = "fine") -> str:
     return f"memory://bucket/{path}"
 
 
+def run(job: Job, output: str, scratch: Path) -> JobResult:
+    return run_job(Turn(job), Terms(output, scratch=str(scratch)))
+
+
+def record_of(log: str, scratch: Path, name: str = "monday") -> JobRecord:
+    """What comes of a job of one log."""
+    return run(Job(name, (log,), ALL), OUT, scratch).record
+
+
 def names(system: Any, folder: str = "/bucket/maps") -> set[str]:
     return {path.removeprefix(f"{folder}/") for path in system.find(folder)}
 
@@ -58,21 +69,21 @@ def test_a_job_from_store_to_store(store: Any, tmp_path: Path) -> None:
     (job,) = jobs_of(["memory://bucket/logs"])
     assert (job.name, job.logs) == ("monday", ("memory:///bucket/logs/monday.mcap",))
     assert bytes_of(job) == 4
-    result = run_job(job, OUT, scratch=str(tmp_path))
+    result = run(job, OUT, tmp_path).record
     assert (result.state, result.reason) == ("done", None)
     assert names(store, "/bucket/maps/monday") == {*result.files, "job.json"}
     assert {"map/part-0", "report.html", "log.txt"} <= set(result.files)
     assert list(tmp_path.iterdir()) == []
-    assert run_job(job, OUT, scratch=str(tmp_path)).resumed
+    assert run(job, OUT, tmp_path).resumed
     put(store, "logs/monday.mcap", "changed")
-    again = run_job(job, OUT, scratch=str(tmp_path))
+    again = run(job, OUT, tmp_path)
     assert not again.resumed
     assert b"changed" in store.cat("/bucket/maps/monday/map/part-0")
 
 
 def test_a_reason_names_the_log_as_the_user_does(store: Any, tmp_path: Path) -> None:
     url = put(store, "logs/monday.mcap", "damaged")
-    result = run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path))
+    result = record_of(url, tmp_path)
     assert result.kind == "log"
     assert result.reason == f"{url}: cut off after 12 bytes; no message can be read"
     assert names(store, "/bucket/maps/monday") == {"job.json", "log.txt"}
@@ -124,22 +135,19 @@ def test_logs_that_do_not_fit_into_the_scratch_are_refused(
 ) -> None:
     url = put(store, "logs/monday.mcap", "x" * 3_000_000)
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=1_000_000))
-    result = run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path))
-    assert (result.kind, may_retry(result)) == ("place", True)
+    result = record_of(url, tmp_path)
+    assert result.kind == "place"
     assert str(result.reason).endswith(
         "the logs need 3 MB, 1 MB are free: choose another scratch directory"
     )
-    assert not run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path)).resumed
+    assert not run(Job("monday", (url,), ALL), OUT, tmp_path).resumed
 
 
 @pytest.mark.usefixtures("store")
 def test_a_log_that_is_not_in_the_store(tmp_path: Path) -> None:
-    job = Job("gone", ("memory://bucket/gone.mcap",), ALL)
-    result = run_job(job, OUT, scratch=str(tmp_path))
-    assert (result.kind, result.reason) == (
-        "log",
-        "memory://bucket/gone.mcap: no such file or directory",
-    )
+    result = record_of("memory://bucket/gone.mcap", tmp_path, "gone")
+    assert result.kind == "log"
+    assert result.reason == "memory://bucket/gone.mcap: no such file or directory"
 
 
 class _Cut(BaseException):
@@ -150,13 +158,13 @@ def test_cut_off_at_any_call_there_is_a_complete_result_or_none(
     store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     url = put(store, "logs/monday.mcap")
-    result = run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path))
+    result = record_of(url, tmp_path)
     old, new = tmp_path / "old", tmp_path / "new"
     store.get("/bucket/maps/monday", str(old), recursive=True)
     shutil.copytree(old, new)
     (new / "map" / "part-0").write_text("changed")
     (new / "job.begun").unlink(missing_ok=True)
-    write_record(new, result.record.model_copy(update={"files": files_in(new), "attempts": 2}))
+    write_record(new, result.model_copy(update={"files": files_in(new), "attempts": 2}))
     seen = set()
     for calls in itertools.count(1):
         _publish(old, tmp_path / f"old{calls}")
@@ -190,8 +198,8 @@ def _fake(monkeypatch: pytest.MonkeyPatch) -> None:
     def no_map(path: Path) -> None:
         raise MapError(str(path))
 
-    monkeypatch.setattr(work, "PROGRAM", (sys.executable, "-I", "-S", fake_specmap.__file__))
-    monkeypatch.setattr(work, "read_map", no_map)
+    monkeypatch.setattr(running, "PROGRAM", (sys.executable, "-I", "-S", fake_specmap.__file__))
+    monkeypatch.setattr(running, "read_map", no_map)
 
 
 def _cut_after(system: Any, monkeypatch: pytest.MonkeyPatch, calls: int) -> None:
@@ -214,14 +222,14 @@ def _cut_after(system: Any, monkeypatch: pytest.MonkeyPatch, calls: int) -> None
 def test_what_somebody_else_keeps_in_the_store_is_not_touched(store: Any, tmp_path: Path) -> None:
     url = put(store, "logs/monday.mcap")
     put(store, "maps/monday/thesis.txt", "years of work")
-    result = run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path))
-    assert (result.kind, may_retry(result)) == ("settings", False)
+    result = record_of(url, tmp_path)
+    assert result.kind == "settings"
     assert names(store, "/bucket/maps/monday") == {"thesis.txt"}
 
 
 def test_a_result_that_lost_a_file_is_none(store: Any, tmp_path: Path) -> None:
     url = put(store, "logs/monday.mcap")
-    run_job(Job("monday", (url,), ALL), OUT, Limits(), str(tmp_path))
+    record_of(url, tmp_path)
     store.rm("/bucket/maps/monday/report.html")
     assert folder_at(OUT, "monday").stored() is None
 
@@ -235,21 +243,15 @@ def test_a_store_that_cannot_be_reached_may_be_tried_again(
         raise ConnectionError("the line is\ncut")
 
     monkeypatch.setattr(store, "put_file", fail)
-    result = run_job(Job("monday", (url,), ALL), OUT, scratch=str(tmp_path))
-    assert (result.kind, may_retry(result)) == ("place", True)
+    result = record_of(url, tmp_path)
+    assert result.kind == "place"
     assert str(result.reason).endswith("cannot be reached or used: the line is cut")
 
 
-@pytest.mark.parametrize(
-    ("url", "complaint"),
-    [("nowhere://x/y", "nowhere"), ("s3:/x", None)],
-)
-def test_what_is_a_store(url: str, complaint: str | None) -> None:
-    if complaint is None:
-        assert path_at(url) == Path(url)
-        return
-    with pytest.raises(UsageError, match=complaint):
-        store_at(url)
+def test_what_is_a_store() -> None:
+    assert path_at("s3:/x") == Path("s3:/x")
+    with pytest.raises(UsageError, match="nowhere"):
+        store_at("nowhere://x/y")
 
 
 def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -264,6 +266,39 @@ def test_files_of_this_machine_may_be_named_by_url(tmp_path: Path) -> None:
     assert jobs_of([f"file://{tmp_path}/a.mcap"])[0].logs == (str(tmp_path / "a.mcap"),)
     with pytest.raises(PlaceError), reaching("here"):
         raise RuntimeError("anything")
+
+
+def test_what_killed_runs_left_is_removed_and_what_lives_stays(tmp_path: Path) -> None:
+    left, other = tmp_path / "specmap-job-0123abcd", tmp_path / "specmap-job-thesis"
+    for directory in (left, other):
+        directory.mkdir()
+    with scratch_directory(str(tmp_path)) as first, scratch_directory(str(tmp_path)) as second:
+        assert set(tmp_path.iterdir()) == {first, second, other}
+        assert stat.S_IMODE(first.stat().st_mode) == 0o700
+    assert list(tmp_path.iterdir()) == [other]
+
+
+def test_a_directory_that_another_run_sweeps_away_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other run has its lock already, and removes it only later."""
+    locked = lock
+    refused = iter([True])
+    monkeypatch.setattr(places, "lock", lambda one: not next(refused, False) and locked(one))
+    with scratch_directory(str(tmp_path)) as directory:
+        assert list(tmp_path.iterdir()) == [directory]
+        descriptor = os.open(directory, os.O_RDONLY)
+        assert not locked(descriptor)  # it is ours alone
+        os.close(descriptor)
+
+
+def test_without_locks_there_are_directories_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(places, "lock", lambda _: False)
+    with scratch_directory(str(tmp_path)) as directory:
+        assert list(tmp_path.iterdir()) == [directory]
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture
@@ -299,14 +334,14 @@ def test_a_bucket(bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     system, _ = store_at(bucket)
     system.pipe_file("fleet/logs/monday.mcap", b"fine")
     (job,) = jobs_of([f"{bucket}/logs"])
-    first = run_job(job, f"{bucket}/maps", scratch=str(tmp_path))
+    first = run(job, f"{bucket}/maps", tmp_path).record
     assert (first.state, first.reason) == ("done", None)
     record = json.loads(system.cat_file("fleet/maps/monday/job.json"))
     assert record["files"]["map/part-0"] == system.info("fleet/maps/monday/map/part-0")["size"]
-    assert run_job(job, f"{bucket}/maps", scratch=str(tmp_path)).resumed
+    assert run(job, f"{bucket}/maps", tmp_path).resumed
     system.pipe_file("fleet/logs/monday.mcap", b"fine too")
-    assert not run_job(job, f"{bucket}/maps", scratch=str(tmp_path)).resumed
+    assert not run(job, f"{bucket}/maps", tmp_path).resumed
     missing = Job("gone", (f"{bucket}/logs/gone.mcap",), ALL)
-    assert run_job(missing, f"{bucket}/maps", scratch=str(tmp_path)).kind == "log"
-    nowhere = run_job(job, "s3://no-such-bucket/maps", scratch=str(tmp_path))
+    assert run(missing, f"{bucket}/maps", tmp_path).record.kind == "log"
+    nowhere = run(job, "s3://no-such-bucket/maps", tmp_path).record
     assert nowhere.kind == "place", nowhere.reason

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import jsonschema
 
-from specmap_cli.core.memory import peak_memory_mb
+from specmap_cli.core.process import peak_memory_mb
 from specmap_cli.core.schemas import read_schema
 from tests.cli.conftest import Run
 

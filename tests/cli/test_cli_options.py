@@ -11,8 +11,7 @@ import pytest
 import typer
 
 from specmap_cli.cli.app import app
-from specmap_cli.cli.options import LogSettings, Settings
-from specmap_cli.cli.typer_extras import unfolded
+from specmap_cli.cli.options import LogSettings, Settings, unfolded
 from specmap_cli.core.errors import UsageError
 from tests.cli.conftest import QUICK, Run, standing_log
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from specmap_cli import __version__
-from specmap_cli.core.versions import STANDS_ON
+from specmap_cli.core.process import STANDS_ON
 from tests.cli.conftest import ROOT, Run, command
 
 COMMANDS = ("info", "build", "localize", "segment", "evaluate", "simulate", "convert", "config")

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.files import read_bytes, write_text
-from specmap_cli.core.locks import is_nobody_s, lock
+from specmap_cli.core.files import is_nobody_s, lock, read_bytes, write_text
 from specmap_cli.grids.map_server import write_png
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.labels import neighbours, order_of_appearance, runs
+from specmap_cli.core.arrays import neighbours, order_of_appearance, runs
 
 LABELS = st.lists(st.integers(-1, 4), max_size=30)
 

@@ -13,7 +13,7 @@ import pytest
 from specmap_cli.core.schemas import PACKAGE, ModelSchema, read_schema, schema_files
 
 MODULES = [
-    "batch.events",
+    "batch.ledger",
     "batch.records",
     "checking.record",
     "history.record",

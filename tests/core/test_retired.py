@@ -6,9 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from specmap_cli.core.config import known_settings, load_config, with_overrides
+from specmap_cli.core.config import (
+    RetiredSetting,
+    is_fixed,
+    known_settings,
+    last_defaults,
+    load_config,
+    with_overrides,
+    without_retired,
+)
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.retired import RetiredSetting, is_fixed, last_defaults, without_retired
 from specmap_cli.core.settings import Config
 
 RETIRED = {

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.sampling import evenly
+from specmap_cli.core.arrays import evenly
 
 
 @given(st.integers(0, 200), st.integers(1, 60))

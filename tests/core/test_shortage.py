@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from specmap_cli.core.shortage import is_of_the_machine, is_of_the_place, reason
+from specmap_cli.core.errors import is_of_the_machine, is_of_the_place, reason
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from specmap_cli.core.thinning import first_in_cells
+from specmap_cli.core.arrays import first_in_cells
 from tests.strategies import seeds
 
 

@@ -13,7 +13,7 @@ from specmap_cli.simulation.simulator import SimulationOptions
 
 PROGRAM = """
 import numpy, threadpoolctl
-from specmap_cli.core.threads import one_blas_thread
+from specmap_cli.core.process import one_blas_thread
 
 def threads():
     pools = threadpoolctl.threadpool_info()

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.tracks import moved, path_length, step_lengths, travelled
+from specmap_cli.core.geometry import Pose2, moved, path_length, step_lengths, travelled
 from tests.strategies import poses
 
 

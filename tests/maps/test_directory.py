@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import os
 import signal
 import subprocess
 import sys
 import textwrap
 import time
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import pytest
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.maps import directory as module
+from specmap_cli.maps import leftovers
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.filenames import TOPOLOGY
 
@@ -255,6 +261,51 @@ def test_handlers_of_signals_are_those_from_before(tmp_path: Path) -> None:
     with OutputDirectory(tmp_path / "out") as partial:
         fill(partial)
     assert {number: signal.getsignal(number) for number in before} == before
+
+
+def interrupted_at(event: int, out: Path) -> bool:
+    """Overwrite `out`, with SIGINT at one event of tracing; False when the write has fewer.
+
+    Events are the lines, calls and returns of the modules that an output directory is made with.
+    """
+    counted = 0
+    ours = {module.__file__, leftovers.__file__, contextlib.__file__, weakref.__file__}
+
+    def trace(frame: FrameType, _event: str, _argument: object) -> Any:
+        nonlocal counted
+        if frame.f_code.co_filename not in ours:
+            return None
+        counted += 1
+        if counted == event:
+            os.kill(os.getpid(), signal.SIGINT)
+        return trace
+
+    before = sys.gettrace()
+    gc.disable()  # what earlier writes left must not be taken back in this one
+    sys.settrace(trace)
+    try:
+        with OutputDirectory(out, overwrite=True) as partial:
+            fill(partial)
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+        gc.enable()
+    return counted >= event
+
+
+def test_an_interruption_at_any_line_leaves_a_whole_map(tmp_path: Path) -> None:
+    out = a_map(tmp_path / "out")
+    handler = signal.getsignal(signal.SIGINT)
+    event = 1
+    while interrupted_at(event, out):
+        if len(os.listdir(tmp_path)) > 1:
+            gc.collect()  # the object goes at the latest with the process
+        assert os.listdir(tmp_path) == ["out"], event
+        assert (out / "submaps" / "000.png").is_file(), event
+        assert signal.getsignal(signal.SIGINT) is handler, event
+        event += 1
+    assert event > 100
 
 
 WRITER = """

@@ -20,8 +20,7 @@ from specmap_cli.maps.edits import (
     said_in,
 )
 from specmap_cli.maps.edits_text import written
-from specmap_cli.topology.borders import Merge, Split
-from specmap_cli.topology.topological_map import Said
+from specmap_cli.topology.topological_map import Merge, Said, Split
 
 BY_HAND = """# ours
 

@@ -16,8 +16,8 @@ from specmap_cli.core.records import Closure
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.schema import TopologyRecord, image_stem
 from specmap_cli.maps.writing import MapResult
-from specmap_cli.topology.outlines import Outline
 from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.shapes import Outline
 from specmap_cli.topology.topological_map import (
     Door,
     Edge,

@@ -23,7 +23,7 @@ from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.pipelines.update import update_map
 from specmap_cli.pipelines.update_report import UpdateReport
 from specmap_cli.simulation.simulator import SimulationOptions
-from specmap_cli.topology.border_changes import BorderChange
+from specmap_cli.topology.identity import BorderChange
 from specmap_cli.topology.regions import NOBODY
 from tests.flats import QUICK, Mapped
 from tests.pipelines.conftest import day

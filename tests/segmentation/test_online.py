@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.config import load_config
-from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.geometry import IDENTITY, Pose2, step_lengths
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
-from specmap_cli.core.tracks import step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.segmentation.online import _TEST_METRES, Occasion, OnlineSegmenter, Region

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.tracks import path_length, step_lengths
+from specmap_cli.core.geometry import FloatArray, path_length, step_lengths
 from specmap_cli.simulation.tours import Drive, Limits, drive
 from tests.strategies import seeds
 

@@ -11,8 +11,7 @@ from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.tracks import step_lengths
+from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.simulation.tours import plan_tour, reachable_space, shortest_order
 from specmap_cli.simulation.worlds import RoomTruth, World

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
-from specmap_cli.topology.border_changes import border_changes
+from specmap_cli.topology.identity import border_changes
 from specmap_cli.topology.regions import NOBODY, Regions
 
 

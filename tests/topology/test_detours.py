@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.settings import WaysConfig
-from specmap_cli.topology.detours import with_detours
-from specmap_cli.topology.forbidding import Shut, with_shut
-from specmap_cli.topology.navigation import with_ways
+from specmap_cli.topology.navigation import Shut, with_detours, with_shut, with_ways
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import TopologicalMap
 from tests.topology.rooms import two_rooms

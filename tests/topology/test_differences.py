@@ -8,9 +8,8 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.differences import Differences, differences
+from specmap_cli.topology.differences import Differences, Surveyed, differences, things_in
 from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.things import Surveyed, things_in
 
 CELL_M = 0.05
 DOOR = (slice(58, 76), slice(98, 102))  # 0.9 m, between the two rooms

@@ -10,8 +10,7 @@ import pytest
 
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
 from specmap_cli.topology.doors import Passages, passages
-from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.space import Space
+from specmap_cli.topology.regions import NOBODY, Regions, Space
 from specmap_cli.topology.topological_map import Door, Traversal
 from tests.topology.rooms import Box, regions_of, two_rooms
 

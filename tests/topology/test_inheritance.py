@@ -7,7 +7,7 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, compose
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.inheritance import Heritage, inherited
+from specmap_cli.topology.graph import Heritage, inherited
 from specmap_cli.topology.regions import divide
 
 REGION_MIN_M = 1.0

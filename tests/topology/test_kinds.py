@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.topology.kinds import kind_of
+from specmap_cli.topology.shapes import kind_of
 
 
 def rectangle(width: float, height: float) -> FloatArray:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.outlines import Outline, outline_of
 from specmap_cli.topology.regions import NOBODY, Regions, divide
+from specmap_cli.topology.shapes import Outline, outline_of
 from tests.exports.consumers import consumer
 
 

@@ -7,9 +7,9 @@ import pytest
 
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.topology.borders import Border, Merge, Split, fences_of, heirs
 from specmap_cli.topology.redrawing import carried, redrawn, undone
 from specmap_cli.topology.regions import divide
+from specmap_cli.topology.topological_map import BorderEdit, Merge, Split, fences_of, heirs
 
 ACROSS = ((2.0, 1.9), (2.0, 0.1))  # seen along it, the left part of the hall is on its right
 
@@ -31,7 +31,7 @@ def driven() -> Labels:
     return Labels(stamps_ns=stamps, poses=poses, submaps=(x > 4.05).astype(np.int64))
 
 
-def after(*wished: Border) -> tuple[IntArray, tuple[Border, ...]]:
+def after(*wished: BorderEdit) -> tuple[IntArray, tuple[BorderEdit, ...]]:
     labels = driven()
     found = redrawn(hall(), labels, (), wished, 2)
     assert not found.skipped
@@ -101,7 +101,7 @@ def test_a_line_through_one_leg_of_a_building_splits_on_foot() -> None:
 
 
 def test_changes_are_made_in_order_and_undone() -> None:
-    wished: list[Border] = [Split(submap=0, line=ACROSS, new=7), Merge((1, 0)), Merge((7, 1))]
+    wished: list[BorderEdit] = [Split(submap=0, line=ACROSS, new=7), Merge((1, 0)), Merge((7, 1))]
     submaps, borders = after(*wished)
     assert set(submaps.tolist()) == {7}
     labels = driven()
@@ -126,7 +126,7 @@ def test_keyframes_that_came_after_a_merge_are_parted_by_the_nearest() -> None:
 
 
 def test_what_cannot_be_made_is_told_and_the_rest_made() -> None:
-    wished: list[Border] = [
+    wished: list[BorderEdit] = [
         Merge((0, 9)),
         Split(submap=9, line=ACROSS),
         Split(submap=0, line=((9.0, 9.0), (8.0, 8.0))),
@@ -147,7 +147,7 @@ def test_what_cannot_be_made_is_told_and_the_rest_made() -> None:
 
 
 def test_heirs_are_what_a_submap_became() -> None:
-    borders: list[Border] = [Split(submap=5, line=ACROSS, new=7), Merge((3, 5)), Merge((2, 9))]
+    borders: list[BorderEdit] = [Split(submap=5, line=ACROSS, new=7), Merge((3, 5)), Merge((2, 9))]
     assert heirs(5, borders) == {3, 7}
     assert heirs(3, borders) == {3}
     assert heirs(5, borders[1:]) == {3}

@@ -12,12 +12,8 @@ from scipy import ndimage
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.topology.anchors import Anchor, anchors_of
-from specmap_cli.topology.polylines import cells_on, straightened
-from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.space import Space
-from specmap_cli.topology.trees import tree
-from specmap_cli.topology.ways import Way, ways
+from specmap_cli.topology.regions import NOBODY, Regions, Space
+from specmap_cli.topology.ways import Anchor, Way, anchors_of, cells_on, straightened, tree, ways
 from tests.topology.rooms import regions_of, two_rooms
 
 RADIUS_M = 0.2

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
-from specmap_cli.core.errors import LogError
+from specmap_cli.core.errors import LogError, reason
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.core.text import counted, legible
 
 MAX_DAMAGE_LINES = 20  # a file, as many as a person reads; one more line sums the others up

@@ -8,9 +8,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from specmap_cli.core.errors import TOO_LARGE, LogError
+from specmap_cli.core.errors import TOO_LARGE, LogError, reason
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.shortage import reason
 from specmap_cli.logs.readers.compression import stream
 from specmap_cli.logs.readers.recording import unreadable
 

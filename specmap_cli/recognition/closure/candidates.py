@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.gridmap import FREE, GridMap
 from specmap_cli.grids.matching import refine
 from specmap_cli.grids.score_field import ScoreField

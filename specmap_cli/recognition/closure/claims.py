@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import Booster, StumpBoost

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.matching import refine
 from specmap_cli.recognition.closure.known_map import Pieces

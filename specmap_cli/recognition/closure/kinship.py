@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.recognition.closure.known_map import KnownMap
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.features.virtual import VIRTUAL_BEAMS, VIRTUAL_RANGE_M, cast_circles

@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.records import Closure
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.recognition.closure.claims import SAMPLES_PER_SUBMAP, ClaimRanker, Claims

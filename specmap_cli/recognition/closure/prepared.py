@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.gridmap import FREE, NO_OBSTACLE_M, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.score_field import ScoreField
 

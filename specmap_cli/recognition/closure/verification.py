@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.matching import refine
 from specmap_cli.recognition.closure.prepared import INLIER_M, KnownArea, PreparedGrid
 from specmap_cli.recognition.closure.transforms import (

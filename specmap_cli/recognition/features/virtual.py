@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, moved
 from specmap_cli.core.records import PlanarScan, PosedScan
-from specmap_cli.core.tracks import moved
 from specmap_cli.grids.gridmap import GridMap, cast_ranges
 
 WINDOW_M = 10.0  # path whose scans make a virtual scan

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import NO_SUBMAP, PlanarScan
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.lines_seen import outline, seen_from

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.recognition.learning.json_fields import number, refuse
 
 _BLUNDERS = 0.01  # share of scans that say nothing: people all around, a door shut before the laser

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.recognition.features.sets import histogram_columns
 from specmap_cli.recognition.learning.json_fields import number, objects, refuse
 

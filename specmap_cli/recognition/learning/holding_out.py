@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, travelled
 from specmap_cli.core.settings import RecognitionConfig
-from specmap_cli.core.tracks import travelled
 from specmap_cli.recognition.learning.calibration import HeldOutMargins
 from specmap_cli.recognition.learning.one_vs_all import OneVsAll
 

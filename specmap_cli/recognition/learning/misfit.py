@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, Pose2, travelled
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.core.tracks import travelled
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import REFINE_SHIFT_M, refine
 from specmap_cli.grids.score_field import ScoreField

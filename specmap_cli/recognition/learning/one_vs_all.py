@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names, feature_sets
 from specmap_cli.recognition.learning.boosting import Booster, StumpBoost, booster_from_dict

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.keyframes import DIRECTION_RAD
 from specmap_cli.recognition.learning.calibration import MOST_VIEWS, HeldOutMargins
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser

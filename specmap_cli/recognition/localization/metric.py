@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.matching import Match, Window, refine, search
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.localization.estimate import Estimate, information

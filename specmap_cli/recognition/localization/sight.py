@@ -11,9 +11,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
-from specmap_cli.core.sampling import evenly
 from specmap_cli.grids.gridmap import GridMap, cast_rays
 
 _MOST_RAYS = 120  # of a scan, one every three degrees all round: what is cast costs grows with them

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, moved
 from specmap_cli.core.records import PosedScan
-from specmap_cli.core.tracks import moved
 
 VIEW_M = 0.05  # motion to a new view; scans of one view are averaged, not summed
 VIEW_RAD = 0.0524  # turn to a new view: a keyframe's, 3 degrees

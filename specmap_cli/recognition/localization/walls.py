@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from operator import attrgetter
 
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import Pose2, moved
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.core.tracks import moved
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M
 from specmap_cli.recognition.localization.place import Place
 from specmap_cli.recognition.localization.views import VIEW_M, VIEW_RAD

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.sampling import evenly
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import StumpBoost

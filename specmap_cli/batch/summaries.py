@@ -1,22 +1,47 @@
-"""The summary of a batch: what it says of a job, and the tables made of it.
+"""The summaries of a batch: what they say of a job, as tables and as a page that links the results.
 
-They are CSV, Parquet, Markdown and JUnit XML.
+The tables are CSV, Parquet, Markdown and JUnit XML.
 """
 
 from __future__ import annotations
 
 import io
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
+from urllib.parse import quote
 
 from specmap_cli.batch.records import JobRecord
+from specmap_cli.batch.steps import LOG_TEXT, MAP, REPORT
 from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.core.text import counted
-from specmap_cli.report.words import lasting
+from specmap_cli.report import words
+from specmap_cli.report.colours import tones
+from specmap_cli.report.pouring import page_parts, poured
 
+INDEX = "index.html"
+WAITING = "waiting"
 _MOST = 20  # rows of a table that a person reads
+_PACKAGE = "specmap_cli.batch"
+_SCRIPTS = ("core.js", "tables.js", "batch.js")
+_STYLES = ("page.css", "parts.css", "batch.css", "print.css")
+_FILTERS = ("lasting", "percent", "figure")
+_KM = 1000.0
+_OVERVIEW = f"{MAP}/overview.png"
+# Heads of the table of the page: their words, and how the column is sorted.
+_HEADS = (
+    ("job", "text"),
+    ("result", "text"),
+    ("lost", "number"),
+    ("submaps", "number"),
+    ("m²", "number"),
+    ("scans", "number"),
+    ("scans/s", "number"),
+    ("time", "number"),
+    ("MB", "number"),
+    ("tries", "number"),
+)
 
 Value = str | int | float | None
 Row = Mapping[str, Value]
@@ -78,7 +103,6 @@ COLUMNS = (
     Column("warnings", "text", "what its steps warned of", _warnings),
     Column("digest", "text", "SHA-256 of all that decides the result", lambda one: one.digest),
 )
-WAITING = "waiting"
 
 
 def row_of(name: str, record: JobRecord | None) -> Row:
@@ -87,6 +111,11 @@ def row_of(name: str, record: JobRecord | None) -> Row:
         row: dict[str, Value] = dict.fromkeys((column.name for column in COLUMNS), None)
         return row | {"name": name, "state": WAITING}
     return {column.name: column.of(record) for column in COLUMNS}
+
+
+def rows_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> list[Row]:
+    """A row of the summary for each job, in order of names."""
+    return [row_of(name, records.get(name)) for name in sorted(names)]
 
 
 def as_csv(rows: Sequence[Row]) -> bytes:
@@ -168,7 +197,7 @@ def _totals(rows: Sequence[Row]) -> list[str]:
     verdicts = Counter(row["verdict"] for row in rows if row["verdict"] is not None)
     said = [
         f"{total(rows, 'scans'):,.0f} scans over {total(rows, 'path_m'):,.0f} m in "
-        f"{lasting(total(rows, 'wall_s'))} of work"
+        f"{words.lasting(total(rows, 'wall_s'))} of work"
     ]
     if verdicts:
         said.append("maps: " + ", ".join(f"{verdicts[one]:,} {one}" for one in sorted(verdicts)))
@@ -194,3 +223,79 @@ def _section(title: str, rows: Sequence[Row], columns: Sequence[str]) -> list[st
 def _shown(row: Row, column: str) -> str:
     value = row[column]
     return "" if value is None else f"{value:,}" if isinstance(value, int | float) else value
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """A row of the page: what is known of a job, and where its files are; None: there is none."""
+
+    row: Row
+    picture: str | None
+    report: str | None
+    log: str | None
+    folder: str | None
+
+    @property
+    def result(self) -> str:
+        """The verdict on the map of a job that is done, else its state."""
+        state = str(self.row["state"])
+        return str(self.row["verdict"] or state) if state == "done" else state
+
+
+def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
+    """The page; links go to the folders beside it."""
+    entries = [_entry(row, records.get(str(row["name"]))) for row in rows]
+    context = {
+        "title": headline(rows),
+        "entries": entries,
+        "results": sorted({entry.result for entry in entries}),
+        "heads": _HEADS,
+        "kinds": kinds_of(rows),
+        "facts": _facts(rows),
+        "tones": tones([]),
+        "data": {},
+        **page_parts(_PACKAGE, _SCRIPTS, _STYLES),
+    }
+    filters = {name: getattr(words, name) for name in _FILTERS}
+    return poured(_PACKAGE, "batch.html", context, filters).encode()
+
+
+def _entry(row: Row, record: JobRecord | None) -> _Entry:
+    files = set() if record is None else set(record.files)
+    base = quote(str(row["name"]), safe="")
+    found = {name: f"{base}/{quote(name)}" for name in (_OVERVIEW, REPORT, LOG_TEXT)}
+    picture, report, log = (link if name in files else None for name, link in found.items())
+    has_map = any(name.startswith(f"{MAP}/") for name in files)
+    return _Entry(row, picture, report, log, f"{base}/{MAP}/" if has_map else None)
+
+
+def _facts(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """The figures over the table: what, and how much."""
+    done = sum(row["state"] == "done" for row in rows)
+    return [
+        ("done", f"{done:,}"),
+        ("failed", f"{sum(count for _, count in kinds_of(rows)):,}"),
+        ("doubtful or poor", f"{sum(row['verdict'] in ('doubtful', 'poor') for row in rows):,}"),
+        ("scans", f"{total(rows, 'scans'):,.0f}"),
+        ("driven", _distance(total(rows, "path_m"))),
+        ("of work", words.lasting(total(rows, "wall_s"))),
+    ]
+
+
+def _distance(metres: float) -> str:
+    return f"{metres:,.0f} m" if metres < _KM else f"{metres / _KM:,.1f} km"
+
+
+_MADE: Mapping[str, Callable[[Sequence[Row]], bytes]] = {
+    "summary.csv": as_csv,
+    "summary.parquet": as_parquet,
+    "summary.md": as_markdown,
+    "junit.xml": as_junit,
+}
+SUMMARIES = (*_MADE, INDEX)
+
+
+def summaries_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> dict[str, bytes]:
+    """The contents of all summaries by their file names; `names` are those of all jobs."""
+    rows = rows_of(names, records)
+    return {name: made(rows) for name, made in _MADE.items()} | {INDEX: as_html(rows, records)}

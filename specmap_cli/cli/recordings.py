@@ -1,4 +1,4 @@
-"""`specmap simulate`: a recording of a simulated robot touring a floor plan."""
+"""The commands about recordings: info, convert, simulate."""
 
 from __future__ import annotations
 
@@ -8,13 +8,89 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli.options import Common, Overwrite, Resolution, Settings, output
+from specmap_cli.cli.options import (
+    RECORDING,
+    Common,
+    Logs,
+    LogSettings,
+    Overwrite,
+    Resolution,
+    Settings,
+    output,
+)
 from specmap_cli.cli.targets import check_files
+from specmap_cli.core.errors import UsageError
 
-Plan = Annotated[
-    Path,
-    typer.Argument(metavar="PLAN", help="Floor plan: map_server .yaml, or .png with --resolution."),
-]
+
+def info(
+    logs: Logs,
+    settings: LogSettings,
+    common: Common,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check", help="Read every message, and compare with the counts of the recording."
+        ),
+    ] = False,
+) -> None:
+    """Show what a recording holds, and what to run next.
+
+    Topics with their types, counts and rates, the duration, the frames, the scans, and what
+    `specmap build` would read with the same options. Only the beginning is read. --check reads the
+    recording to its end: for each topic it shows how many of its messages can be read, where they
+    pause, and how many stamps step back.
+
+    \b
+    specmap info log.mcap
+    specmap info recording_directory --json
+    specmap info log.mcap --check
+    """
+    from specmap_cli.logs import open_log
+    from specmap_cli.logs.inspection import summarize
+
+    effective = settings.load()
+    with open_log(logs, effective.log) as log, common.progress() as progress:
+        summary = summarize(log, effective.log, complete=check, progress=progress)
+    common.show(summary.to_dict(), summary.lines())
+
+
+def convert(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG",
+            help=f"{RECORDING} Without --out the last one is the MCAP to write.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path | None, output("MCAP to write.")] = None,
+    overwrite: Overwrite = False,
+    *,
+    settings: Settings,
+    common: Common,
+) -> None:
+    """Convert a recording of another format to MCAP.
+
+    A CARMEN log, ROS 1 bag or rosbag2 recording becomes an MCAP of ROS 2 messages. Keeps scans,
+    point clouds, odometry and transforms; says what it left out. Of the settings, those that bound
+    what is unpacked count, such as log.chunk_max_mb.
+
+    \b
+    specmap convert log.bag -o log.mcap
+    specmap convert log.bag log.mcap
+    """
+    from specmap_cli.logs.convert import convert as convert_log
+
+    logs, target = (paths, out) if out is not None else (paths[:-1], paths[-1])
+    if not logs:
+        raise UsageError(f"name the MCAP to write: specmap convert {target} -o OUT.mcap")
+    check_files([target], logs, common, overwrite=overwrite)
+    bounds = settings.load().log
+    with common.progress() as progress:
+        conversion = convert_log(
+            logs, target, overwrite=overwrite, progress=progress, config=bounds
+        )
+    common.show({**asdict(conversion), "path": str(target)}, conversion.lines())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +144,12 @@ class Tour:
 
 
 def simulate(
-    plan: Plan,
+    plan: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PLAN", help="Floor plan: map_server .yaml, or .png with --resolution."
+        ),
+    ],
     out: Annotated[Path, output("MCAP to write; the true poses go beside it, as .tum.")],
     resolution: Resolution = None,
     overwrite: Overwrite = False,

@@ -1,17 +1,24 @@
-"""Linear algebra on one thread while specmap works, whoever calls it.
+"""The process that specmap runs in: its threads, its memory, the versions it stands on.
 
-The matrices here are small, some hundreds of rows. Threads of BLAS would wait for each other for
-longer than they compute, and far longer when other programs run beside them.
+Linear algebra stays on one thread while specmap works, whoever calls it. The matrices here are
+small, some hundreds of rows. Threads of BLAS would wait for each other for longer than they
+compute, and far longer when other programs run beside them.
 """
 
 from __future__ import annotations
 
 import os
+import platform
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from importlib import metadata
+from pathlib import Path
 
 from threadpoolctl import ThreadpoolController
+
+from specmap_cli import __version__
 
 # Read by a library when it is loaded: some are loaded while the work is under way.
 _VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -62,3 +69,53 @@ def _limited() -> Iterator[None]:
         for one in ThreadpoolController().select(user_api="blas").lib_controllers:
             if one.filepath not in known:
                 one.set_num_threads(usual)
+
+
+# Not `ru_maxrss`: there the peak of the process that started this one counts as well.
+_STATUS = Path("/proc/self/status")
+_PEAK = re.compile(r"^VmHWM:\s*(\d+) kB$", re.MULTILINE)
+_KB_PER_MB = 1000.0 / 1.024  # the kernel means 1,024 bytes
+
+
+def peak_memory_mb() -> float | None:
+    """The most megabytes that this process has held so far; None where the system does not tell."""
+    try:
+        found = _PEAK.search(_STATUS.read_text(encoding="ascii"))
+    except OSError:
+        return None
+    return None if found is None else round(int(found[1]) / _KB_PER_MB, 1)
+
+
+# The distributions that the program needs when it runs, as pyproject.toml names them.
+STANDS_ON = (
+    "jinja2",
+    "kiss-icp",
+    "lz4",
+    "mcap",
+    "networkx",
+    "numpy",
+    "opencv-python-headless",
+    "protobuf",
+    "pydantic",
+    "pyyaml",
+    "rich",
+    "rosbags",
+    "scipy",
+    "threadpoolctl",
+    "typer",
+    "zstandard",
+)
+MISSING = "not installed"
+
+
+def versions() -> dict[str, str]:
+    """The version of specmap, of Python and of each library, by name; MISSING where it is so."""
+    found = {"specmap": __version__, "python": platform.python_version()}
+    return found | {name: _version(name) for name in STANDS_ON}
+
+
+def _version(distribution: str) -> str:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return MISSING

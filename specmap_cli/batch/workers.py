@@ -1,0 +1,349 @@
+"""The workers of Dask, on this machine or behind any scheduler, and what each does with a job.
+
+Nothing of a job lives in the cluster. A worker that dies, a client that dies and a scheduler that
+dies lose what they were doing; results lie in the output.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib import import_module
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, TypeVar
+from uuid import uuid4
+
+from specmap_cli import __version__
+from specmap_cli.batch.records import JobResult, Limits, Terms, Turn
+from specmap_cli.batch.running import failure, run_job
+from specmap_cli.core.errors import PACKAGE, NoResultError, UsageError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future, LocalCluster
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_STARTS = 2  # how often workers are started before it is given up
+_ANSWER_S = 10.0  # a scheduler that does not answer within this time is not there
+_MB = 1_000_000
+_POLL_S = 1.0  # how long to wait for a result before looking at the workers again
+_SHARE = 0.9  # of the machine's memory: the rest is for the system and the client
+# One worker's death fails the one job it had: how often to try again is decided here, not there.
+# Workers do next to nothing themselves; profiling and spilling would only cost.
+_DASK = {
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.scheduler.worker-ttl": "5 minutes",
+    "distributed.worker.preload": ["specmap_cli.batch.workers"],
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.system-monitor.gil.enabled": False,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """Where workers are: `workers` processes of this machine (None: one a processor), or those of
+    a scheduler, for the first of which to wait `patience_s`."""
+
+    workers: int | None = None
+    scheduler: str | None = None
+    patience_s: float = 60.0
+
+
+@contextmanager
+def opened(cluster: Cluster) -> Iterator[Client]:
+    """A client of the workers; those of this machine end with the block.
+
+    Raises UsageError where there is no scheduler, no worker, or another version of specmap.
+    """
+    opening = _local(cluster) if cluster.scheduler is None else _remote(cluster.scheduler)
+    with _hushed(), opening as client:
+        _wait_for_worker(client, cluster)
+        _check_versions(client)
+        yield client
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def share_of_memory_mb(workers: int) -> int:
+    """The memory that each of some workers of this machine may use."""
+    from distributed.system import MEMORY_LIMIT
+
+    return max(1, int(_SHARE * MEMORY_LIMIT / _MB / workers))
+
+
+def require_dask() -> None:
+    """UsageError unless Dask is installed."""
+    try:
+        import_module("distributed")
+    except ImportError as error:
+        raise UsageError(
+            f"workers need Dask ({error}): pip install 'specmap-cli[batch]'", code=PACKAGE
+        ) from None
+
+
+@contextmanager
+def _local(cluster: Cluster) -> Iterator[Client]:
+    import dask
+    from distributed import Client
+
+    with dask.config.set(_DASK), _started(cluster) as started, Client(started) as client:
+        yield client
+
+
+def _started(cluster: Cluster) -> LocalCluster:
+    """The workers of this machine. A worker may die while it starts: then all start once more."""
+    from distributed import LocalCluster
+
+    cluster_of_dask: Any = LocalCluster
+    for _ in range(_STARTS):
+        try:
+            started: LocalCluster = cluster_of_dask(
+                n_workers=cluster.workers or processors(),
+                threads_per_worker=1,
+                processes=True,
+                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+                memory_limit=0,  # the steps of jobs have limits of their own
+                silence_logs=logging.CRITICAL,
+            )
+            return started
+        except (RuntimeError, OSError) as error:
+            why = str(error.__cause__ or error)
+    raise NoResultError(
+        f"the workers of this machine could not be started ({why}): run the same command again, "
+        "which goes on where this one stopped"
+    )
+
+
+@contextmanager
+def _remote(address: str) -> Iterator[Client]:
+    from distributed import Client
+
+    try:
+        client = Client(address, timeout=_ANSWER_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise UsageError(
+            f"{address}: no Dask scheduler answers ({said}): start one with `dask scheduler`, and "
+            "workers with `dask worker`"
+        ) from None
+    with client:
+        yield client
+
+
+def _wait_for_worker(client: Client, cluster: Cluster) -> None:
+    try:
+        client.wait_for_workers(1, timeout=cluster.patience_s)
+    except TimeoutError:
+        where = cluster.scheduler or "this machine"
+        patience = f"{cluster.patience_s:.0f} s"
+        raise UsageError(
+            f"{where}: no worker has come in {patience}: start one with `dask worker`"
+        ) from None
+
+
+def _check_versions(client: Client) -> None:
+    """The same version everywhere: another one makes other maps. UsageError otherwise."""
+    for address, found in sorted(client.run(_version, on_error="return").items()):
+        if found != __version__:
+            what = found if isinstance(found, str) else f"none that works ({found})"
+            raise UsageError(
+                f"{address}: the worker has specmap {what}, this is {__version__}: "
+                "install the same version on both sides"
+            )
+
+
+def _version() -> str:
+    return __version__
+
+
+@contextmanager
+def _hushed() -> Iterator[None]:
+    """Dask tells its own log what we tell in a line: nothing of it on stderr."""
+    from distributed.versions import VersionMismatchWarning
+
+    loggers = [logging.getLogger(name) for name in ("distributed", "tornado", "asyncio")]
+    levels = [logger.level for logger in loggers]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", VersionMismatchWarning)
+        try:
+            for logger in loggers:
+                logger.setLevel(logging.CRITICAL)
+            yield
+        finally:
+            for logger, level in zip(loggers, levels, strict=True):
+                logger.setLevel(level)
+
+
+class Workers:
+    """The workers behind a client: jobs are handed to them, and their results are taken."""
+
+    def __init__(self, client: Client, terms: Terms) -> None:
+        self._client = client
+        self._terms = terms
+        self._turns: dict[str, Turn] = {}
+        self._futures: dict[str, Future] = {}  # a future that nobody holds is given up by Dask
+        self._ended: SimpleQueue[Future] = SimpleQueue()
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Jobs that still run are given up: the workers end their steps."""
+        if self._futures and self._client.status == "running":
+            self._client.cancel(list(self._futures.values()), force=True)
+
+    def slots(self) -> int:
+        """How many jobs the workers can do at once, now. NoResultError without a scheduler."""
+        if self._client.status not in ("running", "connecting"):
+            raise NoResultError(
+                "the scheduler is gone: start it and run the same command again, which goes on "
+                "where this one stopped"
+            )
+        try:
+            return sum(self._client.nthreads().values())
+        except OSError:  # the scheduler is away, and may come back
+            return 0
+
+    def alone_mb(self) -> int | None:
+        """The megabytes that a job may use when it is alone; None: any."""
+        return self._roomiest_host()[1]
+
+    def submit(self, turn: Turn) -> None:
+        """Hand a job to a worker; one that is alone goes to the host with the most memory."""
+        terms, workers = self._terms, None
+        if turn.alone:
+            addresses, memory_mb = self._roomiest_host()
+            terms = replace(terms, limits=replace(terms.limits, memory_mb=memory_mb))
+            workers = addresses or None
+        key = f"specmap-{uuid4().hex}"
+        self._turns[key] = turn
+        future = self._client.submit(
+            on_worker,
+            turn,
+            terms,
+            __version__,
+            key=key,
+            pure=False,
+            workers=workers,
+            allow_other_workers=workers is not None,  # where these have gone meanwhile
+        )
+        self._futures[key] = future
+        future.add_done_callback(self._ended.put)
+
+    def next_result(self) -> tuple[Turn, JobResult | None] | None:
+        """The next result; None instead of it for a job that was forgotten; None after a while."""
+        try:
+            future = self._ended.get(timeout=_POLL_S)
+        except Empty:
+            return None
+        turn = self._turns.pop(future.key)
+        del self._futures[future.key]
+        if future.status == "finished":
+            return turn, future.result()
+        if future.status != "error":
+            return turn, None
+        error = future.exception()
+        if type(error).__name__ == "KilledWorker":
+            killed = getattr(getattr(error, "last_worker", None), "address", "unknown")
+            told = f"the worker died with the job ({killed})"
+        else:
+            told = f"the worker failed: {type(error).__name__}: {error}"
+        return turn, failure(turn, "worker", told, self._terms.limits)
+
+    def _roomiest_host(self) -> tuple[list[str], int | None]:
+        """The workers of the host whose workers have the most memory together, and how much.
+
+        That is in megabytes; None: any.
+        """
+        told = self._client.scheduler_info(n_workers=-1)["workers"]
+        hosts: dict[str, list[str]] = {}
+        for address in sorted(told):  # tcp://host:port
+            hosts.setdefault(address.rpartition(":")[0], []).append(address)
+        found = [
+            (workers, sum(self._memory_mb(told[one]) for one in workers) or None)
+            for workers in hosts.values()
+        ]
+        return max(found, key=lambda host: host[1] or 0, default=([], None))
+
+    def _memory_mb(self, worker: Mapping[str, Any]) -> int:
+        """What the jobs of a worker may use together; 0 where it does not say."""
+        limit = self._terms.limits.memory_mb
+        if limit is not None:
+            return limit * int(worker["nthreads"])
+        return int((worker["memory_limit"] or 0) / _MB)
+
+
+def on_worker(turn: Turn, terms: Terms, version: str) -> JobResult:
+    """What a worker of Dask does with a job."""
+    if version != __version__:
+        told = f"the worker has specmap {__version__}, the client {version}: install the same"
+        return failure(turn, "worker", told, terms.limits)
+    return run_job(turn, replace(terms, limits=_own_limits(terms.limits)), _wanted())
+
+
+def _wanted() -> Callable[[], bool]:
+    """Whether the scheduler still wants this task: not after its client has gone."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    key = worker.get_current_task()
+
+    def wanted() -> bool:
+        task = worker.state.tasks.get(key)
+        return task is not None and task.state != "cancelled"
+
+    return wanted
+
+
+def _own_limits(limits: Limits) -> Limits:
+    """The limits of a job: without one of memory, the share that the worker was started with."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    most = worker.memory_manager.memory_limit
+    if limits.memory_mb is not None or not most:
+        return limits
+    return replace(limits, memory_mb=max(1, int(most / _MB / worker.state.nthreads)))
+
+
+def spread(
+    cluster: Cluster, function: Callable[[Item], Result], items: Sequence[Item]
+) -> list[Result]:
+    """What a function says of each item, in their order; both can be pickled.
+
+    What the function raises is raised here. Raises UsageError where there are no workers,
+    NoResultError where they are lost on the way.
+    """
+    require_dask()
+    from distributed import KilledWorker
+    from distributed.comm.core import CommClosedError
+
+    with opened(cluster) as client:
+        try:
+            found: list[Result] = client.gather(client.map(function, items, pure=False))
+            return found
+        except (KilledWorker, CommClosedError) as error:
+            raise NoResultError(
+                f"the workers were lost ({type(error).__name__}): start them and run the same "
+                "command again, or leave out --workers and --scheduler"
+            ) from None
+
+
+def dask_setup(_worker: object) -> None:
+    """Called by Dask in each new worker process of this machine, as `_DASK` says.
+
+    It turns the worker deaf to Ctrl-C. A terminal sends it to the workers, too; but it is the
+    client that is asked to end, and ends them.
+    """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)

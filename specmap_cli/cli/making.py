@@ -1,0 +1,239 @@
+"""The commands that make a map: build, update, merge; and segment, of an occupancy grid."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from specmap_cli.cli.options import (
+    WRITTEN,
+    Common,
+    Logs,
+    LogSettings,
+    NewMap,
+    Overwrite,
+    Resolution,
+    Settings,
+    cluster_of,
+    output,
+)
+from specmap_cli.cli.targets import check_files, keep_inputs
+from specmap_cli.core.errors import BROKEN_RULE, UsageError
+
+if TYPE_CHECKING:
+    from specmap_cli.pipelines.meetings import Spread
+
+
+class FailingVerdict(StrEnum):
+    """The verdicts that a build can be asked to fail on."""
+
+    doubtful = "doubtful"
+    poor = "poor"
+
+
+def build(
+    logs: Logs,
+    out: NewMap = Path("out"),
+    no_relax: Annotated[
+        bool, typer.Option("--no-relax", help="Leave the layout as registration found it.")
+    ] = False,
+    explain: Annotated[
+        Path | None,
+        typer.Option(
+            help="Directory for a picture of every test that may split a submap; not with --like."
+        ),
+        WRITTEN,
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    like: Annotated[
+        Path | None,
+        typer.Option(help="Map directory whose frame, ids, names and borders the new map takes."),
+    ] = None,
+    overwrite: Overwrite = False,
+    fail_on: Annotated[
+        FailingVerdict | None,
+        typer.Option(
+            help="Exit with code 5 when the map is doubtful, or poor. It is written anyway."
+        ),
+    ] = None,
+    *,
+    settings: LogSettings,
+    common: Common,
+) -> None:
+    """Build a topological map of a recording.
+
+    Streams the scans, registers them, splits the space into submaps as the robot moves, closes
+    loops, and writes the map directory: complete, or not at all.
+
+    \b
+    specmap build log.mcap
+    specmap build log.bag -o map --scan-topic /scan --set grid.resolution_m=0.1
+    specmap build today.mcap -o today --like map
+    """
+    from specmap_cli.core.findings import at_least_as_bad
+
+    effective = settings.load({"relaxation.enabled": False if no_relax else None, "seed": seed})
+    keep_inputs([out], logs)
+    if like is not None and explain is not None:
+        raise UsageError("--like and --explain do not go together: build without one of them")
+    with common.progress() as progress:
+        if like is None:
+            from specmap_cli.pipelines.build import build_map
+
+            report = build_map(
+                logs, out, effective, overwrite=overwrite, progress=progress, explain=explain
+            )
+        else:
+            from specmap_cli.pipelines.likeness import build_like
+
+            report = build_like(logs, like, out, effective, overwrite=overwrite, progress=progress)
+    common.show(report.as_dict(), report.lines())
+    if fail_on is not None and at_least_as_bad(report.quality.verdict, fail_on.value):
+        raise typer.Exit(BROKEN_RULE)
+
+
+def update(
+    map_: Annotated[
+        Path, typer.Argument(metavar="MAP", help="Map directory to start from.", show_default=False)
+    ],
+    logs: Logs,
+    out: NewMap = Path("out"),
+    allow_apart: Annotated[
+        bool,
+        typer.Option(
+            "--allow-apart", help="Append a recording that fits nowhere as a part of its own."
+        ),
+    ] = False,
+    overwrite: Overwrite = False,
+    *,
+    settings: LogSettings,
+    common: Common,
+) -> None:
+    """Add another recording of the building to its map.
+
+    Every submap of the map keeps its id, its name and its border. Only new space is divided, and
+    gets ids that no submap ever had. A recording that fits nowhere is refused.
+
+    \b
+    specmap update out tomorrow.mcap -o out2
+    specmap update out tomorrow.mcap -o out --overwrite
+    """
+    from specmap_cli.maps.store import read_map
+    from specmap_cli.pipelines.update import update_map
+
+    stored = read_map(map_, settings.load().limits)
+    effective = settings.of_map(stored)
+    keep_inputs([out], logs)
+    with common.progress() as progress:
+        report = update_map(
+            stored,
+            logs,
+            out,
+            effective,
+            allow_apart=allow_apart,
+            overwrite=overwrite,
+            progress=progress,
+        )
+    common.show(report.as_dict(), report.lines())
+
+
+def merge(
+    maps: Annotated[
+        list[Path], typer.Argument(metavar="MAP", help="Map directories.", show_default=False)
+    ],
+    out: NewMap = Path("out"),
+    overwrite: Overwrite = False,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Align pairs of maps on as many processes; needs the extra `batch`.",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Align them on the workers of a Dask scheduler, which see the maps.",
+        ),
+    ] = None,
+    *,
+    settings: Settings,
+    common: Common,
+) -> None:
+    """Make one map of several.
+
+    The order does not matter: frame, ids and names are those of the map with the earliest
+    recording. Maps that meet nowhere stay apart, side by side, and are named. Every two maps are
+    aligned: of many maps that takes the time, and workers share it.
+
+    \b
+    specmap merge monday tuesday wednesday -o week
+    specmap merge maps/*/map -o building --workers 8
+    """
+    from specmap_cli.maps.store import read_map
+    from specmap_cli.pipelines.merge import merge_maps, oldest
+
+    stored = [read_map(path, settings.load().limits) for path in maps]
+    with common.progress() as progress:
+        report = merge_maps(
+            stored,
+            out,
+            settings.of_map(oldest(stored)),
+            overwrite=overwrite,
+            progress=progress,
+            spread=_spread(workers, scheduler),
+        )
+    common.show(report.as_dict(), report.lines())
+
+
+def _spread(workers: int | None, scheduler: str | None) -> Spread | None:
+    """Where pairs of maps are aligned; None: in this process."""
+    if workers is None and scheduler is None:
+        return None
+    cluster = cluster_of(workers, scheduler)
+    from functools import partial
+
+    from specmap_cli.batch.workers import spread
+
+    return partial(spread, cluster)
+
+
+def segment(
+    grid: Annotated[
+        Path,
+        typer.Argument(metavar="MAP", help="map_server .yaml, or .png/.pgm with --resolution."),
+    ],
+    out: Annotated[Path, output("Directory to write.")] = Path("out"),
+    resolution: Resolution = None,
+    explain: Annotated[
+        Path | None,
+        typer.Option(help="PNG of the nodes, the sight lines and the eigenvalues."),
+        WRITTEN,
+    ] = None,
+    overwrite: Overwrite = False,
+    *,
+    settings: Settings,
+    common: Common,
+) -> None:
+    """Divide an existing occupancy grid into submaps.
+
+    Rooms, corridors and halls. Writes topology.json, labels.png (16 bit), overview.png and a grid
+    of each submap.
+
+    \b
+    specmap segment map.yaml -o rooms
+    specmap segment plan.png --resolution 0.05 -o rooms
+    """
+    from specmap_cli.pipelines.segment import segment_map
+
+    effective = settings.load()
+    check_files([explain], [grid], common, overwrite=overwrite)
+    keep_inputs([out], [grid])
+    report = segment_map(
+        grid, out, effective, resolution=resolution, overwrite=overwrite, explain=explain
+    )
+    common.show(report.as_dict(), report.lines())

@@ -1,0 +1,310 @@
+"""The commands that ask a finished map: localize, compare, check, history, report, export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from specmap_cli.cli.options import (
+    WRITTEN,
+    Common,
+    Logs,
+    LogSettings,
+    Map,
+    Overwrite,
+    Settings,
+    output,
+)
+from specmap_cli.cli.targets import check_files, files_of_maps, keep_inputs
+from specmap_cli.core.errors import BROKEN_RULE, MapError
+
+
+def localize(
+    logs: Logs,
+    map_directory: Annotated[
+        Path, typer.Option("--map", "-m", help="Map directory written by `specmap build`.")
+    ],
+    out: Annotated[Path | None, output("CSV to write, a line a scan.", "--output")] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="PNG to write: the predicted submap along the trajectory."),
+        WRITTEN,
+    ] = None,
+    offline: Annotated[
+        bool, typer.Option("--offline", help="Smooth over the whole log instead of filtering.")
+    ] = False,
+    metric: Annotated[
+        bool, typer.Option("--metric", help="Also match each scan within its submap's grid.")
+    ] = False,
+    overwrite: Overwrite = False,
+    *,
+    settings: LogSettings,
+    common: Common,
+) -> None:
+    """Tell, scan by scan, in which submap a log was recorded.
+
+    Gives the raw vote of single scans and the label of a hidden Markov filter over the topology.
+
+    The settings are those the map was built with, but for topics and frames. --config and --set
+    change some of them. --preset, and a file that names a preset, take the place of all of them.
+
+    \b
+    specmap localize other.mcap --map map -o labels.csv --plot labels.png
+    specmap localize other.mcap --map map --offline --metric --json
+    """
+    from specmap_cli.maps.store import read_map
+    from specmap_cli.pipelines.localization_report import write_report
+    from specmap_cli.pipelines.localize import localize_log
+
+    check_files([out, plot], [*logs, *files_of_maps(map_directory)], common, overwrite=overwrite)
+    stored = read_map(map_directory, settings.load().limits)
+    effective = settings.of_map(stored)
+    with common.progress() as progress:
+        report = localize_log(
+            logs, stored, effective, offline=offline, metric=metric, progress=progress
+        )
+    write_report(report, stored, metric=metric, csv=out, plot=plot)
+    common.show(report.as_dict(), report.lines())
+
+
+def compare(
+    old: Annotated[
+        Path, typer.Argument(metavar="OLD", help="Map directory written by `specmap build`.")
+    ],
+    new: Annotated[Path, typer.Argument(metavar="NEW", help="A later map of the same building.")],
+    out: Annotated[
+        Path | None, output("Directory to write: summary.txt, compare.json, compare.png.")
+    ] = None,
+    overwrite: Overwrite = False,
+    *,
+    settings: Settings,
+    common: Common,
+) -> None:
+    """Tell what differs between two maps of one building.
+
+    The maps find each other by what they show; they need no common frame. Then: submaps that are
+    the same, new, gone, split or merged; ways that were closed or opened; walls and furniture that
+    appeared or vanished, judged where both maps saw. Maps that do not fit in one way only are
+    refused with the reason, exit code 4. The settings are those the old map was built with;
+    --config, --set and --preset change them as for `localize`.
+
+    \b
+    specmap compare monday friday
+    specmap compare monday friday -o changes --json
+    """
+    from specmap_cli.maps.store import read_map
+    from specmap_cli.pipelines.compare import compare_maps, write_comparison
+
+    if out is not None:
+        keep_inputs([out], [old, new])
+    limits = settings.load().limits
+    one, other = read_map(old, limits), read_map(new, limits)
+    effective = settings.of_map(one)
+    with common.progress() as progress:
+        found = compare_maps(one, other, effective, progress)
+        if out is not None:
+            write_comparison(found, out, overwrite, progress)
+    common.show(found.as_dict(), found.lines())
+
+
+def check(
+    map_: Map,
+    rules: Annotated[
+        Path | None, typer.Option("--rules", help="TOML file of rules; they go over the defaults.")
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(metavar="GOLDEN", help="A map of the same building that is right."),
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option("--junit", help="JUnit XML to write, a test a rule."), WRITTEN
+    ] = None,
+    markdown: Annotated[
+        Path | None,
+        typer.Option(help="Markdown to write: a table for the summary page of a CI."),
+        WRITTEN,
+    ] = None,
+    overwrite: Overwrite = False,
+    *,
+    settings: Settings,
+    common: Common,
+) -> None:
+    """Check a map by rules; exit code 5 when it breaks one.
+
+    Rules bound figures of the map: scans lost, findings of its verdict, parts, submaps, seconds,
+    memory. With --against they also bound what differs from a golden map of the building: submaps
+    that are gone, ways that are closed, how far walls lie off. What a map does not say breaks a
+    rule, too. Of the settings only the section `limits` counts.
+
+    \b
+    specmap check map
+    specmap check map --rules rules.toml --junit check.xml
+    specmap check tonight --against golden --markdown summary.md
+    """
+    from specmap_cli.checking.reports import FORMATS
+    from specmap_cli.checking.rules import read_rules
+    from specmap_cli.core.files import write_together
+    from specmap_cli.maps.store import read_map
+    from specmap_cli.pipelines.check import check_map
+
+    needed = files_of_maps(map_, against)
+    wanted = {"junit": junit, "markdown": markdown}
+    inputs = [*needed, *([] if rules is None else [rules])]
+    check_files(wanted.values(), inputs, common, overwrite=overwrite)
+    in_force = read_rules(rules, against=against is not None)
+    limits = settings.load().limits
+    stored = read_map(map_, limits)
+    golden = None if against is None else read_map(against, limits)
+    with common.progress() as progress:
+        report = check_map(stored, in_force, golden, progress)
+    write_together(
+        {path: FORMATS[name](report.record) for name, path in wanted.items() if path is not None}
+    )
+    common.show(report.as_dict(), report.lines())
+    if not report.passed:
+        raise typer.Exit(BROKEN_RULE)
+
+
+def history(
+    maps: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="MAP...", help="Map directories, or directories of them.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        output(
+            "Directory to write: history.html, history.json, visits.csv, days.csv, changes.csv."
+        ),
+    ] = None,
+    timezone: Annotated[
+        str, typer.Option(metavar="NAME", help="Where days begin and end, such as Europe/Berlin.")
+    ] = "UTC",
+    overwrite: Overwrite = False,
+    *,
+    settings: Settings,
+    common: Common,
+) -> None:
+    """Tell which rooms were visited how often, and what changed when.
+
+    Maps of many days are put in the order of their recordings. Those that fit to one another are
+    one building; each is compared with the one before. A recording that several maps were made of
+    counts once. A map that cannot be read is left out and told, and the exit code is 3 at the end.
+    Of the settings only the section `limits` counts.
+
+    \b
+    specmap history monday tuesday wednesday
+    specmap history maps/ -o week --timezone Europe/Berlin
+    """
+    from specmap_cli.pipelines.history import history_of, write_history
+
+    if out is not None:
+        keep_inputs([out], maps)
+    limits = settings.load().limits
+    with common.progress() as progress:
+        report = history_of(maps, timezone, limits, progress)
+        if out is not None:
+            write_history(report, out, overwrite, limits, progress)
+    common.show(report.as_dict(), report.lines())
+    if not report.whole:
+        raise typer.Exit(MapError.exit_code)
+
+
+def report(
+    map_: Map,
+    out: Annotated[Path, output("HTML file to write.")] = Path("report.html"),
+    compare: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OLD",
+            help="An older map of the same building: what differs is drawn and listed.",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+    *,
+    settings: Settings,
+    common: Common,
+) -> None:
+    """Write a page about a map, for any browser.
+
+    One file that loads nothing: the map in layers, its submaps with all that is known of them, the
+    way of the robot over time, findings, split tests, loop closures, and how the map was made. Of
+    the settings only the section `limits` counts: how large a file of the map may be.
+
+    \b
+    specmap report map -o map.html
+    specmap report friday --compare monday -o friday.html
+    """
+    from specmap_cli.core.files import write_text
+    from specmap_cli.maps.store import read_map
+    from specmap_cli.pipelines.report import report_map
+
+    inputs = files_of_maps(map_, compare)
+    check_files([out], [map_, *inputs], common, overwrite=overwrite)
+    limits = settings.load().limits
+    stored = read_map(map_, limits)
+    with common.progress() as progress:
+        page = report_map(stored, compare, limits, progress)
+    write_text(out, page)
+    size_mb = len(page.encode("utf-8")) / 1e6
+    result = {
+        "map": str(map_),
+        "compare": None if compare is None else str(compare),
+        "out": str(out),
+        "submaps": len(stored.record.nodes),
+        "bytes": len(page.encode("utf-8")),
+    }
+    common.show(result, [f"{out}: {size_mb:.1f} MB: open it in a browser"])
+
+
+def export(
+    map_: Map,
+    format_: Annotated[
+        str, typer.Option("--format", "-f", help="One of those above, or of an installed package.")
+    ],
+    out: Annotated[Path, output("File to write.")],
+    overwrite: Overwrite = False,
+    *,
+    settings: Settings,
+    common: Common,
+) -> None:
+    """Write a map in the format of another tool.
+
+    \b
+    nav2        the ways as a graph for Nav2's route server
+    tmap2       the ways as a topological map for LCAS topological_navigation
+    geojson     outlines, doors and ways in metres of the map, for QGIS
+    graphml     the graph alone, for yEd, Gephi and networkx
+    csv         submaps, links and doors as tables, in a zip
+    pose-graph  the layout's graph as g2o, for GTSAM and g2o
+    foxglove    map, graph, trajectory and scans over time, as an MCAP
+    rerun       the same as an .rrd; needs `pip install 'specmap-cli[rerun]'`
+
+    Installed packages may add formats. Of the settings only the section `limits` counts: how large
+    a file of the map may be. What would mislead is told as a warning. A map that the format cannot
+    hold is refused with exit code 3, such as one without any way for nav2.
+
+    \b
+    specmap export map --format nav2 -o map.geojson
+    """
+    from specmap_cli.exports.table import export_map, exporters
+    from specmap_cli.maps.store import read_map
+
+    check_files([out], [map_], common, overwrite=overwrite)
+    stored = read_map(map_, settings.load().limits)
+    with common.progress() as progress:
+        if stored.note:
+            progress.note(stored.note)
+        warnings = export_map(stored, format_, out, overwrite=overwrite, progress=progress)
+    result = {
+        "map": str(map_),
+        "out": str(out),
+        "format": format_,
+        "submaps": len(stored.record.nodes),
+        "edges": len(stored.record.edges),
+        "warnings": warnings,
+    }
+    common.show(result, [f"{out}: {exporters()[format_].description}"])
