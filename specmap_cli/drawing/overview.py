@@ -39,11 +39,11 @@ def render_overview(
     fills = colours_of(topology, regions)
     places = trajectory.poses[:, :2]
     low, high = extent_of(regions, places, _BESIDE_M)
-    doubts = [finding.place for finding in quality.worst if finding.place is not None]
+    warnings = [finding.place for finding in quality.worst if finding.place is not None]
     shown = _shown(topology) | {"trajectory", "start", "end"}
     shown |= {symbols.DOOR_WORDS[door.driven] for door in topology.doors}
     shown |= {"seen, not reached"} if _much_unreached(regions) else set()
-    shown |= {"the map may be wrong here"} if doubts else set()
+    shown |= {"the map may be wrong here"} if warnings else set()
     sheet = Sheet(low, high, symbols.legend_of(shown))
     sheet.ground(regions, fills)
     _draw_path(sheet, places)
@@ -56,8 +56,8 @@ def render_overview(
         first, last = sheet.pixels(places[[0, -1]])
         symbols.start(sheet.canvas, first)
         symbols.end(sheet.canvas, last)
-    for doubt in sheet.pixels(np.array(doubts).reshape(-1, 2)):
-        symbols.doubt(sheet.canvas, doubt)
+    for place in sheet.pixels(np.array(warnings).reshape(-1, 2)):
+        symbols.warning(sheet.canvas, place)
     scans = sum(log.scans for log in logs)
     way_m = driven_m(logs, labels)
     figures = [counted(scans, "scan"), f"{way_m:,.0f} m driven", _size(low, high)]

@@ -19,7 +19,7 @@ from specmap_cli.core.records import IntArray
 from specmap_cli.drawing.canvas import Canvas, fitting_height, text_width
 from specmap_cli.drawing.palette import BORDER, INK, PAPER, QUIET, SHADE, Colour
 from specmap_cli.drawing.symbols import Legend, Symbol
-from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap, window_of
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
 
 # Pixels, chosen by eye for a picture that fills a page or a screen.
@@ -234,14 +234,13 @@ def extent_of(
 
 def _known(grid: GridMap) -> tuple[FloatArray, FloatArray]:
     """The corners of the known cells of a grid."""
-    known = grid.cells != UNKNOWN
-    rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-    if not len(rows):
+    window = window_of(np.asarray(grid.cells != UNKNOWN))
+    if window is None:
         low = np.array(grid.origin, dtype=np.float64)
         return low, low + _LEAST_EXTENT_M
-    low = np.array([columns[0], rows[0]]) * grid.resolution + grid.origin
-    high = np.array([columns[-1] + 1, rows[-1] + 1]) * grid.resolution + grid.origin
-    return low, high
+    rows, columns = window
+    low = np.array([columns.start, rows.start]) * grid.resolution + grid.origin
+    return low, np.array([columns.stop, rows.stop]) * grid.resolution + grid.origin
 
 
 def _entry_width(words: str) -> float:

@@ -36,7 +36,7 @@ Legend = tuple[tuple[str, Symbol], ...]
 PATH: Colour = (88, 82, 76)
 # Pixels, chosen by eye for a sheet of some 1800 pixels.
 BADGE_RADIUS = 17.0
-_DOUBT_RADIUS = 14.0
+_SIGN_RADIUS = 14.0
 _NAME_LETTERS, _LONGEST_NAME = 11.0, 24
 _ID_LETTERS = 20.0
 BADGE_GAP = 2.0 * BADGE_RADIUS + 6.0
@@ -142,7 +142,7 @@ def name_under(canvas: Canvas, centre: NDArray[Any], name: str) -> None:
 
 def no_entry(canvas: Canvas, centre: NDArray[Any]) -> None:
     """A link that a person forbade: the sign of a road that must not be entered."""
-    canvas.disc(centre, _DOUBT_RADIUS, WRONG, PAPER)
+    canvas.disc(centre, _SIGN_RADIUS, WRONG, PAPER)
     middle = np.asarray(centre)
     bar = np.array([8.0, 2.5])
     canvas.box(middle - bar, middle + bar, PAPER)
@@ -160,9 +160,9 @@ def end(canvas: Canvas, centre: NDArray[Any]) -> None:
     canvas.disc(centre, 8.0, INK, PAPER)
 
 
-def doubt(canvas: Canvas, centre: NDArray[Any]) -> None:
+def warning(canvas: Canvas, centre: NDArray[Any]) -> None:
     """A place where the map may be wrong: a mark in a red ring."""
-    canvas.disc(centre, _DOUBT_RADIUS, PAPER, WRONG)
+    canvas.disc(centre, _SIGN_RADIUS, PAPER, WRONG)
     canvas.text(float(centre[0]), float(centre[1]), "!", 13.0, WRONG, "centre", bold=True)
 
 
@@ -227,7 +227,7 @@ SYMBOLS: dict[str, Symbol] = {
     **{words: _link(kind) for kind, words in LINK_WORDS.items()},
     **{words: _door(driven) for driven, words in DOOR_WORDS.items()},
     "forbidden": no_entry,
-    "the map may be wrong here": doubt,
+    "the map may be wrong here": warning,
 }
 
 

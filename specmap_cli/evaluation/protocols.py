@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -275,14 +275,7 @@ def labels_of(finished: FinishedMap, held_out: KeyframeStore, config: Config) ->
     for k in range(len(held_out)):
         place = Pose2(*poses[k].tolist())
         gap = k > 0 and float(np.hypot(*(poses[k, :2] - poses[k - 1, :2]))) > 1.0
-        scan = PosedScan(
-            index=k,
-            stamp_ns=held_out.stamps_ns[k],
-            map_from_base=place,
-            planar=held_out.scan(k),
-            base_from_laser=held_out.base_from_laser(k),
-            restarted=gap,
-        )
+        scan = replace(held_out.posed(k), map_from_base=place, restarted=gap)
         labels.append(localizer.update(scan))
     return labels
 

@@ -22,9 +22,9 @@ from specmap_cli.grids.gridmap import UNKNOWN
 from specmap_cli.grids.keyframes import (
     KeyframeStore,
     Recorded,
-    enough_looks,
-    last_witnesses,
     repeated,
+    sole_views,
+    views_needed,
 )
 from specmap_cli.layout.carrying import carried_places
 from specmap_cli.layout.dropping import gaps_of, tracked_over_gaps, without_keyframes
@@ -60,7 +60,7 @@ def thinned(store: KeyframeStore, joint: KeptMap, old: Seen, new: Seen, config: 
     of = joint.recordings
     gone = repeated(_recorded(store, joint, of, config), _named(joint, of))
     unseen = _unseen(old, new, joint.layout.poses)
-    stay = last_witnesses(
+    stay = sole_views(
         store,
         gone[:count],
         old.kept.labels.poses,
@@ -81,7 +81,7 @@ def _recorded(store: KeyframeStore, kept: KeptMap, of: IntArray, config: Config)
     return Recorded(
         poses=kept.layout.poses,
         of=of,
-        enough=np.array([enough_looks(scan, config.grid) for scan in scans]),
+        enough=np.array([views_needed(scan, config.grid) for scan in scans]),
         all_round=np.array([scan.full_circle for scan in scans]),
     )
 

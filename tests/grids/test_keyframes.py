@@ -19,8 +19,8 @@ from specmap_cli.grids import keyframes
 from specmap_cli.grids.keyframes import (
     KeyframeSelector,
     KeyframeStore,
+    informative,
     integrate_keyframes,
-    telling,
 )
 from specmap_cli.grids.occupancy import OccupancyGrid
 from tests.strategies import planar_scans, poses
@@ -248,13 +248,13 @@ def test_a_patrol_of_any_length_tells_as_much_as_the_place_holds() -> None:
     lap = [(0.1 * step, 0.2, 0.1) for step in range(30)]
     back = [(x, y, -3.0) for x, y, _ in lap[::-1]]
     patrol = np.array([*lap, *back] * 40)
-    chosen = telling(patrol)
+    chosen = informative(patrol)
     assert len(chosen) == 2 * 6 * 16  # two directions, six places half a metre wide
     assert (np.diff(chosen) > 0).all()
     laps = np.bincount(chosen // 60, minlength=40)
     assert laps[:20].sum() == pytest.approx(laps[20:].sum(), rel=0.2)  # neither first nor last
-    assert len(telling(patrol[: 2 * 60])) == 2 * 60  # the first laps are taken in whole
-    assert len(telling(np.zeros((0, 3)))) == 0
+    assert len(informative(patrol[: 2 * 60])) == 2 * 60  # the first laps are taken in whole
+    assert len(informative(np.zeros((0, 3)))) == 0
 
 
 def test_keyframes_that_tell_nothing_new_stay_out_of_the_grid() -> None:

@@ -14,9 +14,9 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import (
     KeyframeStore,
     Recorded,
-    enough_looks,
-    last_witnesses,
     repeated,
+    sole_views,
+    views_needed,
 )
 
 ENOUGH = 4
@@ -40,7 +40,7 @@ def laser(beams: int, view_deg: float, range_max: float) -> PlanarScan:
 def test_so_many_scans_show_a_place_that_every_cell_of_a_wall_is_hit(
     scan: PlanarScan, looks: int
 ) -> None:
-    assert enough_looks(scan, GridConfig()) == looks
+    assert views_needed(scan, GridConfig()) == looks
 
 
 def along(start: float, end: float, y: float = 0.0, heading: float = 0.0) -> FloatArray:
@@ -143,7 +143,7 @@ def stay(store: KeyframeStore, marked: Sequence[int], unseen: Sequence[int]) -> 
     dropped = np.zeros(len(store), dtype=bool)
     dropped[list(marked)] = True
     with store:
-        found = last_witnesses(store, dropped, store.poses, grid, cells, 20.0)
+        found = sole_views(store, dropped, store.poses, grid, cells, 20.0)
     return [int(number) for number in found]
 
 
