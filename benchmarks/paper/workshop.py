@@ -132,7 +132,7 @@ def _build(
     tests: list[Test] = []
     accepts = KeyframeSelector(config.keyframes).accepts
     if held_out is not None:
-        accepts = HoldingOut(config.keyframes, held_out.chooser(), aside).accepts
+        accepts = HoldingOut(config.keyframes, held_out, aside).accepts
     exploration = Exploration(config, store, clock, _noting(tests))
     explored = explore(recording.scans, exploration, accepts, Silent())
     finished = finish(explored, recording.tracking, config, store, Silent(), clock)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -151,16 +151,11 @@ class HoldOut:
     block: int = 100
     seed: int = 0
 
-    def chooser(self) -> Callable[[int], bool]:
-        """Tells of each keyframe, by its number, whether it is held out; the first never is."""
-        size = self.block if self.split == "blocks" else 1
-
-        def held_out(number: int) -> bool:
-            group = number // size
-            draw = np.random.default_rng([self.seed, group]).random()
-            return group > 0 and bool(draw < self.share)
-
-        return held_out
+    def holds(self, number: int) -> bool:
+        """Whether a keyframe, by its number, is held out; the first never is."""
+        group = number // (self.block if self.split == "blocks" else 1)
+        draw = np.random.default_rng([self.seed, group]).random()
+        return group > 0 and bool(draw < self.share)
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +206,7 @@ def hold_out(
         KeyframeStore() as store,
         KeyframeStore() as held_out,
     ):
-        selector = HoldingOut(config.keyframes, options.chooser(), held_out)
+        selector = HoldingOut(config.keyframes, options, held_out)
         stream = SweepStream(log, config.log)
         finished = map_log(stream, config, store, progress, accepts=selector.accepts)
         if not len(held_out):
@@ -220,23 +215,18 @@ def hold_out(
 
 
 class HoldingOut:
-    """A selector of keyframes that lays some of them aside: these are for evaluation only.
+    """A selector of keyframes that lays some of them aside in a store: for evaluation only."""
 
-    `chooser` tells of each keyframe, by its number, whether it goes to `held_out`.
-    """
-
-    def __init__(
-        self, config: KeyframeConfig, chooser: Callable[[int], bool], held_out: KeyframeStore
-    ) -> None:
-        self._selector, self._chooser, self._held_out = KeyframeSelector(config), chooser, held_out
-        self._seen = 0
+    def __init__(self, config: KeyframeConfig, options: HoldOut, held_out: KeyframeStore) -> None:
+        self._selector, self._options, self._held_out = KeyframeSelector(config), options, held_out
+        self._accepted = 0
 
     def accepts(self, scan: PosedScan) -> bool:
         """Whether `scan` is a keyframe of the map."""
         if not self._selector.accepts(scan):
             return False
-        held_out = self._chooser(self._seen)
-        self._seen += 1
+        held_out = self._options.holds(self._accepted)
+        self._accepted += 1
         if held_out:
             self._held_out.append(scan)
         return not held_out
