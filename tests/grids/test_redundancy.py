@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import IntArray, PlanarScan, PosedScan
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import IntArray, PlanarScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import (
@@ -18,6 +18,7 @@ from specmap_cli.grids.keyframes import (
     sole_views,
     views_needed,
 )
+from tests.casting import keyframe
 
 ENOUGH = 4
 
@@ -124,15 +125,7 @@ def beside() -> KeyframeStore:
     for k in range(10):
         scan = PlanarScan(k, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
         pose = Pose2(k + 0.05, 0.0, 0.0)
-        store.append(
-            PosedScan(
-                index=k,
-                stamp_ns=k,
-                map_from_base=pose,
-                planar=scan,
-                base_from_laser=IDENTITY,
-            )
-        )
+        store.append(keyframe(scan, pose, number=k))
     return store
 
 
@@ -163,13 +156,5 @@ def test_of_several_witnesses_the_last_stays() -> None:
     store = KeyframeStore()
     for k in range(3):
         scan = PlanarScan(k, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
-        store.append(
-            PosedScan(
-                index=k,
-                stamp_ns=k,
-                map_from_base=Pose2(3.05 + 0.02 * k, 0.0, 0.0),
-                planar=scan,
-                base_from_laser=IDENTITY,
-            )
-        )
+        store.append(keyframe(scan, Pose2(3.05 + 0.02 * k, 0.0, 0.0), number=k))
     assert stay(store, marked=range(3), unseen=[30]) == [2]
