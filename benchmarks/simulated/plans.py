@@ -100,7 +100,7 @@ def means(kind: str, rows: list[RoomScores]) -> dict[str, Figure | float]:
 def drawn(name: str, bare: str) -> tuple[RoomScores, DoorScores]:
     """Rooms and doors of a plan; `bare` is its name without furniture."""
     grid, config = plan(name), Config()
-    labels = segment_floorplan(grid, config.segmentation).segmentation.labels
+    labels = segment_floorplan(grid, config.segmentation).labels
     regions = Regions.of(grid, labels.astype(np.int64))
     topology = with_ways(without_edges(regions), regions, WaysConfig(), kind="doorway")
     truth = Truth(true_doors(plan(bare), rooms_of(bare)), grid, plan(bare), IDENTITY)

@@ -20,7 +20,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import read_grid, write_png
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_segmentation
-from specmap_cli.segmentation.division import FloorplanResult, segment_floorplan, submap_grid
+from specmap_cli.segmentation.division import Segmentation, region_grid, segment_floorplan
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, Submap, TopologicalMap
@@ -33,17 +33,17 @@ class SegmentReport:
     """What `segment` did."""
 
     out: Path
-    result: FloorplanResult
     topology: TopologicalMap
+    area_m2: float
 
     def as_dict(self) -> dict[str, Any]:
         """Counts and areas."""
         return {
             "out": str(self.out),
-            "submaps": len(self.result.submaps),
+            "submaps": len(self.topology.submaps),
             "edges": len(self.topology.edges),
             "doors": len(self.topology.doors),
-            "area_m2": round(sum(submap.area_m2 for submap in self.result.submaps), 3),
+            "area_m2": round(self.area_m2, 3),
         }
 
     def lines(self) -> list[str]:
@@ -78,17 +78,19 @@ def segment_map(
     picture = None if explain is None else path_of(explain, "explain")
     refuse_inside(picture, target)
     whole = _fine_enough(path, read_grid(path, resolution, config.limits))
-    result = segment_floorplan(whole, config.segmentation)
-    regions = Regions.of(whole, np.asarray(result.segmentation.labels, dtype=np.int64))
+    found = segment_floorplan(whole, config.segmentation)
+    regions = Regions.of(whole, np.asarray(found.labels, dtype=np.int64))
     with OutputDirectory(target, overwrite) as partial:
-        topology = with_ways(_topology(result), regions, config.ways, kind="doorway")
+        topology = with_ways(_topology(whole, found), regions, config.ways, kind="doorway")
         info = LogInfo(name=legible(path.name))
         overview = render_segmentation(topology, regions, info)
         write_segmentation(partial, topology, regions, info, overview)
         if picture is not None:
             least = config.segmentation.eigenvalue_min
-            write_png(picture, draw_segmentation(whole, result.segmentation, least))
-    return SegmentReport(out=target, result=result, topology=topology)
+            write_png(picture, draw_segmentation(whole, found, least))
+    counts = np.bincount(found.labels[found.labels >= 0]).tolist()
+    area_m2 = sum(cells * whole.resolution**2 for cells in counts)
+    return SegmentReport(out=target, topology=topology, area_m2=area_m2)
 
 
 def _fine_enough(path: Path, grid: GridMap) -> GridMap:
@@ -102,16 +104,10 @@ def _fine_enough(path: Path, grid: GridMap) -> GridMap:
     return grid
 
 
-def _topology(result: FloorplanResult) -> TopologicalMap:
+def _topology(whole: GridMap, found: Segmentation) -> TopologicalMap:
     """The regions as submaps, all in the frame of the map."""
-    return TopologicalMap(
-        submaps={
-            region.id: Submap(
-                id=region.id,
-                map_from_submap=IDENTITY,
-                grid=submap_grid(result, region.id),
-                polygon=region.polygon,
-            )
-            for region in result.submaps
-        }
-    )
+    submaps = {}
+    for id_ in range(found.count):
+        grid = region_grid(whole, found.labels == id_)
+        submaps[id_] = Submap(id=id_, map_from_submap=IDENTITY, grid=grid)
+    return TopologicalMap(submaps=submaps)

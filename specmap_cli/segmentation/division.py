@@ -47,7 +47,6 @@ from specmap_cli.segmentation.working_grid import WorkingGrid, canonical, coarse
 
 _WIDTH_PERCENTILE = 60.0  # of the local widths in a room is the room's width
 _WALL_CELLS = 2  # obstacles this near belong to the picture of a region: a wall drawn in cells
-_OUTLINE_CELLS = 1.5  # how far a polygon may stray from the outline: the steps of a slanted wall
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +79,10 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     step = coarse_step(grid.resolution, config.cell_m)
     upright = canonical(grid.free, step * _block(step * grid.resolution, config))
     free = upright.apply(grid.free)
-    opened, narrowed = _without_furniture(free, grid.resolution, config)
+    small = furniture(free, grid.resolution, config)
+    opened = narrowed = free | small
+    if config.wide_door_m:
+        opened, narrowed = with_narrow_doors(free, small, grid.resolution, config.wide_door_m)
     work = working_grid(narrowed, grid.resolution, config.cell_m)
     found = [_placement(work, config, number) for number in range(config.placements)]
     cells = consensus([one.cells for one in found])
@@ -117,7 +119,10 @@ def _placement(work: WorkingGrid, config: SegmentationConfig, number: int) -> _P
     clusters = spectrum.labels
     if config.halve:
         clusters = split_again(graph, clusters, config.neighbours, config.halve_eigenvalue)
-    cells = _label_cells(work, graph, clusters, config)
+    if config.labels == "nearest":
+        cells = nearest_labels(work.free, graph.nodes, clusters)
+    else:
+        cells = flood_labels(work.clearance, graph.nodes, clusters)
     if config.merge and len(clusters):
         cells = _merged(work, graph, cells, clusters, config)
     return _Placement(graph, spectrum, cells)
@@ -141,25 +146,6 @@ def build_graph(
 def _block(cell_m: float, config: SegmentationConfig) -> int:
     """The side of a block with one node, in coarse cells of `cell_m`."""
     return max(1, round(config.node_step_m / cell_m))
-
-
-def _without_furniture(
-    free: BoolArray, resolution: float, config: SegmentationConfig
-) -> tuple[BoolArray, BoolArray]:
-    """(h, w) free space with the isolated obstacles; and with wide openings narrowed besides."""
-    small = furniture(free, resolution, config)
-    if not config.wide_door_m:
-        return free | small, free | small
-    return with_narrow_doors(free, small, resolution, config.wide_door_m)
-
-
-def _label_cells(
-    work: WorkingGrid, graph: VisibilityGraph, clusters: LabelArray, config: SegmentationConfig
-) -> LabelArray:
-    """Labels (h, w) of the coarse cells from those of the nodes (n,), -1 unlabelled."""
-    if config.labels == "nearest":
-        return nearest_labels(work.free, graph.nodes, clusters)
-    return flood_labels(work.clearance, graph.nodes, clusters)
 
 
 def _merged(
@@ -221,38 +207,15 @@ def _without_grazed(labels: IntArray, poses: FloatArray, way_m: float) -> IntArr
     return np.asarray(labels[np.maximum.accumulate(source)], dtype=np.int64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FloorplanSubmap:
-    """A region: `polygon` (N, 2) its outer outline and `centroid`, in metres of the map."""
-
-    id: int
-    polygon: FloatArray
-    area_m2: float
-    centroid: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FloorplanResult:
-    """A divided map: submaps by id 0, 1, ... (falling area)."""
-
-    grid: GridMap
-    segmentation: Segmentation
-    submaps: tuple[FloorplanSubmap, ...]
-
-
-def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> FloorplanResult:
-    """Divide `grid` and describe the regions; NoResultError when no free space holds a node."""
+def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation:
+    """Divide `grid` into regions of one piece; NoResultError when no free space holds a node."""
     found = _in_one_piece(segment(grid, config))
     if not found.count:
         raise NoResultError(
             f"no free space wider than {2 * config.clearance_m:g} m in the map "
             f"({grid.free_area_m2:.1f} m2 free): check the resolution and the thresholds"
         )
-    return FloorplanResult(
-        grid=grid,
-        segmentation=found,
-        submaps=tuple(_submap(grid, found.labels == id_, id_) for id_ in range(found.count)),
-    )
+    return found
 
 
 def _in_one_piece(found: Segmentation) -> Segmentation:
@@ -267,10 +230,8 @@ def _in_one_piece(found: Segmentation) -> Segmentation:
     return replace(found, labels=labels)
 
 
-def submap_grid(result: FloorplanResult, submap: int) -> GridMap:
-    """The region of one submap with the obstacles round it, cropped; the rest is unknown."""
-    grid = result.grid
-    region = result.segmentation.labels == submap
+def region_grid(grid: GridMap, region: BoolArray) -> GridMap:
+    """The cells `region` (H, W) of a grid with the obstacles round them, cropped; else unknown."""
     reach = np.ones((2 * _WALL_CELLS + 1, 2 * _WALL_CELLS + 1), dtype=np.uint8)
     shown = cv2.dilate(region.astype(np.uint8), reach).astype(bool)
     rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
@@ -279,20 +240,3 @@ def submap_grid(result: FloorplanResult, submap: int) -> GridMap:
     cells[shown & (grid.cells == OCCUPIED)] = OCCUPIED
     cells[region & (grid.cells == FREE)] = FREE
     return GridMap(cells, grid.resolution, grid.origin).window(*window)
-
-
-def _submap(grid: GridMap, region: BoolArray, number: int) -> FloorplanSubmap:
-    cells = np.argwhere(region)
-    x, y = grid.centres_of(cells).mean(axis=0)
-    outlines, _ = cv2.findContours(
-        region.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
-    )
-    outer = max(outlines, key=lambda outline: (cv2.contourArea(outline), len(outline)))
-    corners = cv2.approxPolyDP(outer, _OUTLINE_CELLS, closed=True)[:, 0, ::-1]
-    area = len(cells) * grid.resolution**2
-    return FloorplanSubmap(
-        id=number,
-        polygon=grid.centres_of(corners),
-        area_m2=area,
-        centroid=(float(x), float(y)),
-    )

@@ -12,7 +12,7 @@ noise of a laser leaves in them: these would tip what is an end, and what is thi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -38,8 +38,8 @@ _UNEVEN = 2  # cells by which a straight face may stray: noise
 
 
 @dataclass(frozen=True, slots=True)
-class _Widths:
-    """Of openings and posts, in cells; `widest` is an opening without posts."""
+class _Lengths:
+    """Of openings, posts and the ends of walls, in cells; `widest` is an opening without posts."""
 
     widest: int
     door: int
@@ -48,11 +48,18 @@ class _Widths:
     post: int
     post_thick: int
     panel: int
+    thickest: int
+    open_space: int
+    jamb: int
+    frame: int
+    straight: int
+    corner: int
 
     @classmethod
-    def at(cls, resolution: float, widest_m: float) -> _Widths:
-        lengths = (widest_m, _DOOR_M, _LINE_M, _BETWEEN_POSTS_M, _POST_M, _POST_THICK_M, _PANEL_M)
-        return cls(*(max(1, round(length / resolution)) for length in lengths))
+    def at(cls, resolution: float, widest_m: float) -> _Lengths:
+        openings = (widest_m, _DOOR_M, _LINE_M, _BETWEEN_POSTS_M, _POST_M, _POST_THICK_M, _PANEL_M)
+        ends = (_THICKEST_M, _OPEN_M, _JAMB_M, _FRAME_M, _STRAIGHT_M, _CORNER_M)
+        return cls(*(max(1, round(length / resolution)) for length in (*openings, *ends)))
 
 
 def with_narrow_doors(
@@ -63,56 +70,55 @@ def with_narrow_doors(
     Posts in the line of a wall are not among the obstacles that are taken out. Openings up to
     `widest_m` are narrowed.
     """
-    ends, widths = EndLengths.at(resolution), _Widths.at(resolution, widest_m)
-    margin = max(ends.straight, ends.jamb + ends.frame)  # so that ends may lie at the edge
+    lengths = _Lengths.at(resolution, widest_m)
+    margin = max(lengths.straight, lengths.jamb + lengths.frame)  # so that ends may lie at the edge
     even = np.pad(without_slits(free | small, resolution), margin)
     pieces = np.pad(small, margin) & even
     framed = even & ~pieces
     inner = np.s_[margin : margin + free.shape[0], margin : margin + free.shape[1]]
-    rows = _along_rows(framed, pieces, ends, widths)
-    columns = _along_rows(
-        np.ascontiguousarray(framed.T), np.ascontiguousarray(pieces.T), ends, widths
-    )
+    rows = _along_rows(framed, pieces, lengths)
+    turned = np.ascontiguousarray(framed.T), np.ascontiguousarray(pieces.T)
+    columns = _along_rows(*turned, lengths)
     jambs, posts = (one | other.T for one, other in zip(rows, columns, strict=True))
     opened = free | (small & ~posts[inner])
     return opened, opened & ~jambs[inner]
 
 
 def _along_rows(
-    free: BoolArray, small: BoolArray, ends: EndLengths, widths: _Widths
+    free: BoolArray, small: BoolArray, lengths: _Lengths
 ) -> tuple[BoolArray, BoolArray]:
     """What narrows the openings (H, W) of walls along the rows, and the posts (H, W) in them."""
     opened = free | small
     _, piece = cv2.connectedComponents(small.astype(np.uint8), connectivity=8)
-    posts, panels = _posts(small, widths)
+    posts, panels = _posts(small, lengths)
     lines = Runs.of(opened)  # from wall to wall, past what small things stand there
-    inside = (lines.first >= ends.straight) & (lines.last < free.shape[1] - ends.straight)
-    lines = lines.those(inside & (lines.lengths <= widths.line))
-    lines = lines.those(between_ends(opened, lines, panels, ends))
-    doors, kept = _openings(lines, posts > 0, widths)
+    inside = (lines.first >= lengths.straight) & (lines.last < free.shape[1] - lengths.straight)
+    lines = lines.those(inside & (lines.lengths <= lengths.line))
+    lines = lines.those(_between_ends(opened, lines, panels, lengths))
+    doors, kept = _openings(lines, posts > 0, lengths)
     in_line = kept.painted(free.shape, np.ones(len(kept.row), dtype=np.bool_))
     standing = np.zeros(int(piece.max(initial=0)) + 1, dtype=np.bool_)
     standing[piece[in_line & (posts > 0)]] = True
-    return _jambs(doors, widths.door, free.shape), standing[piece]
+    return _jambs(doors, lengths.door, free.shape), standing[piece]
 
 
-def _posts(small: BoolArray, widths: _Widths) -> tuple[LabelArray, BoolArray]:
+def _posts(small: BoolArray, lengths: _Lengths) -> tuple[LabelArray, BoolArray]:
     """The number (H, W) of the part of a small piece that is thin across the rows; the panels.
 
     It is 0 where there is none. The wall from which another one goes off has two such parts.
     """
     across_rows = Runs.of(small.T)
-    thin = across_rows.painted(small.T.shape, across_rows.lengths <= widths.post_thick).T
+    thin = across_rows.painted(small.T.shape, across_rows.lengths <= lengths.post_thick).T
     count, part, stats, _ = cv2.connectedComponentsWithStats(thin.astype(np.uint8), connectivity=8)
     along, across = stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]
-    post = (along >= widths.post) & (across <= widths.post_thick)
+    post = (along >= lengths.post) & (across <= lengths.post_thick)
     post[0] = False
-    panel = post & (along >= widths.panel) & (along >= _SLENDER * across)
+    panel = post & (along >= lengths.panel) & (along >= _SLENDER * across)
     names = np.where(post, np.arange(count), 0).astype(np.int32)
     return names[part], np.asarray(panel[part])
 
 
-def _openings(lines: Runs, posts: BoolArray, widths: _Widths) -> tuple[Runs, Runs]:
+def _openings(lines: Runs, posts: BoolArray, lengths: _Lengths) -> tuple[Runs, Runs]:
     """The openings between the `posts` (H, W) of some lines, and the lines they are of.
 
     Lines with an opening that is too wide are left out with all of theirs.
@@ -121,7 +127,7 @@ def _openings(lines: Runs, posts: BoolArray, widths: _Widths) -> tuple[Runs, Run
     gaps = Runs.of((number > 0) & ~posts)
     of = number[gaps.row, gaps.first] - 1
     several = np.bincount(of, minlength=len(lines.row)) > 1
-    widest = np.where(several, widths.between_posts, widths.widest)
+    widest = np.where(several, lengths.between_posts, lengths.widest)
     good = np.ones(len(lines.row), dtype=np.bool_)
     good[of[gaps.lengths > widest[of]]] = False
     return gaps.those(good[of]), lines.those(good)
@@ -135,26 +141,7 @@ def _jambs(doors: Runs, door: int, shape: tuple[int, ...]) -> BoolArray:
     return np.asarray(one | Runs(doors.row, doors.last - cut + 1, doors.last).painted(shape, every))
 
 
-@dataclass(frozen=True, slots=True)
-class EndLengths:
-    """What the end of a wall is told by, in cells."""
-
-    thickest: int
-    open_space: int
-    jamb: int
-    frame: int
-    straight: int
-    corner: int
-
-    @classmethod
-    def at(cls, resolution: float) -> EndLengths:
-        """The lengths in cells of a grid."""
-        lengths = (_THICKEST_M, _OPEN_M, _JAMB_M, _FRAME_M, _STRAIGHT_M, _CORNER_M)
-        return cls(*(max(1, round(length / resolution)) for length in lengths))
-
-
-@dataclass(frozen=True, slots=True)
-class _Face:
+class _Face(NamedTuple):
     """One face of what is not free: `behind` (H, W) the cells that are no deeper than a wall.
 
     `row` (H, W) is the row of the face in the column of each of them.
@@ -164,7 +151,7 @@ class _Face:
     row: IntArray
 
 
-def between_ends(free: BoolArray, gaps: Runs, panels: BoolArray, lengths: EndLengths) -> BoolArray:
+def _between_ends(free: BoolArray, gaps: Runs, panels: BoolArray, lengths: _Lengths) -> BoolArray:
     """(n,) whether `gaps` in the rows of `free` (H, W) lie in the line of a wall.
 
     On one side of the gap a thin wall points at it, with open space on both faces, one of them
@@ -175,8 +162,7 @@ def between_ends(free: BoolArray, gaps: Runs, panels: BoolArray, lengths: EndLen
     """
     thin, faces = _faces(free, lengths)
     pointing = _pointing(thin, gaps, lengths)
-    sums = _sums(panels)
-    panel = sums[gaps.row, gaps.last + 1] > sums[gaps.row, gaps.first]
+    panel = gaps.counts(panels) > 0
     crossed = _crossed(free, gaps, lengths)
     found = np.zeros(len(gaps.row), dtype=np.bool_)
     for face in faces:
@@ -189,7 +175,7 @@ def between_ends(free: BoolArray, gaps: Runs, panels: BoolArray, lengths: EndLen
     return found & crossed
 
 
-def _crossed(free: BoolArray, gaps: Runs, lengths: EndLengths) -> BoolArray:
+def _crossed(free: BoolArray, gaps: Runs, lengths: _Lengths) -> BoolArray:
     """(n,) whether half of each gap or more has open space before and behind it.
 
     Beside a cupboard that stands at a wall the wall itself goes on, and nobody comes through.
@@ -198,12 +184,11 @@ def _crossed(free: BoolArray, gaps: Runs, lengths: EndLengths) -> BoolArray:
     row = np.arange(free.shape[0])[:, None]
     before = row - columns.painted(shape, columns.first).T
     behind = columns.painted(shape, columns.last).T - row
-    sums = _sums(free & (np.minimum(before, behind) >= lengths.open_space // 2))
-    share = sums[gaps.row, gaps.last + 1] - sums[gaps.row, gaps.first]
-    return np.asarray(2 * share >= gaps.lengths)
+    crossed = gaps.counts(free & (np.minimum(before, behind) >= lengths.open_space // 2))
+    return np.asarray(2 * crossed >= gaps.lengths)
 
 
-def _faces(free: BoolArray, lengths: EndLengths) -> tuple[BoolArray, tuple[_Face, _Face]]:
+def _faces(free: BoolArray, lengths: _Lengths) -> tuple[BoolArray, tuple[_Face, _Face]]:
     """The cells (H, W) of thin walls with open space on both sides; both faces of all walls."""
     shape = free.T.shape
     walls, spaces = Runs.of(~free.T), Runs.of(free.T)
@@ -213,35 +198,21 @@ def _faces(free: BoolArray, lengths: EndLengths) -> tuple[BoolArray, tuple[_Face
     thin = walls.painted(shape, low & high & (walls.lengths <= lengths.thickest))
     near_low = np.minimum(walls.last, walls.first + lengths.thickest - 1)
     near_high = np.maximum(walls.first, walls.last - lengths.thickest + 1)
+    near, far = Runs(walls.row, walls.first, near_low), Runs(walls.row, near_high, walls.last)
     faces = (
-        _Face(Runs(walls.row, walls.first, near_low).painted(shape, low).T, _rows(walls, shape)),
-        _Face(
-            Runs(walls.row, near_high, walls.last).painted(shape, high).T,
-            walls.painted(shape, walls.last).T,
-        ),
+        _Face(near.painted(shape, low).T, walls.painted(shape, walls.first).T),
+        _Face(far.painted(shape, high).T, walls.painted(shape, walls.last).T),
     )
     return thin.T, faces
 
 
-def _rows(walls: Runs, shape: tuple[int, ...]) -> IntArray:
-    """The first cell of each wall of a turned picture, in the picture itself (H, W)."""
-    return np.asarray(walls.painted(shape, walls.first).T, dtype=np.int64)
-
-
-def _sums(mask: BoolArray) -> IntArray:
-    """(H, W + 1) the number of set cells before each column."""
-    return np.pad(np.cumsum(mask, axis=1), ((0, 0), (1, 0)))
-
-
 def _beside(mask: BoolArray, gaps: Runs, reach: int) -> tuple[IntArray, IntArray]:
     """(n,) the number of set cells among the `reach` before each gap, and after it."""
-    sums = _sums(mask)
-    before = sums[gaps.row, gaps.first] - sums[gaps.row, gaps.first - reach]
-    after = sums[gaps.row, gaps.last + 1 + reach] - sums[gaps.row, gaps.last + 1]
-    return before, after
+    before = Runs(gaps.row, gaps.first - reach, gaps.first - 1)
+    return before.counts(mask), Runs(gaps.row, gaps.last + 1, gaps.last + reach).counts(mask)
 
 
-def _pointing(thin: BoolArray, gaps: Runs, lengths: EndLengths) -> tuple[BoolArray, BoolArray]:
+def _pointing(thin: BoolArray, gaps: Runs, lengths: _Lengths) -> tuple[BoolArray, BoolArray]:
     """(n,) whether a thin wall, unbroken for a jamb, begins no farther than a frame off each end.
 
     Without a break: a leaf that stands open behind the wall that a corridor runs along is none.
@@ -289,6 +260,11 @@ class Runs:
     def those(self, chosen: BoolArray) -> Runs:
         """The runs that are `chosen` (n,)."""
         return Runs(self.row[chosen], self.first[chosen], self.last[chosen])
+
+    def counts(self, mask: BoolArray) -> IntArray:
+        """(n,) how many of their cells are set in a `mask` (H, W)."""
+        before = np.pad(np.cumsum(mask, axis=1), ((0, 0), (1, 0)))
+        return np.asarray(before[self.row, self.last + 1] - before[self.row, self.first])
 
     def painted(self, shape: tuple[int, ...], values: NDArray[Any]) -> NDArray[Any]:
         """A picture (H, W) with the value (n,) of each run on its cells, and zeros elsewhere.
