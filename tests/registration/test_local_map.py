@@ -68,11 +68,21 @@ def test_an_alignment_that_runs_off_is_refused_and_ends_the_ladder(
     assert fit.planar == Pose2(0.2, 0.0, 0.0)  # the result before it stands
 
 
-@pytest.mark.parametrize("answer", [moved(x=1.49), moved(yaw=0.79), moved(roll=0.29)])
+@pytest.mark.parametrize(
+    ("answer", "settings"),
+    [
+        (moved(x=1.49), {}),
+        (moved(yaw=0.79), {}),
+        (moved(roll=0.29), {}),
+        (moved(x=2.5), {"max_shift_m": 3.0}),
+        (moved(yaw=1.5), {"max_shift_rad": 2.0}),
+        (moved(roll=0.5), {"max_tilt_rad": 0.6}),
+    ],
+)
 def test_an_alignment_within_the_limits_is_followed(
-    world: GridMap, answer: Callable[[FloatArray], FloatArray]
+    world: GridMap, answer: Callable[[FloatArray], FloatArray], settings: dict[str, float]
 ) -> None:
-    fit = scene_in(world, ToldAligner(answer)).align(np.eye(4), (1.0,))
+    fit = scene_in(world, ToldAligner(answer), **settings).align(np.eye(4), (1.0,))
     assert fit.refused == 0
     assert np.array_equal(fit.pose, answer(np.eye(4)))
 
@@ -82,22 +92,6 @@ def test_the_limits_count_from_the_first_guess_of_all_kernels(world: GridMap) ->
     fit = scene_in(world, aligner).align(np.eye(4), LADDER)
     assert fit.planar.x == pytest.approx(1.2)  # the third step would be 1.8 m away
     assert fit.refused == 1
-
-
-@pytest.mark.parametrize(
-    ("setting", "value", "answer"),
-    [
-        ("max_shift_m", 3.0, moved(x=2.5)),
-        ("max_shift_rad", 2.0, moved(yaw=1.5)),
-        ("max_tilt_rad", 0.6, moved(roll=0.5)),
-    ],
-)
-def test_limits_of_an_alignment_are_settings(
-    world: GridMap, setting: str, value: float, answer: Callable[[FloatArray], FloatArray]
-) -> None:
-    assert scene_in(world, ToldAligner(answer)).align(np.eye(4), (1.0,)).refused == 1
-    wider = scene_in(world, ToldAligner(answer), **{setting: value})
-    assert wider.align(np.eye(4), (1.0,)).refused == 0
 
 
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
