@@ -122,7 +122,7 @@ def read_tum(path: str | Path) -> Trajectory:
         x, y, _, *q = _numbers(path, number, words[1:])
         poses.append((x, y, yaw_of(rotation_from_quaternion(*q))))
     if not stamps:
-        raise InputError(f"{path}: holds no pose; expected lines `t x y z qx qy qz qw`")
+        raise InputError("holds no pose;", "expected lines `t x y z qx qy qz qw`", where=path)
     return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses, dtype=np.float64))
 
 
@@ -141,7 +141,9 @@ def read_relations(path: str | Path) -> Relations:
         x, y, _, _, _, yaw = _numbers(path, number, words[2:])
         poses.append((x, y, yaw))
     if not earlier:
-        raise InputError(f"{path}: holds no relation; expected lines `t1 t2 x y z roll pitch yaw`")
+        raise InputError(
+            "holds no relation;", "expected lines `t1 t2 x y z roll pitch yaw`", where=path
+        )
     return Relations(
         np.array(earlier, dtype=np.int64),
         np.array(later, dtype=np.int64),
@@ -248,7 +250,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
                     yield number, words
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"{path}: cannot be read: {reason}") from None
+        raise InputError(f"cannot be read: {reason}", where=path) from None
 
 
 def _stamp(path: Path, number: int, word: str) -> int:
@@ -270,7 +272,7 @@ def _numbers(path: Path, number: int, words: list[str]) -> list[float]:
 
 
 def _malformed(path: Path, number: int, found: str) -> InputError:
-    return InputError(f"{path}:{number}: {found}; mend or remove the line")
+    return InputError(f"{found};", "mend or remove the line", where=f"{path}:{number}")
 
 
 def relation_lines(errors: RelativeErrors) -> list[str]:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.errors import TOO_LARGE, MapError, reason
+from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.settings import LimitsConfig
 
@@ -37,12 +37,13 @@ def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]
     try:
         data = read_bytes(path, _PICTURE_MAX_MB)
     except OSError as error:
-        raise MapError(f"{path}: cannot read the image: {reason(error)}") from None
+        raise MapError.of_system(error, "cannot read the image", where=path) from None
     width, height = _size(data)
     if width * height > limits.picture_max_mpixel * _PIXELS_PER_MPIXEL:
         raise MapError(
-            f"{path}: {width} x {height} pixels are more than {limits.picture_max_mpixel:g} "
-            "million: scale it down, or raise limits.picture_max_mpixel",
+            f"{width} x {height} pixels are more than {limits.picture_max_mpixel:g} million",
+            "scale it down, or raise limits.picture_max_mpixel",
+            where=path,
             code=TOO_LARGE,
         )
     try:
@@ -55,7 +56,7 @@ def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]
             raise MemoryError(f"for the {width} x {height} pixels of {path}") from None
         picture = None
     if picture is None:
-        raise MapError(f"{path}: not an image that can be read: expected PNG, PGM or BMP")
+        raise MapError("not an image that can be read", "expected PNG, PGM or BMP", where=path)
     return np.atleast_3d(picture)[::-1]
 
 

@@ -190,9 +190,8 @@ def _asked_base(tree: TransformTree, laser_frame: str, config: LogConfig) -> Pla
     if _any_joined(tree, [base], laser_frame):
         return _placement(tree, base, laser_frame)
     above = sorted({laser_frame, *tree.ancestors(laser_frame)})
-    where, hint = f"--base-frame {base}", f"choose from {', '.join(above)}"
-    none = f"no transform joins it to the laser's frame {laser_frame!r}"
-    raise UsageError(f"{where}: {none}; {hint}", where=where, hint=hint)
+    none = f"no transform joins it to the laser's frame {laser_frame!r};"
+    raise UsageError(none, f"choose from {', '.join(above)}", where=f"--base-frame {base}")
 
 
 def _placement(tree: TransformTree, base: str, laser_frame: str) -> Placement:

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from specmap_cli.core.errors import MapError, reason
+from specmap_cli.core.errors import MapError
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.maps.tables import read_text
 
@@ -18,9 +18,11 @@ def map_text(path: Path, limits: LimitsConfig) -> str:
     try:
         return read_text(path, limits)
     except OSError as error:
-        raise MapError(f"{path}: cannot be read: {reason(error, 'build the map again')}") from None
+        raise MapError.of_system(
+            error, "cannot be read", "build the map again", where=path
+        ) from None
     except UnicodeDecodeError:
-        raise MapError(f"{path}: not UTF-8 text: build the map again") from None
+        raise MapError("not UTF-8 text", "build the map again", where=path) from None
 
 
 def map_json(path: Path, limits: LimitsConfig) -> Any:
@@ -29,12 +31,12 @@ def map_json(path: Path, limits: LimitsConfig) -> Any:
         return json.loads(map_text(path, limits))
     except json.JSONDecodeError as error:
         raise MapError(
-            f"{path}: damaged JSON at line {error.lineno}: {error.msg}: build the map again"
+            f"damaged JSON at line {error.lineno}: {error.msg}", "build the map again", where=path
         ) from None
     except RecursionError:
-        raise MapError(f"{path}: JSON nested too deeply: build the map again") from None
+        raise MapError("JSON nested too deeply", "build the map again", where=path) from None
     except ValueError:  # Python reads no integer of thousands of digits
-        raise MapError(f"{path}: a number of too many digits: build the map again") from None
+        raise MapError("a number of too many digits", "build the map again", where=path) from None
 
 
 def first_finding(error: ValidationError) -> str:

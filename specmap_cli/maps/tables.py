@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import MapError, reason
+from specmap_cli.core.errors import MapError
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.core.settings import LimitsConfig
@@ -41,11 +41,11 @@ def read_labels(path: str | Path, limits: LimitsConfig | None = None) -> Labels:
     try:
         lines = read_text(path, limits).splitlines()
     except OSError as error:
-        raise MapError(f"{path}: cannot read the keyframes: {reason(error)}") from None
+        raise MapError.of_system(error, "cannot read the keyframes", where=path) from None
     except UnicodeDecodeError:
-        raise MapError(f"{path}: not a text file: build the map again") from None
+        raise MapError("not a text file", "build the map again", where=path) from None
     if not lines or lines[0] != LABELS_HEADER:
-        raise MapError(f"{path}: line 1 is not {LABELS_HEADER!r}: build the map again")
+        raise MapError(f"line 1 is not {LABELS_HEADER!r}", "build the map again", where=path)
     stamps, poses, submaps = [], [], []
     for number, line in enumerate(lines[1:], start=2):
         try:
@@ -54,7 +54,9 @@ def read_labels(path: str | Path, limits: LimitsConfig | None = None) -> Labels:
             poses.append(_pose(x, y, theta))
             submaps.append(_submap(submap))
         except (ValueError, OverflowError):
-            raise MapError(f"{path}: line {number} is {line!r}: expected {LABELS_HEADER}") from None
+            raise MapError(
+                f"line {number} is {line!r}", f"expected {LABELS_HEADER}", where=path
+            ) from None
     return Labels(
         stamps_ns=np.array(stamps, dtype=np.int64),
         poses=np.array(poses, dtype=np.float64).reshape(-1, 3),

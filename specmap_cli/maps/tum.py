@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from specmap_cli.core.arrays import runs
-from specmap_cli.core.errors import MapError, reason
+from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import quaternions_from_rpy, rpy_from_quaternions
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import LimitsConfig
@@ -78,9 +78,9 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
     try:
         lines = read_text(path, limits).splitlines()
     except OSError as error:
-        raise MapError(f"{path}: cannot read the trajectory: {reason(error)}") from None
+        raise MapError.of_system(error, "cannot read the trajectory", where=path) from None
     except UnicodeDecodeError:
-        raise MapError(f"{path}: not a text file: build the map again") from None
+        raise MapError("not a text file", "build the map again", where=path) from None
     stamps: list[int] = []
     rows: list[list[float]] = []
     lost: list[bool] = []
@@ -96,8 +96,9 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
             lost.append(is_lost)
         except (ValueError, OverflowError):
             raise MapError(
-                f"{path}: line {number} is {line!r}: expected t x y z qx qy qz qw: build the map "
-                "again"
+                f"line {number} is {line!r}",
+                "expected t x y z qx qy qz qw: build the map again",
+                where=path,
             ) from None
     return _trajectory(stamps, np.array(rows, dtype=np.float64).reshape(-1, 7), lost)
 

@@ -354,8 +354,9 @@ class OneVsAll:
         feature_set = text(data, "feature_set", "file")
         if feature_set not in feature_sets():
             raise MapError(
-                f"classifiers: file: its feature set {feature_set!r} is not installed: install "
-                "the package that offers it, or build the map again"
+                f"file: its feature set {feature_set!r} is not installed",
+                "install the package that offers it, or build the map again",
+                where="classifiers",
             )
         names = feature_names(feature_set)
         entries = mapping(data, "classifiers")
@@ -364,7 +365,7 @@ class OneVsAll:
             try:
                 boosters[_submap_id(key)] = booster_from_dict(entries[key], names)
             except MapError as error:
-                raise MapError(str(error).replace("classifiers:", f"submap {key}:", 1)) from None
+                raise MapError(error.found, error.hint, where=f"submap {key}") from None
         if not boosters:
             raise refuse("file", "it holds no classifier")
         return cls(feature_set, RecognitionConfig())._of(boosters)

@@ -11,7 +11,7 @@ from specmap_cli.core.errors import MapError
 
 def refuse(where: str, what: str) -> MapError:
     """The error for an entry that makes no sense."""
-    return MapError(f"classifiers: {where}: {what}; build the map again")
+    return MapError(f"{where}: {what};", "build the map again", where="classifiers")
 
 
 def field(entry: Any, key: str, choices: Mapping[Any, Any], where: str) -> Any:
