@@ -254,13 +254,15 @@ def _layout(stored: StoredMap) -> Layout:
     try:
         poses, links = read_g2o(text)
     except InputError as error:
-        raise MapError(f"{path}: {error}: build the map again") from None
+        raise MapError(error, "build the map again", where=path) from None
     nodes = np.array(sorted(poses), dtype=np.int64)
     ends = {end for link in links for end in (link.source, link.target)}
     if not ends <= poses.keys() <= set(range(len(labels.poses))):
         raise MapError(
-            f"{path}: its vertices are not among the {counted(len(labels.poses), 'keyframe')} of "
-            f"{filenames.LABELS}: build the map again"
+            f"its vertices are not among the {counted(len(labels.poses), 'keyframe')} "
+            f"of {filenames.LABELS}",
+            "build the map again",
+            where=path,
         )
     after = dict(pairwise(nodes.tolist()))
     return Layout(
@@ -279,8 +281,10 @@ def _trajectory(stored: StoredMap) -> Trajectory:
         log.scans for log in stored.logs
     ):
         raise MapError(
-            f"{path}: is not the way through the keyframes of {filenames.LABELS} and the logs of "
-            f"{filenames.TOPOLOGY}: build the map again"
+            f"is not the way through the keyframes of {filenames.LABELS} and the logs "
+            f"of {filenames.TOPOLOGY}",
+            "build the map again",
+            where=path,
         )
     return trajectory
 
