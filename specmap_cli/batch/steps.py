@@ -32,11 +32,11 @@ _FORMAT = "--format="
 _SAID = frozenset({"out", "overwrite", "json", "quiet", "log-level", "trajectory"})
 
 
-def steps_of(plan: Plan, base: Path, where: str = "") -> tuple[Step, ...]:
+def steps_of(plan: Plan, base: Path) -> tuple[Step, ...]:
     """The steps of a plan; paths in its options are relative to `base`.
 
-    Raises UsageError for a step or an option that is none, one whose
-    value is of the wrong kind, and a step that needs another one before it.
+    Raises UsageError for a step or an option that is none, one whose value is of the wrong kind,
+    and a step that needs another one before it.
     """
     _check_commands(plan)
     steps: list[Step] = []
