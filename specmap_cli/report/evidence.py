@@ -86,7 +86,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Spectra:
-    """The tests that are kept, of `known` in all, and what the page needs to draw each.
+    """The tests that are kept, of `total` in all, and what the page needs to draw each.
 
     `dots` are the tests in the chart, each with the seconds of recording at which it was made.
     """
@@ -94,7 +94,7 @@ class Spectra:
     dots: tuple[tuple[float, TestedSplit], ...]
     table: tuple[dict[str, Any], ...]
     threshold: float
-    known: int
+    total: int
     thinned: bool
 
 
@@ -106,7 +106,7 @@ def spectra_of(evidence: Evidence, seconds: Sequence[float], frame: Frame) -> Sp
         dots=tuple((seconds[one.keyframe], one) for one in kept),
         table=tuple(_row(one, seconds[one.keyframe], most, frame) for one in kept),
         threshold=evidence.threshold,
-        known=len(evidence.tests),
+        total=len(evidence.tests),
         thinned=any(len(one.nodes) > most for one in kept),
     )
 
