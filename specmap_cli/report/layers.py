@@ -21,7 +21,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.maps import filenames
 from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.maps.text_files import read_trajectory
 from specmap_cli.report.html import shown
 from specmap_cli.report.svg import Frame, fill_names, outlines, path_data
 from specmap_cli.topology.regions import NOBODY, Regions
