@@ -23,14 +23,14 @@ from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
 from specmap_cli.recognition.learning.calibration import Calibration, HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
-from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M, HeldOutMisfit, held_out_misfit
+from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
 from specmap_cli.recognition.learning.sampling import (
     augmented_samples,
     cast_samples,
     raw_samples,
     track_samples,
 )
-from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_raw, train_virtual
+from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_and_test
 from specmap_cli.recognition.learning.training_data import (
     NO_SAMPLES,
     NO_TRAINING_DATA,
@@ -89,7 +89,7 @@ def learn(
     config, submaps = session.config, submaps_of(labels)
     revisits = None
     if prior.classifiers is not None:  # they tell the scans of the last recording
-        revisits = Revisits(prior.classifiers, starts[-1], poses, labels, HELD_OUT_REACH_M)
+        revisits = Revisits(prior.classifiers, starts[-1], poses, labels)
     raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
     along: OfSubmaps = {}
     cast: OfSubmaps = {}
@@ -112,8 +112,8 @@ def learn(
                     prior.training_data.cast,
                 )
                 along = next(meanwhile)
-                virtual, of_virtual = train_virtual(
-                    along, cast, poses, config, virtual_rng, revisits
+                virtual, of_virtual = train_and_test(
+                    along, cast, poses, config, virtual_rng, revisits, virtual=True
                 )
             taught = meanwhile.result
             classifiers = ClassifierSet(
@@ -177,7 +177,7 @@ def _without_grids(
         yield _single(track_samples(store, submaps, poses, config.localization, data.along, starts))
     samples = raw_samples(store, submaps, config, prior.features, starts)
     beside = augmented_samples(store, submaps, poses, config, rng, data.beside)
-    raw, held_out = train_raw(samples, beside, poses, config, rng, revisits)
+    raw, held_out = train_and_test(samples, beside, poses, config, rng, revisits, virtual=False)
     misfit = held_out_misfit(store, submaps, poses)
     return _Taught(raw, _single(samples), _single(beside), held_out, misfit)
 
