@@ -21,7 +21,7 @@ from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_name
 from specmap_cli.recognition.learning.boosting import feature_shares
 from specmap_cli.recognition.learning.classifiers import Recogniser
 from specmap_cli.report.changes import Changes
-from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, TestedSplit
+from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, SplitTrial
 from specmap_cli.report.page import render
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter
 from specmap_cli.segmentation.splitting import SplitTest
@@ -189,9 +189,9 @@ def _fit(stored: StoredMap, store: KeyframeStore) -> FloatArray:
     return fit
 
 
-def _tests(stored: StoredMap, store: KeyframeStore, progress: Progress) -> tuple[TestedSplit, ...]:
+def _tests(stored: StoredMap, store: KeyframeStore, progress: Progress) -> tuple[SplitTrial, ...]:
     """The tests that the way of the map led to, made again with its settings."""
-    found: list[TestedSplit] = []
+    found: list[SplitTrial] = []
 
     def observe(test: SplitTest, split: bool, when: Occasion) -> None:
         found.append(_look(test, split, stored, store, when.latest))
@@ -210,12 +210,12 @@ def _tests(stored: StoredMap, store: KeyframeStore, progress: Progress) -> tuple
 
 def _look(
     test: SplitTest, split: bool, stored: StoredMap, store: KeyframeStore, keyframe: int
-) -> TestedSplit:
+) -> SplitTrial:
     """A test with its places in the map: it was made where registration had put the scans."""
     map_from_registered = Pose2(*stored.labels.poses[keyframe]) @ store.pose(keyframe).inverse()
     strength = np.abs(test.eigenvector)
     share = strength / max(float(strength.max(initial=0.0)), 1e-12)
-    return TestedSplit(
+    return SplitTrial(
         keyframe=keyframe,
         eigenvalues=test.eigenvalues,
         chosen=test.chosen,

@@ -71,7 +71,7 @@ def facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
             _plural(len(doors), "door") + (f", {how_many} driven through" if driven else ""),
         ),
     ]
-    if track.known:
+    if track.total:
         way = driven_m(map_.stored.logs, map_.labels)
         found.append((f"{way:,.0f}", "m", f"driven in {lasting(track.duration_s)}"))
         merged = sum(closure.merged for closure in closures)

@@ -188,11 +188,11 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Closures:
-    """The closures that were accepted, and of `refused_known` refused ones those that are drawn."""
+    """The closures that were accepted, and of `refused_total` refused ones those that are drawn."""
 
     accepted: list[ClosureMark]
     refused: list[ClosureMark]
-    refused_known: int
+    refused_total: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -167,7 +167,8 @@ def test_cut_off_at_any_call_there_is_a_complete_result_or_none(
     old, new = tmp_path / "old", tmp_path / "new"
     store.get("/bucket/maps/monday", str(old), recursive=True)
     shutil.copytree(old, new)
-    (new / "map" / "part-0").write_text("changed")
+    part = new / "map" / "part-0"
+    part.write_text(part.read_text().upper())  # as long as the old one
     (new / "job.begun").unlink(missing_ok=True)
     write_record(new, result.model_copy(update={"files": files_in(new), "attempts": 2}))
     seen = set()

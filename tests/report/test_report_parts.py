@@ -112,7 +112,7 @@ def test_between_recordings_no_time_passes_and_no_line_is_drawn() -> None:
 def test_a_long_way_is_thinned() -> None:
     track = Track.of(labels_of(3 * MOST_POINTS), (), None)
     assert len(track.seconds) == MOST_POINTS
-    assert track.known == 3 * MOST_POINTS
+    assert track.total == 3 * MOST_POINTS
     assert track.seconds[-1] == 3 * MOST_POINTS - 1
     ends = [line[-1] for _, data in track.by_time(FRAME) for line in drawn(data)]
     assert max(ends)[0] == FRAME.place((0.1 * (3 * MOST_POINTS - 1), 0.0))[0]
