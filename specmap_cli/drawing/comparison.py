@@ -12,7 +12,7 @@ from specmap_cli.core.text import counted
 from specmap_cli.drawing.canvas import Canvas, Image
 from specmap_cli.drawing.palette import INK, PAPER, QUIET, WRONG, Colour, paler
 from specmap_cli.drawing.sheet import Sheet, extent_of
-from specmap_cli.drawing.symbols import Legend
+from specmap_cli.drawing.symbols import Legend, Symbol
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.topology.differences import Crossing, Differences, Obstacle, walls_in_common
@@ -159,27 +159,30 @@ def _figures(found: Differences) -> str:
 
 def _legend(found: Differences) -> Legend:
     """What the picture shows."""
-    legend: Legend = (
-        ("wall in both", lambda c, x, y: _bar(c, x, y, INK)),
-        ("only in the old map", lambda c, x, y: _bar(c, x, y, OLD)),
-        ("only in the new map", lambda c, x, y: _bar(c, x, y, NEW)),
+    signs: dict[str, tuple[object, Symbol]] = {
+        "vanished": (found.vanished, _frame(OLD)),
+        "appeared": (found.appeared, _frame(NEW)),
+        "way closed": (found.closed, lambda canvas, at: _sign(canvas, at, WRONG)),
+        "way opened": (found.opened, lambda canvas, at: _sign(canvas, at, OPENED)),
+    }
+    return (
+        ("wall in both", _bar(INK)),
+        ("only in the old map", _bar(OLD)),
+        ("only in the new map", _bar(NEW)),
+        *((words, symbol) for words, (any_, symbol) in signs.items() if any_),
     )
-    if found.vanished:
-        legend = (*legend, ("vanished", lambda c, x, y: _frame(c, x, y, OLD)))
-    if found.appeared:
-        legend = (*legend, ("appeared", lambda c, x, y: _frame(c, x, y, NEW)))
-    if found.closed:
-        legend = (*legend, ("way closed", lambda c, x, y: _sign(c, np.array([x, y]), WRONG)))
-    if found.opened:
-        legend = (*legend, ("way opened", lambda c, x, y: _sign(c, np.array([x, y]), OPENED)))
-    return legend
 
 
-def _bar(canvas: Canvas, x: float, y: float, colour: Colour) -> None:
-    canvas.box(np.array([x - 20, y - 10]), np.array([x + 20, y + 10]), paler(colour, _PALE))
-    canvas.box(np.array([x - 20, y - 3]), np.array([x + 20, y + 3]), colour)
+def _bar(colour: Colour) -> Symbol:
+    floor, wall = np.array([20, 10]), np.array([20, 3])
+
+    def draw(canvas: Canvas, at: FloatArray) -> None:
+        canvas.box(at - floor, at + floor, paler(colour, _PALE))
+        canvas.box(at - wall, at + wall, colour)
+
+    return draw
 
 
-def _frame(canvas: Canvas, x: float, y: float, colour: Colour) -> None:
-    corners = [[x - 16, y - 9], [x + 16, y - 9], [x + 16, y + 9], [x - 16, y + 9]]
-    _box(canvas, np.array(corners), colour)
+def _frame(colour: Colour) -> Symbol:
+    corners = np.array([[-16, -9], [16, -9], [16, 9], [-16, 9]])
+    return lambda canvas, at: _box(canvas, at + corners, colour)

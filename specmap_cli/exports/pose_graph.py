@@ -10,8 +10,7 @@ import networkx as nx
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.progress import Progress
-from specmap_cli.layout.g2o import graph_text, read_g2o
-from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.pose_graph import Link, graph_text, read_g2o
 from specmap_cli.maps import filenames
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.text_files import map_text

@@ -22,11 +22,11 @@ from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.text import counted, legible
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.audit import Audit
-from specmap_cli.layout.carrying import rows_of
-from specmap_cli.layout.dropping import gaps_of
-from specmap_cli.layout.g2o import read_g2o
-from specmap_cli.layout.motion_edges import Bridge
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.joining import gaps_of
+from specmap_cli.layout.path_graph import Bridge
+from specmap_cli.layout.pose_graph import read_g2o
+from specmap_cli.layout.result import Layout
+from specmap_cli.layout.trajectory import rows_of
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, edits_text
 from specmap_cli.maps.store import StoredMap

@@ -22,12 +22,12 @@ from specmap_cli.grids.gridmap import UNKNOWN
 from specmap_cli.grids.keyframes import (
     KeyframeStore,
     Recorded,
-    enough_looks,
-    last_witnesses,
     repeated,
+    sole_views,
+    views_needed,
 )
-from specmap_cli.layout.carrying import carried_places
-from specmap_cli.layout.dropping import tracked_over_gaps, without_keyframes
+from specmap_cli.layout.joining import tracked_over_gaps, without_keyframes
+from specmap_cli.layout.trajectory import propagated_places
 from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in, recordings_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.topology.topological_map import BorderEdit, LogInfo, Merge, heirs
@@ -59,7 +59,7 @@ def thinned(session: Session, joint: LaidOut, old: LaidOut, new: LaidOut) -> Thi
         return Thinned(joint, np.arange(len(joint)), len(old))
     of = recordings_of(joint.logs, len(joint))
     gone = repeated(_recorded(store, joint, of, config), _named(joint, of))
-    kept_for_walls = last_witnesses(
+    kept_for_walls = sole_views(
         store,
         gone[: len(old)],
         old.labels.poses,
@@ -81,7 +81,7 @@ def _recorded(store: KeyframeStore, laid: LaidOut, of: IntArray, config: Config)
     return Recorded(
         poses=laid.layout.poses,
         of=of,
-        enough=np.array([enough_looks(scan, config.grid) for scan in scans]),
+        enough=np.array([views_needed(scan, config.grid) for scan in scans]),
         all_round=np.array([scan.full_circle for scan in scans]),
     )
 
@@ -109,8 +109,8 @@ def _unseen(old: LaidOut, new: LaidOut, poses: FloatArray) -> BoolArray:
     """
     whole, count = old.whole, len(old.labels.poses)
     cells = np.argwhere(whole.occupied)
-    places = carried_places(whole.centres_of(cells), old.labels.poses, poses[:count])
-    places = carried_places(places, poses[count:], new.labels.poses)
+    places = propagated_places(whole.centres_of(cells), old.labels.poses, poses[:count])
+    places = propagated_places(places, poses[count:], new.labels.poses)
     known = cv2.dilate((new.whole.cells != UNKNOWN).astype(np.uint8), np.ones((3, 3)))
     there = new.whole.cells_of(places)
     inside = new.whole.inside(there)

@@ -8,14 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from specmap_cli.grids.gridmap import (
-    FREE,
-    OCCUPIED,
-    UNKNOWN,
-    GridMap,
-    PackedGrid,
-    cell_distances,
-)
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, PackedGrid, cell_distances
 from tests.strategies import grid_maps
 
 

@@ -13,12 +13,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import BoolArray, nearest_values
-from specmap_cli.segmentation.cells import (
-    flood_labels,
-    flooded_at,
-    nearest_labels,
-    spread_labels,
-)
+from specmap_cli.segmentation.cells import flood_labels, flooded_at, nearest_labels, spread_labels
 from specmap_cli.segmentation.furniture import furniture, small_obstacles, without_slits
 from specmap_cli.segmentation.visibility import near_pairs, sample_nodes, visibility_graph, visible
 from specmap_cli.segmentation.working_grid import working_grid
