@@ -8,8 +8,6 @@ in `table1`, all are finite, and unchanged when the robot turns on the spot.
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
@@ -62,6 +60,11 @@ def pieces_between(segments: Segments, breaks: BoolArray) -> tuple[IntArray, Int
     return np.flatnonzero(starts), np.flatnonzero(ends)
 
 
+def fine_distance_histogram(batch: ReturnsBatch) -> FloatArray:
+    """Distribution of the distance between two returns in bins of 0.2 m, the last one open."""
+    return pair_histogram(batch, FINE_EDGES_M)
+
+
 def pieces(batch: ReturnsBatch) -> FloatArray:
     """Smooth pieces between leaps: how many there are, how many are longer than each of 0.5, 1 and
     2 m, the longest one's length and the mean length.
@@ -90,9 +93,7 @@ def clipped_ranges(batch: ReturnsBatch) -> FloatArray:
 _FINE_COLUMNS = tuple(f"fine_distance_{low:g}m" for low in (0.0, *FINE_EDGES_M))
 
 GROUPS: tuple[BatchGroup, ...] = (
-    BatchGroup(
-        partial(pair_histogram, edges_m=FINE_EDGES_M), _FINE_COLUMNS, histogram=_FINE_COLUMNS
-    ),
+    BatchGroup(fine_distance_histogram, _FINE_COLUMNS, histogram=_FINE_COLUMNS),
     BatchGroup(
         pieces,
         ("pieces", *(f"pieces_over_{t:g}m" for t in _LONG_PIECES_M), "piece_max", "piece_mean"),

@@ -44,14 +44,16 @@ class Part(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
 
 
-class SplitPart(Part):
+@dataclass(frozen=True, slots=True)
+class SplitPart:
     """A node of a tree: samples below the threshold go one way, all others the other way."""
 
     feature: str
     threshold: float
 
 
-class TreePart(Part):
+@dataclass(frozen=True, slots=True)
+class TreePart:
     """A tree of two levels; votes are those of `Forest`."""
 
     root: SplitPart
@@ -60,6 +62,7 @@ class TreePart(Part):
     votes: tuple[float, float, float, float]
 
 
+@dataclass(frozen=True, slots=True)
 class StumpPart(SplitPart):
     """A `Stump` by the name of its feature."""
 

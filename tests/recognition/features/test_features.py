@@ -153,7 +153,7 @@ def test_flips_count_the_bumps() -> None:
     ("function", "edges"),
     [
         (table1.distance_histogram, table1.DISTANCE_EDGES_M),
-        (shape.GROUPS[0].compute, shape.FINE_EDGES_M),
+        (shape.fine_distance_histogram, shape.FINE_EDGES_M),
     ],
 )
 def test_distance_histograms_count_every_pair(function: Function, edges: tuple[float, ...]) -> None:
