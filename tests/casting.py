@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.grids.gridmap import GridMap, cast_rays
 
 
@@ -14,3 +15,16 @@ def ranges_at(plan: GridMap, poses: FloatArray, bearings: FloatArray, reach: flo
     angles = (poses[:, 2:] + bearings).ravel()
     ranges = cast_rays(plan.obstacle_distance(), plan, origins, angles, reach)
     return ranges.reshape(len(poses), len(bearings))
+
+
+def keyframe(
+    scan: PlanarScan, pose: Pose2, base_from_laser: Pose2 = IDENTITY, number: int = 0
+) -> PosedScan:
+    """A scan as it was registered at a pose."""
+    return PosedScan(
+        index=number,
+        stamp_ns=scan.stamp_ns,
+        map_from_base=pose,
+        planar=scan,
+        base_from_laser=base_from_laser,
+    )

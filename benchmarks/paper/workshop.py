@@ -134,7 +134,7 @@ def _build(
     tests: list[Test] = []
     accepts = KeyframeSelector(config.keyframes).accepts
     if held_out is not None:
-        accepts = HoldingOut(config.keyframes, held_out.chooser(), aside).accepts
+        accepts = HoldingOut(config.keyframes, held_out, aside).accepts
     explored = explore(recording.scans, Exploration(session, _noting(tests)), accepts)
     laid = lay_out(session, explored, recording.tracking, "recording")
     finished = finish(session, laid, Prior(explored.features))

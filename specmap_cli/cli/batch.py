@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,8 +14,7 @@ from specmap_cli.cli.options import Common, Settings, cluster_of, options_of, ou
 from specmap_cli.core.errors import BROKEN_RULE
 
 if TYPE_CHECKING:
-    from specmap_cli.batch.batch import Listener
-    from specmap_cli.batch.ledger import Ledger
+    from specmap_cli.batch.ledger import EventRecord, Ledger
     from specmap_cli.batch.records import Command, Option, Plan
     from specmap_cli.cli.console import ConsoleProgress
 
@@ -30,6 +30,33 @@ class StepName(StrEnum):
     check = "check"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sharing:
+    """Who does the work, and how much of the machine it may take."""
+
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes; default: one a processor.")
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler to use, such as tcp://host:8786."),
+    ] = None
+    memory_limit: Annotated[
+        int | None,
+        typer.Option(
+            min=64, metavar="MB", help="Memory of a worker; default: its share of the machine's."
+        ),
+    ] = None
+    time_limit: Annotated[
+        float | None,
+        typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job."),
+    ] = None
+    retries: Annotated[
+        int,
+        typer.Option(min=0, help="How often to try again what a lost worker or disk made fail."),
+    ] = 1
+
+
 def batch(
     inputs: Annotated[
         list[str],
@@ -43,27 +70,8 @@ def batch(
     out: Annotated[
         str, output("Directory, or URL such as s3://bucket/maps, to write.", metavar="DIR")
     ],
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes; default: one a processor.")
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Dask scheduler to use, such as tcp://host:8786."),
-    ] = None,
-    memory_limit: Annotated[
-        int | None,
-        typer.Option(
-            min=64, metavar="MB", help="Memory of a worker; default: its share of the machine's."
-        ),
-    ] = None,
-    time_limit: Annotated[
-        float | None,
-        typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job."),
-    ] = None,
-    retries: Annotated[
-        int,
-        typer.Option(min=0, help="How often to try again what a lost worker or disk made fail."),
-    ] = 1,
+    *,
+    sharing: Sharing,
     step: Annotated[
         list[StepName] | None,
         typer.Option("--step", help="Step of each job; repeatable. Default: build, report, check."),
@@ -72,7 +80,6 @@ def batch(
         Path | None, typer.Option(help="Directory of the workers for temporary files.")
     ] = None,
     redo: Annotated[bool, typer.Option("--redo", help="Do again what is complete.")] = False,
-    *,
     settings: Settings,
     common: Common,
 ) -> None:
@@ -87,19 +94,18 @@ def batch(
     specmap batch 'logs/*.mcap' -o maps --workers 4 --step build
     specmap batch jobs.toml -o s3://bucket/maps --scheduler tcp://host:8786
     """
-    cluster = cluster_of(workers, scheduler)
+    cluster = cluster_of(sharing.workers, sharing.scheduler)
     from specmap_cli.batch.batch import run_batch
     from specmap_cli.batch.jobs import jobs_of
     from specmap_cli.batch.records import Limits, Terms
 
     settings.load()  # a wrong setting is told of once, not by every job
     jobs = jobs_of(inputs, _plan(step, settings))
-    terms = Terms(
-        out, Limits(memory_limit, time_limit), str(scratch.absolute()) if scratch else None, redo
-    )
+    limits = Limits(sharing.memory_limit, sharing.time_limit)
+    terms = Terms(out, limits, str(scratch.absolute()) if scratch else None, redo)
     with common.progress() as progress:
         progress.start(f"0 of {len(jobs)} jobs", len(jobs))
-        ledger = run_batch(jobs, terms, cluster, retries, _listener(common, progress))
+        ledger = run_batch(jobs, terms, cluster, sharing.retries, *_listeners(common, progress))
     if not common.as_json:
         common.show({}, _lines(out, ledger))
     if ledger.failed:
@@ -131,10 +137,10 @@ def known_options() -> dict[Command, dict[str, Option]]:
     return {command: options_of(commands[command]) for command in COMMANDS}
 
 
-def _listener(common: Common, progress: ConsoleProgress) -> Listener:
+def _listeners(
+    common: Common, progress: ConsoleProgress
+) -> tuple[Callable[[EventRecord], None], Callable[[Ledger], None]]:
     """Events as lines of JSON on stdout; what a person should know, and a bar, on stderr."""
-    from specmap_cli.batch.batch import Listener
-    from specmap_cli.batch.ledger import EventRecord
     from specmap_cli.cli.entry import print_text
 
     def tell(event: EventRecord) -> None:
@@ -149,7 +155,7 @@ def _listener(common: Common, progress: ConsoleProgress) -> Listener:
     def show(ledger: Ledger) -> None:
         progress.reach(len(ledger.results), ledger.headline())
 
-    return Listener(tell, show)
+    return tell, show
 
 
 def _lines(out: str, ledger: Ledger) -> list[str]:

@@ -12,10 +12,10 @@ from specmap_cli.core.text import counted
 from specmap_cli.drawing.canvas import Canvas, Image
 from specmap_cli.drawing.palette import INK, PAPER, QUIET, WRONG, Colour, paler
 from specmap_cli.drawing.sheet import Sheet, extent_of
-from specmap_cli.drawing.symbols import Legend
+from specmap_cli.drawing.symbols import Legend, Symbol
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.differences import Crossing, Differences, Thing, walls_in_common
+from specmap_cli.topology.differences import Crossing, Differences, Obstacle, walls_in_common
 from specmap_cli.topology.regions import NOBODY, Regions
 
 OLD: Colour = (196, 110, 30)
@@ -45,9 +45,9 @@ def render_comparison(
     _draw_walls(sheet, both.grid, old.grid, new.grid, old_from_new)
     _draw_ids(sheet, old, new, old_from_new, found)
     for one in found.vanished:
-        _box(sheet.canvas, sheet.pixels(_widened(one.thing)), OLD)
+        _box(sheet.canvas, sheet.pixels(_widened(one)), OLD)
     for one in found.appeared:
-        _box(sheet.canvas, sheet.pixels(_widened(one.thing)), NEW)
+        _box(sheet.canvas, sheet.pixels(_widened(one)), NEW)
     _draw_ways(sheet, found.closed, WRONG)
     _draw_ways(sheet, found.opened, OPENED)
     sheet.title(f"{names[1]} against {names[0]}", _figures(found))
@@ -117,11 +117,11 @@ def _id(sheet: Sheet, place: FloatArray, id_: int, colour: Colour) -> None:
     sheet.canvas.text(x, y, str(id_), _ID_LETTERS, colour, "centre", bold=True)
 
 
-def _widened(thing: Thing) -> FloatArray:
+def _widened(obstacle: Obstacle) -> FloatArray:
     """The corners (4, 2) of a box round a thing that leaves its walls to be seen."""
-    away = thing.corners - thing.centre
+    away = obstacle.corners - obstacle.centre
     length = np.maximum(np.hypot(away[:, 0], away[:, 1]), _BOX_MARGIN_M)[:, None]
-    return np.asarray(thing.centre + away * (1.0 + 1.5 * _BOX_MARGIN_M / length))
+    return np.asarray(obstacle.centre + away * (1.0 + 1.5 * _BOX_MARGIN_M / length))
 
 
 def _box(canvas: Canvas, corners: NDArray[np.float64], colour: Colour) -> None:
@@ -159,27 +159,30 @@ def _figures(found: Differences) -> str:
 
 def _legend(found: Differences) -> Legend:
     """What the picture shows."""
-    legend: Legend = (
-        ("wall in both", lambda c, x, y: _bar(c, x, y, INK)),
-        ("only in the old map", lambda c, x, y: _bar(c, x, y, OLD)),
-        ("only in the new map", lambda c, x, y: _bar(c, x, y, NEW)),
+    signs: dict[str, tuple[object, Symbol]] = {
+        "vanished": (found.vanished, _frame(OLD)),
+        "appeared": (found.appeared, _frame(NEW)),
+        "way closed": (found.closed, lambda canvas, at: _sign(canvas, at, WRONG)),
+        "way opened": (found.opened, lambda canvas, at: _sign(canvas, at, OPENED)),
+    }
+    return (
+        ("wall in both", _bar(INK)),
+        ("only in the old map", _bar(OLD)),
+        ("only in the new map", _bar(NEW)),
+        *((words, symbol) for words, (any_, symbol) in signs.items() if any_),
     )
-    if found.vanished:
-        legend = (*legend, ("vanished", lambda c, x, y: _frame(c, x, y, OLD)))
-    if found.appeared:
-        legend = (*legend, ("appeared", lambda c, x, y: _frame(c, x, y, NEW)))
-    if found.closed:
-        legend = (*legend, ("way closed", lambda c, x, y: _sign(c, np.array([x, y]), WRONG)))
-    if found.opened:
-        legend = (*legend, ("way opened", lambda c, x, y: _sign(c, np.array([x, y]), OPENED)))
-    return legend
 
 
-def _bar(canvas: Canvas, x: float, y: float, colour: Colour) -> None:
-    canvas.box(np.array([x - 20, y - 10]), np.array([x + 20, y + 10]), paler(colour, _PALE))
-    canvas.box(np.array([x - 20, y - 3]), np.array([x + 20, y + 3]), colour)
+def _bar(colour: Colour) -> Symbol:
+    floor, wall = np.array([20, 10]), np.array([20, 3])
+
+    def draw(canvas: Canvas, at: FloatArray) -> None:
+        canvas.box(at - floor, at + floor, paler(colour, _PALE))
+        canvas.box(at - wall, at + wall, colour)
+
+    return draw
 
 
-def _frame(canvas: Canvas, x: float, y: float, colour: Colour) -> None:
-    corners = [[x - 16, y - 9], [x + 16, y - 9], [x + 16, y + 9], [x - 16, y + 9]]
-    _box(canvas, np.array(corners), colour)
+def _frame(colour: Colour) -> Symbol:
+    corners = np.array([[-16, -9], [16, -9], [16, 9], [-16, 9]])
+    return lambda canvas, at: _box(canvas, at + corners, colour)

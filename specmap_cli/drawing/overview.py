@@ -38,18 +38,13 @@ def render_overview(
     """
     fills = colours_of(topology, regions)
     places = trajectory.poses[:, :2]
-    kinds = {drawn_as(topology, edge) for edge in topology.edges.values()}
-    low, high = _extent_with(regions, places)
-    doubts = [finding.place for finding in quality.worst if finding.place is not None]
-    driven = {door.driven for door in topology.doors}
-    legend = symbols.overview_legend(
-        kinds,
-        driven,
-        with_unreached=_much_unreached(regions),
-        with_doubts=bool(doubts),
-        with_forbidden=_forbids(topology),
-    )
-    sheet = Sheet(low, high, legend)
+    low, high = extent_of(regions, places, _BESIDE_M)
+    warnings = [finding.place for finding in quality.worst if finding.place is not None]
+    shown = _shown(topology) | {"trajectory", "start", "end"}
+    shown |= {symbols.DOOR_WORDS[door.driven] for door in topology.doors}
+    shown |= {"seen, not reached"} if _much_unreached(regions) else set()
+    shown |= {"the map may be wrong here"} if warnings else set()
+    sheet = Sheet(low, high, symbols.legend_of(shown))
     sheet.ground(regions, fills)
     _draw_path(sheet, places)
     nodes = {
@@ -61,8 +56,8 @@ def render_overview(
         first, last = sheet.pixels(places[[0, -1]])
         symbols.start(sheet.canvas, first)
         symbols.end(sheet.canvas, last)
-    for doubt in sheet.pixels(np.array(doubts).reshape(-1, 2)):
-        symbols.doubt(sheet.canvas, doubt)
+    for place in sheet.pixels(np.array(warnings).reshape(-1, 2)):
+        symbols.warning(sheet.canvas, place)
     scans = sum(log.scans for log in logs)
     way_m = driven_m(logs, labels)
     figures = [counted(scans, "scan"), f"{way_m:,.0f} m driven", _size(low, high)]
@@ -74,10 +69,9 @@ def render_overview(
 def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo) -> Image:
     """A finished map cut into regions, with their ids and the doorways between them."""
     fills = colours_of(topology, regions)
-    kinds = {drawn_as(topology, edge) for edge in topology.edges.values()}
     low, high = extent_of(regions)
-    legend = symbols.regions_legend(kinds, bool(topology.doors), with_forbidden=_forbids(topology))
-    sheet = Sheet(low, high, legend)
+    shown = _shown(topology) | ({symbols.DOOR_WORDS[True]} if topology.doors else set())
+    sheet = Sheet(low, high, symbols.legend_of(shown))
     sheet.ground(regions, fills)
     _draw_graph(sheet, topology, _nodes(topology, regions), fills)
     area = np.count_nonzero(regions.grid.free) * regions.grid.resolution**2
@@ -85,27 +79,18 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
     return sheet.canvas.image
 
 
-def _extent_with(regions: Regions, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The corners of what is known and of the way (N, 2), which may lead out of the grid."""
-    low, high = extent_of(regions)
-    if not len(places):
-        return low, high
-    return (
-        np.minimum(low, places.min(axis=0) - _BESIDE_M),
-        np.maximum(high, places.max(axis=0) + _BESIDE_M),
-    )
+def _shown(topology: TopologicalMap) -> set[str]:
+    """What every picture of a map shows, in the words of its legend; doors aside."""
+    links = {symbols.LINK_WORDS[drawn_as(topology, edge)] for edge in topology.edges.values()}
+    forbidden = any(edge.forbidden for edge in topology.edges.values())
+    forbidden |= any(door.forbidden for door in topology.doors)
+    return {"submap", "wall"} | links | ({"forbidden"} if forbidden else set())
 
 
 def _much_unreached(regions: Regions) -> bool:
     """Whether the free cells that are nobody's are worth a word."""
     free = regions.grid.free
     return bool(np.count_nonzero(free & (regions.owner == NOBODY)) > _UNREACHED * free.sum())
-
-
-def _forbids(topology: TopologicalMap) -> bool:
-    """Whether a person forbade any link or door."""
-    links = any(edge.forbidden for edge in topology.edges.values())
-    return links or any(door.forbidden for door in topology.doors)
 
 
 def _draw_path(sheet: Sheet, places: FloatArray) -> None:

@@ -92,17 +92,17 @@ def colour_graph(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> dict[i
     return {id_: FILLS[worn[id_]] for id_ in order}
 
 
-def _wishes(id_: int) -> list[int]:
-    """The numbers of all fills, in the order in which an id would like to have them."""
+def _preferred(id_: int) -> list[int]:
+    """The numbers of all fills, in the order in which an id prefers them."""
     return [(id_ + _STEP * k) % len(FILLS) for k in range(len(FILLS))]
 
 
 def _free(
     id_: int, near_to: Neighbours, worn: Mapping[int, int], without: int | None = None
 ) -> list[int]:
-    """The fills that no neighbour of an id wears, but for `without`, in the order of its wishes."""
+    """The fills that no neighbour of an id wears, but for `without`, the preferred ones first."""
     taken = {worn[other] for other in near_to[id_] if other in worn} | {without}
-    return [fill for fill in _wishes(id_) if fill not in taken]
+    return [fill for fill in _preferred(id_) if fill not in taken]
 
 
 def _made_room(id_: int, near_to: Neighbours, worn: Mapping[int, int]) -> dict[int, int]:
@@ -112,7 +112,7 @@ def _made_room(id_: int, near_to: Neighbours, worn: Mapping[int, int]) -> dict[i
     """
     wearers = {
         fill: [other for other in sorted(near_to[id_]) if worn.get(other) == fill]
-        for fill in _wishes(id_)
+        for fill in _preferred(id_)
     }
     by_number = sorted(wearers, key=lambda fill: len(wearers[fill]))
     for fill in by_number:

@@ -69,12 +69,12 @@ def render_labels(
     places, submaps = np.asarray(places)[known, :2], np.asarray(submaps)[known]
     if fills is None:
         fills = _fills(submaps, map_with_regions)
-    legend = symbols.labels_legend(
-        with_map=map_with_regions is not None,
-        with_unknown=bool((submaps == NO_SUBMAP).any()),
-        with_truth=truth is not None,
-    )
-    sheet = Sheet(*_extent(places, map_with_regions), legend)
+    shown = {"predicted submap, with its id", "start"}
+    shown |= {"wall"} if map_with_regions is not None else set()
+    shown |= {"unknown"} if (submaps == NO_SUBMAP).any() else set()
+    shown |= {"wrong"} if truth is not None else set()
+    regions = None if map_with_regions is None else map_with_regions[1]
+    sheet = Sheet(*extent_of(regions, places, _BORDER_M), symbols.legend_of(shown))
     if map_with_regions is not None:
         sheet.ground(map_with_regions[1], fills)
     if truth is not None:
@@ -95,19 +95,6 @@ def _fills(
         return colours_of(*map_with_regions)
     ids = [int(id_) for id_ in np.unique(submaps) if id_ != NO_SUBMAP]
     return colour_graph(ids, set(itertools.pairwise(submaps.tolist())))
-
-
-def _extent(
-    places: FloatArray, map_with_regions: tuple[TopologicalMap, Regions] | None
-) -> tuple[FloatArray, FloatArray]:
-    corners = (
-        [] if not len(places) else [places.min(axis=0) - _BORDER_M, places.max(axis=0) + _BORDER_M]
-    )
-    if map_with_regions is not None:
-        corners += list(extent_of(map_with_regions[1]))
-    if not corners:
-        return np.zeros(2), np.ones(2)
-    return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
 def _draw_names(

@@ -19,7 +19,7 @@ from specmap_cli.core.records import IntArray
 from specmap_cli.drawing.canvas import Canvas, fitting_height, text_width
 from specmap_cli.drawing.palette import BORDER, INK, PAPER, QUIET, SHADE, Colour
 from specmap_cli.drawing.symbols import Legend, Symbol
-from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap, window_of
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
 
 # Pixels, chosen by eye for a picture that fills a page or a screen.
@@ -185,7 +185,7 @@ class Sheet:
         for number, row in enumerate(rows):
             x, y = float(MARGIN), TITLE + self.map_height + _BAR + 14.0 + _ROW * (number + 1)
             for words, symbol in row:
-                symbol(self.canvas, x + _SYMBOL_AT, y)
+                symbol(self.canvas, np.array([x + _SYMBOL_AT, y]))
                 self.canvas.text(x + _WORDS_AT, y, words, _LETTERS)
                 x += _entry_width(words)
 
@@ -216,17 +216,31 @@ def _padded(cells: NDArray[Any], step: int, fill: int) -> NDArray[Any]:
     return np.pad(cells, [(0, -side % step) for side in cells.shape], constant_values=fill)
 
 
-def extent_of(regions: Regions) -> tuple[FloatArray, FloatArray]:
-    """Lower left and upper right corner of the known cells, metres; half a metre when none is."""
-    grid = regions.grid
-    known = grid.cells != UNKNOWN
-    rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-    if not len(rows):
+def extent_of(
+    regions: Regions | None, places: FloatArray | None = None, beside_m: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Lower left and upper right corner of the known cells and of places (n, 2), metres.
+
+    There is paper `beside_m` round the places. It is half a metre when nothing is known, and a
+    metre when there is neither a map nor a place.
+    """
+    corners = [] if regions is None else [*_known(regions.grid)]
+    if places is not None and len(places):
+        corners += [places.min(axis=0) - beside_m, places.max(axis=0) + beside_m]
+    if not corners:
+        return np.zeros(2), np.ones(2)
+    return np.min(corners, axis=0), np.max(corners, axis=0)
+
+
+def _known(grid: GridMap) -> tuple[FloatArray, FloatArray]:
+    """The corners of the known cells of a grid."""
+    window = window_of(np.asarray(grid.cells != UNKNOWN))
+    if window is None:
         low = np.array(grid.origin, dtype=np.float64)
         return low, low + _LEAST_EXTENT_M
-    low = np.array([columns[0], rows[0]]) * grid.resolution + grid.origin
-    high = np.array([columns[-1] + 1, rows[-1] + 1]) * grid.resolution + grid.origin
-    return low, high
+    rows, columns = window
+    low = np.array([columns.start, rows.start]) * grid.resolution + grid.origin
+    return low, np.array([columns.stop, rows.stop]) * grid.resolution + grid.origin
 
 
 def _entry_width(words: str) -> float:

@@ -120,10 +120,8 @@ def _cropped(grid: GridMap) -> GridMap:
         return grid
     frame = round(_FRAME_M / grid.resolution)
     low = np.maximum(cells.min(axis=0) - frame, 0)
-    high = cells.max(axis=0) + frame + 1
-    x, y = grid.origin
-    corner = (x + int(low[1]) * grid.resolution, y + int(low[0]) * grid.resolution)
-    return GridMap(grid.cells[low[0] : high[0], low[1] : high[1]], grid.resolution, corner)
+    high = np.minimum(cells.max(axis=0) + frame + 1, grid.cells.shape)
+    return grid.window(slice(low[0], high[0]), slice(low[1], high[1]))
 
 
 def _map_picture(grid: GridMap, side: int) -> tuple[Image, float]:

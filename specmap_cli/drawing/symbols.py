@@ -30,13 +30,13 @@ from specmap_cli.drawing.palette import (
 from specmap_cli.topology.topological_map import EdgeKind
 
 LinkKind = EdgeKind | Literal["narrow"]  # narrow: the robot fits through no way
-Symbol = Callable[[Canvas, float, float], None]
+Symbol = Callable[[Canvas, FloatArray], None]
 Legend = tuple[tuple[str, Symbol], ...]
 
 PATH: Colour = (88, 82, 76)
 # Pixels, chosen by eye for a sheet of some 1800 pixels.
 BADGE_RADIUS = 17.0
-_DOUBT_RADIUS = 14.0
+_SIGN_RADIUS = 14.0
 _NAME_LETTERS, _LONGEST_NAME = 11.0, 24
 _ID_LETTERS = 20.0
 BADGE_GAP = 2.0 * BADGE_RADIUS + 6.0
@@ -50,14 +50,6 @@ _DOOR, _GAP = 5, 9  # width of the leaf of a door, and of the gap that it shuts
 _SWING, _JAMB = 1, 4.0  # width of the way that it swings, and radius of a jamb
 _SHORTEST_DOOR = 14.0  # on a sheet of a large building
 _REACH, _DOOR_REACH = 20, 12  # half the width of a line in the legend, and of a door
-_EDGE_WORDS: dict[LinkKind, str] = {
-    "traversed": "crossed by the robot",
-    "closure": "loop closure",
-    "loose": "joined by a guess",
-    "seen": "seen, not driven",
-    "narrow": "too narrow for the robot",
-    "doorway": "way",
-}
 
 
 def edge(canvas: Canvas, points: NDArray[Any], kind: LinkKind) -> None:
@@ -150,7 +142,7 @@ def name_under(canvas: Canvas, centre: NDArray[Any], name: str) -> None:
 
 def no_entry(canvas: Canvas, centre: NDArray[Any]) -> None:
     """A link that a person forbade: the sign of a road that must not be entered."""
-    canvas.disc(centre, _DOUBT_RADIUS, WRONG, PAPER)
+    canvas.disc(centre, _SIGN_RADIUS, WRONG, PAPER)
     middle = np.asarray(centre)
     bar = np.array([8.0, 2.5])
     canvas.box(middle - bar, middle + bar, PAPER)
@@ -168,38 +160,10 @@ def end(canvas: Canvas, centre: NDArray[Any]) -> None:
     canvas.disc(centre, 8.0, INK, PAPER)
 
 
-def doubt(canvas: Canvas, centre: NDArray[Any]) -> None:
+def warning(canvas: Canvas, centre: NDArray[Any]) -> None:
     """A place where the map may be wrong: a mark in a red ring."""
-    canvas.disc(centre, _DOUBT_RADIUS, PAPER, WRONG)
+    canvas.disc(centre, _SIGN_RADIUS, PAPER, WRONG)
     canvas.text(float(centre[0]), float(centre[1]), "!", 13.0, WRONG, "centre", bold=True)
-
-
-def overview_legend(
-    kinds: Collection[LinkKind],
-    doors: Collection[bool] = (),
-    *,
-    with_unreached: bool,
-    with_doubts: bool,
-    with_forbidden: bool = False,
-) -> Legend:
-    """What the overview of a build shows; of links and doors only the kinds that occur.
-
-    `doors` say of each whether it was driven through.
-    """
-    unreached: Legend = (("seen, not reached", _unreached),) if with_unreached else ()
-    doubts: Legend = (("the map may be wrong here", _doubt),) if with_doubts else ()
-    return (
-        ("submap", _badge),
-        ("wall", _wall),
-        *unreached,
-        ("trajectory", lambda c, x, y: c.line(_level(x, y), PATH, 2)),
-        ("start", _start),
-        ("end", lambda c, x, y: end(c, np.array([x, y]))),
-        *links_legend(kinds),
-        *doors_legend(doors),
-        *forbidden_legend(with_forbidden),
-        *doubts,
-    )
 
 
 def unknown(canvas: Canvas, centre: NDArray[Any]) -> None:
@@ -207,91 +171,66 @@ def unknown(canvas: Canvas, centre: NDArray[Any]) -> None:
     canvas.disc(centre, 4.0, PAPER, INK)
 
 
-def labels_legend(with_map: bool, with_unknown: bool, with_truth: bool) -> Legend:
-    """What the picture of predicted submaps shows."""
-    legend: Legend = (("predicted submap, with its id", _predicted),)
-    if with_unknown:
-        legend = (*legend, ("unknown", lambda c, x, y: unknown(c, np.array([x, y]))))
-    if with_truth:
-        legend = (*legend, ("wrong", _wrong))
-    if with_map:
-        legend = (*legend, ("wall", _wall))
-    return (*legend, ("start", _start))
-
-
-def regions_legend(
-    kinds: Collection[LinkKind], with_doors: bool = False, *, with_forbidden: bool = False
-) -> Legend:
-    """What the picture of a finished map shows."""
-    doors: Legend = (("door", _door(True)),) if with_doors else ()
-    forbidden = forbidden_legend(with_forbidden)
-    return (("submap", _badge), ("wall", _wall), *links_legend(kinds), *doors, *forbidden)
-
-
-def forbidden_legend(wanted: bool) -> Legend:
-    """The sign of a forbidden link, where there is one."""
-    return (("forbidden", lambda c, x, y: no_entry(c, np.array([x, y]))),) if wanted else ()
-
-
-def doors_legend(doors: Collection[bool]) -> Legend:
-    """The kinds of doors that occur: driven through, only seen."""
-    words = {True: "door", False: "door, only seen"}
-    return tuple((words[driven], _door(driven)) for driven in words if driven in doors)
-
-
-def links_legend(kinds: Collection[LinkKind]) -> Legend:
-    """The kinds of links that occur."""
-    return tuple((words, _link(kind)) for kind, words in _EDGE_WORDS.items() if kind in kinds)
-
-
 def _link(kind: LinkKind) -> Symbol:
-    def draw(canvas: Canvas, x: float, y: float) -> None:
-        # two dashes of a closure with the gap between them
-        edge(canvas, np.array([[x - 21, y], [x + 21, y]]), kind)
-
-    return draw
+    # two dashes of a closure with the gap between them
+    return lambda canvas, at: edge(canvas, _level(at, 21.0), kind)
 
 
 def _door(driven: bool) -> Symbol:
-    def draw(canvas: Canvas, x: float, y: float) -> None:
-        sides = np.array([[x - _DOOR_REACH, y], [x + _DOOR_REACH, y]]) + (0.0, _DOOR_REACH * driven)
-        door(canvas, sides, driven)
-
-    return draw
+    off = (0.0, _DOOR_REACH * driven)
+    return lambda canvas, at: door(canvas, _level(at, _DOOR_REACH) + off, driven)
 
 
-def _level(x: float, y: float) -> FloatArray:
+def _level(centre: FloatArray, reach: float = _REACH) -> FloatArray:
     """The ends (2, 2) of a line of the legend."""
-    return np.array([[x - _REACH, y], [x + _REACH, y]], dtype=np.float64)
+    return np.array([centre - (reach, 0.0), centre + (reach, 0.0)])
 
 
-def _badge(canvas: Canvas, x: float, y: float) -> None:
-    badge(canvas, np.array([x, y]), "7", FILLS[0])
+def _bar(half_height: float, colour: Colour) -> Symbol:
+    half = np.array([_REACH, half_height])
+    return lambda canvas, at: canvas.box(at - half, at + half, colour)
 
 
-def _doubt(canvas: Canvas, x: float, y: float) -> None:
-    doubt(canvas, np.array([x, y]))
+def _predicted(canvas: Canvas, centre: FloatArray) -> None:
+    first, last = _level(centre)
+    canvas.line(np.array([first, centre]), vivid(FILLS[0]), PREDICTED)
+    canvas.line(np.array([centre, last]), vivid(FILLS[1]), PREDICTED)
 
 
-def _start(canvas: Canvas, x: float, y: float) -> None:
-    start(canvas, np.array([x, y]))
-
-
-def _predicted(canvas: Canvas, x: float, y: float) -> None:
-    canvas.line(np.array([[x - _REACH, y], [x, y]]), vivid(FILLS[0]), PREDICTED)
-    canvas.line(np.array([[x, y], [x + _REACH, y]]), vivid(FILLS[1]), PREDICTED)
-
-
-def _wrong(canvas: Canvas, x: float, y: float) -> None:
-    way = np.array([[x - _REACH + 4, y], [x + _REACH - 4, y]])
+def _wrong(canvas: Canvas, centre: FloatArray) -> None:
+    way = _level(centre, _REACH - 4)
     canvas.line(way, WRONG, MISTAKEN)
     canvas.line(way, PAPER, RIM)
     canvas.line(way, vivid(FILLS[0]), PREDICTED)
 
 
-def _unreached(canvas: Canvas, x: float, y: float) -> None:
-    canvas.box(np.array([x - _REACH, y - 10]), np.array([x + _REACH, y + 10]), SHADE)
+LINK_WORDS: dict[LinkKind, str] = {
+    "traversed": "crossed by the robot",
+    "closure": "loop closure",
+    "loose": "joined by a guess",
+    "seen": "seen, not driven",
+    "narrow": "too narrow for the robot",
+    "doorway": "way",
+}
+DOOR_WORDS = {True: "door", False: "door, only seen"}  # by whether the robot drove through
+# What can lie on the ground of a map, in the order in which a legend explains it.
+SYMBOLS: dict[str, Symbol] = {
+    "submap": lambda canvas, at: badge(canvas, at, "7", FILLS[0]),
+    "predicted submap, with its id": _predicted,
+    "unknown": unknown,
+    "wrong": _wrong,
+    "wall": _bar(3.0, INK),
+    "seen, not reached": _bar(10.0, SHADE),
+    "trajectory": lambda canvas, at: canvas.line(_level(at), PATH, 2),
+    "start": start,
+    "end": end,
+    **{words: _link(kind) for kind, words in LINK_WORDS.items()},
+    **{words: _door(driven) for driven, words in DOOR_WORDS.items()},
+    "forbidden": no_entry,
+    "the map may be wrong here": warning,
+}
 
 
-def _wall(canvas: Canvas, x: float, y: float) -> None:
-    canvas.box(np.array([x - _REACH, y - 3]), np.array([x + _REACH, y + 3]), INK)
+def legend_of(shown: Collection[str]) -> Legend:
+    """The entries of a legend, by their words: none but those is shown."""
+    return tuple((words, symbol) for words, symbol in SYMBOLS.items() if words in shown)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -152,16 +152,11 @@ class HoldOut:
     block: int = 100
     seed: int = 0
 
-    def chooser(self) -> Callable[[int], bool]:
-        """Tells of each keyframe, by its number, whether it is held out; the first never is."""
-        size = self.block if self.split == "blocks" else 1
-
-        def held_out(number: int) -> bool:
-            group = number // size
-            draw = np.random.default_rng([self.seed, group]).random()
-            return group > 0 and bool(draw < self.share)
-
-        return held_out
+    def holds(self, number: int) -> bool:
+        """Whether a keyframe, by its number, is held out; the first never is."""
+        group = number // (self.block if self.split == "blocks" else 1)
+        draw = np.random.default_rng([self.seed, group]).random()
+        return group > 0 and bool(draw < self.share)
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +207,7 @@ def hold_out(
         KeyframeStore() as store,
         KeyframeStore() as held_out,
     ):
-        selector = HoldingOut(config.keyframes, options.chooser(), held_out)
+        selector = HoldingOut(config.keyframes, options, held_out)
         stream = SweepStream(log, config.log)
         session = Session(config, store, progress)
         finished = map_log(session, stream, accepts=selector.accepts)
@@ -222,23 +217,18 @@ def hold_out(
 
 
 class HoldingOut:
-    """A selector of keyframes that lays some of them aside: these are for evaluation only.
+    """A selector of keyframes that lays some of them aside in a store: for evaluation only."""
 
-    `chooser` tells of each keyframe, by its number, whether it goes to `held_out`.
-    """
-
-    def __init__(
-        self, config: KeyframeConfig, chooser: Callable[[int], bool], held_out: KeyframeStore
-    ) -> None:
-        self._selector, self._chooser, self._held_out = KeyframeSelector(config), chooser, held_out
-        self._seen = 0
+    def __init__(self, config: KeyframeConfig, options: HoldOut, held_out: KeyframeStore) -> None:
+        self._selector, self._options, self._held_out = KeyframeSelector(config), options, held_out
+        self._accepted = 0
 
     def accepts(self, scan: PosedScan) -> bool:
         """Whether `scan` is a keyframe of the map."""
         if not self._selector.accepts(scan):
             return False
-        held_out = self._chooser(self._seen)
-        self._seen += 1
+        held_out = self._options.holds(self._accepted)
+        self._accepted += 1
         if held_out:
             self._held_out.append(scan)
         return not held_out
@@ -277,14 +267,7 @@ def labels_of(finished: FinishedMap, held_out: KeyframeStore, config: Config) ->
     for k in range(len(held_out)):
         place = Pose2(*poses[k].tolist())
         gap = k > 0 and float(np.hypot(*(poses[k, :2] - poses[k - 1, :2]))) > 1.0
-        scan = PosedScan(
-            index=k,
-            stamp_ns=held_out.stamps_ns[k],
-            map_from_base=place,
-            planar=held_out.scan(k),
-            base_from_laser=held_out.base_from_laser(k),
-            restarted=gap,
-        )
+        scan = replace(held_out.posed(k), map_from_base=place, restarted=gap)
         labels.append(localizer.update(scan))
     return labels
 
@@ -399,7 +382,9 @@ def _alignment(stored: StoredMap, reference: str | Path, progress: Progress) -> 
     given = read_tum(reference)
     joined, rows = associate(given.stamps_ns, stored.labels.stamps_ns, STAMP_REACH_NS)
     if len(joined) < 2:
-        raise LogError(f"{reference}: no pose at the stamps of the map's keyframes: another log?")
+        raise LogError(
+            "no pose at the stamps of the map's keyframes: another log?", where=reference
+        )
     places, known = given.poses[rows, :2], stored.labels.poses[joined, :2]
     map_from_reference = nearest_motion(places, known)
     away = np.hypot(*(map_from_reference.apply(places) - known).T).mean()

@@ -89,14 +89,7 @@ class ReferenceErrors:
     def as_dict(self) -> dict[str, Any]:
         """For JSON, lengths as text."""
         relative = {f"{length:g}": asdict(errors) for length, errors in self.relative.items()}
-        return {
-            "relative": relative,
-            "ate_m": self.ate_m,
-            "end_m": self.end_m,
-            "end_deg": self.end_deg,
-            "matched": self.matched,
-            "total": self.total,
-        }
+        return {**asdict(self), "relative": relative}
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,16 +106,9 @@ def read_tum(path: str | Path) -> Trajectory:
 
     Raises InputError naming the line that is not so.
     """
-    path = Path(path)
-    stamps, poses = [], []
-    for number, words in _lines(path):
-        if len(words) != 8:
-            raise _malformed(path, number, f"{len(words)} columns, TUM format has 8")
-        stamps.append(_stamp(path, number, words[0]))
-        x, y, _, *q = _numbers(path, number, words[1:])
-        poses.append((x, y, yaw_of(rotation_from_quaternion(*q))))
-    if not stamps:
-        raise InputError(f"{path}: holds no pose; expected lines `t x y z qx qy qz qw`")
+    rows = _rows(Path(path), 1, "TUM format has 8", "pose", "`t x y z qx qy qz qw`")
+    stamps = [stamp for (stamp,), _ in rows]
+    poses = [(x, y, yaw_of(rotation_from_quaternion(*q))) for _, (x, y, _, *q) in rows]
     return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses, dtype=np.float64))
 
 
@@ -131,22 +117,11 @@ def read_relations(path: str | Path) -> Relations:
 
     Raises InputError naming the line that is not so.
     """
-    path = Path(path)
-    earlier, later, poses = [], [], []
-    for number, words in _lines(path):
-        if len(words) != 8:
-            raise _malformed(path, number, f"{len(words)} columns, relations have 8")
-        earlier.append(_stamp(path, number, words[0]))
-        later.append(_stamp(path, number, words[1]))
-        x, y, _, _, _, yaw = _numbers(path, number, words[2:])
-        poses.append((x, y, yaw))
-    if not earlier:
-        raise InputError(f"{path}: holds no relation; expected lines `t1 t2 x y z roll pitch yaw`")
-    return Relations(
-        np.array(earlier, dtype=np.int64),
-        np.array(later, dtype=np.int64),
-        np.array(poses, dtype=np.float64),
-    )
+    expected = "`t1 t2 x y z roll pitch yaw`"
+    rows = _rows(Path(path), 2, "relations have 8", "relation", expected)
+    earlier, later = np.array([stamps for stamps, _ in rows], dtype=np.int64).T
+    poses = [(x, y, yaw) for _, (x, y, _, _, _, yaw) in rows]
+    return Relations(earlier, later, np.array(poses, dtype=np.float64))
 
 
 def associate(
@@ -238,6 +213,21 @@ def _relative_errors(want: FloatArray, have: FloatArray, total: int) -> Relative
     )
 
 
+def _rows(
+    path: Path, stamps: int, columns: str, what: str, expected: str
+) -> list[tuple[list[int], list[float]]]:
+    """The stamps at the beginning of each line, nanoseconds, and the numbers that follow them."""
+    rows = []
+    for number, words in _lines(path):
+        if len(words) != 8:
+            raise _malformed(path, number, f"{len(words)} columns, {columns}")
+        times = [_stamp(path, number, word) for word in words[:stamps]]
+        rows.append((times, _numbers(path, number, words[stamps:])))
+    if not rows:
+        raise InputError(f"holds no {what};", f"expected lines {expected}", where=path)
+    return rows
+
+
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Number and words of each line that is neither empty nor a comment."""
     try:
@@ -248,7 +238,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
                     yield number, words
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"{path}: cannot be read: {reason}") from None
+        raise InputError(f"cannot be read: {reason}", where=path) from None
 
 
 def _stamp(path: Path, number: int, word: str) -> int:
@@ -270,7 +260,7 @@ def _numbers(path: Path, number: int, words: list[str]) -> list[float]:
 
 
 def _malformed(path: Path, number: int, found: str) -> InputError:
-    return InputError(f"{path}:{number}: {found}; mend or remove the line")
+    return InputError(f"{found};", "mend or remove the line", where=f"{path}:{number}")
 
 
 def relation_lines(errors: RelativeErrors) -> list[str]:

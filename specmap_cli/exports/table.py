@@ -25,14 +25,11 @@ from specmap_cli.core.errors import OUTPUT_EXISTS, UsageError
 from specmap_cli.core.files import complete_file
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.progress import Progress, Remembering, Silent
-from specmap_cli.exports.csv_tables import CsvTables
+from specmap_cli.exports.flat_formats import CsvTables, GeoJson, GraphMl
 from specmap_cli.exports.foxglove import Foxglove
-from specmap_cli.exports.geojson import GeoJson
-from specmap_cli.exports.graphml import GraphMl
-from specmap_cli.exports.nav2 import Nav2
 from specmap_cli.exports.pose_graph import PoseGraph
 from specmap_cli.exports.rerun import Rerun
-from specmap_cli.exports.tmap2 import Tmap2
+from specmap_cli.exports.route_formats import Nav2, Tmap2
 from specmap_cli.maps.store import StoredMap
 
 GROUP = "specmap.exporters"
@@ -79,13 +76,16 @@ def export_map(
     """
     target, known = Path(out), exporters()
     if name not in known:
-        raise UsageError(f"unknown format {name!r}: choose from {', '.join(sorted(known))}")
+        raise UsageError(f"unknown format {name!r}", f"choose from {', '.join(sorted(known))}")
     ending = getattr(known[name], "ending", target.suffix)
     if target.suffix not in {"", ending}:
-        raise UsageError(f"{target}: {known[name].description}: name it {target.stem}{ending}")
+        raise UsageError(known[name].description, f"name it {target.stem}{ending}", where=target)
     if os.path.lexists(target) and not overwrite:
         raise UsageError(
-            f"{target}: exists already: choose another name or say --overwrite", code=OUTPUT_EXISTS
+            "exists already",
+            "choose another name or say --overwrite",
+            where=target,
+            code=OUTPUT_EXISTS,
         )
     heard = Remembering(Silent() if progress is None else progress)
     with complete_file(target) as file:

@@ -147,6 +147,12 @@ def slices_near(
     return slice(bottom, top), slice(left, right)
 
 
+def window_of(mask: BoolArray) -> tuple[slice, slice] | None:
+    """Rows and columns of a mask (H, W) from the first to the last with a set cell; None: none."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)).tolist() for axis in (1, 0))
+    return (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)) if rows else None
+
+
 def cell_distances(picture: CellArray) -> FloatArray:
     """(H, W) distance, in cells, from each cell's centre to the nearest zero cell's.
 

@@ -23,7 +23,6 @@ from types import TracebackType
 from typing import IO
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from specmap_cli.core.files import temporary_files
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, moved, wrap_angles
@@ -34,7 +33,7 @@ from specmap_cli.grids.occupancy import OccupancyGrid
 
 _AT_ONCE = 32  # keyframes read and integrated in one go: bounds the memory, and fits a cache
 # A pass leaves some six keyframes in a place, so that two or three passes are taken in whole.
-PLACE_M, DIRECTION_RAD, LOOKS = 0.5, math.pi / 6.0, 16
+PLACE_M, DIRECTION_RAD, ENOUGH_VIEWS = 0.5, math.pi / 6.0, 16
 _READING = np.dtype(np.float32)  # a bearing or a range on disk: good to a micrometre in 10 m
 _ROUNDING = 1e-9  # of shares that add up to one
 _LASER_M = 1.0  # how far from the middle of the robot a laser may stand
@@ -65,16 +64,16 @@ def integrate_keyframes(
     """A grid of keyframes `numbers` of the store taken at `poses` (n, 3), grid frame from base.
 
     `refused` of the result counts the scans that reach beyond the largest grid allowed. A robot
-    that patrols sees a place again and again: see `telling`.
+    that patrols sees a place again and again: see `informative`.
     """
     grid = OccupancyGrid(config)
     taken = list(zip(numbers, poses, strict=True))
-    chosen = telling(np.asarray(poses))
+    chosen = informative(np.asarray(poses))
     add_keyframes(grid, store, [taken[place][0] for place in chosen.tolist()], poses[chosen])
     return grid
 
 
-def telling(poses: FloatArray) -> IntArray:
+def informative(poses: FloatArray) -> IntArray:
     """Which of the poses (n, 3) say enough about a map between them, ascending (k,).
 
     Of those that look from one place, half a metre wide, into one direction, a twelfth of a turn,
@@ -85,8 +84,8 @@ def telling(poses: FloatArray) -> IntArray:
     _, look, counts = np.unique(looks, axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(look.reshape(-1), kind="stable")
     place = np.arange(len(poses)) - np.repeat(np.cumsum(counts) - counts, counts)
-    many = np.maximum(np.repeat(counts, counts), LOOKS)
-    told = (place + 1) * LOOKS // many > place * LOOKS // many
+    many = np.maximum(np.repeat(counts, counts), ENOUGH_VIEWS)
+    told = (place + 1) * ENOUGH_VIEWS // many > place * ENOUGH_VIEWS // many
     return np.sort(order[told])
 
 
@@ -239,14 +238,15 @@ def _read_at(file: IO[bytes], offset: int, size: int) -> bytes:
     return data
 
 
-def enough_looks(scan: PlanarScan, config: GridConfig) -> int:
+def views_needed(scan: PlanarScan, config: GridConfig) -> int:
     """How many scans from one place show every cell of a surface, as far as the grid reaches.
 
-    There two beams of a scan are as many cells apart, at most; and no cell needs more than `LOOKS`.
+    There two beams of a scan are as many cells apart, at most; and no cell needs more than
+    `ENOUGH_VIEWS`.
     """
     spacing = float(scan.bearings[-1] - scan.bearings[0]) / max(len(scan.bearings) - 1, 1)
     reach_m = min(scan.range_max, config.max_range_m)
-    return min(LOOKS, max(1, math.ceil(reach_m * spacing / config.resolution_m)))
+    return min(ENOUGH_VIEWS, max(1, math.ceil(reach_m * spacing / config.resolution_m)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -285,6 +285,8 @@ def _pairs(recorded: Recorded, own: IntArray, newer: IntArray) -> tuple[IntArray
     """The pairs (P,) of keyframes that look alike: places in `own`, and numbers of newer ones."""
     if not len(own) or not len(newer):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    from scipy.spatial import cKDTree  # slow to load, and only an update asks
+
     places, there = (cKDTree(recorded.poses[some, :2]) for some in (own, newer))
     found = places.sparse_distance_matrix(there, PLACE_M, output_type="ndarray")
     old, new = found["i"].astype(np.int64), newer[found["j"]]
@@ -293,7 +295,7 @@ def _pairs(recorded: Recorded, own: IntArray, newer: IntArray) -> tuple[IntArray
     return old[alike], new[alike]
 
 
-def last_witnesses(
+def sole_views(
     store: KeyframeStore,
     gone: BoolArray,
     poses: FloatArray,
@@ -348,6 +350,8 @@ class _Shown:
         centres = self.walls.centres_of(np.argwhere(wanted))
         if not len(centres) or not len(numbers):
             return np.zeros(len(numbers), dtype=bool)
+        from scipy.spatial import cKDTree  # slow to load, and only an update asks
+
         places = self.poses[numbers, :2]
         away = cKDTree(centres).query(places, distance_upper_bound=self.max_range_m + _LASER_M)[0]
         return np.asarray(np.isfinite(away))

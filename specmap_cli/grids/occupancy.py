@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import GridConfig
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, slices_near
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, slices_near, window_of
 
 _OCCUPIED_SHARE = 0.25  # hits / (hits + misses) of a wall
 _FREE, _OCCUPIED, _UNKNOWN = (np.uint8(state) for state in (FREE, OCCUPIED, UNKNOWN))
@@ -160,14 +160,12 @@ class OccupancyGrid:
 
     def _crop(self) -> None:
         """Give up the rows and columns at the sides in which nothing was counted."""
-        seen = (self._hits > 0) | (self._misses > 0)
-        rows, columns = (np.flatnonzero(seen.any(axis=axis)).tolist() for axis in (1, 0))
-        if not rows:
+        window = window_of((self._hits > 0) | (self._misses > 0))
+        if window is None:
             self._hits, self._misses = self._hits[:0, :0], self._misses[:0, :0]
             return
-        window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
         self._hits, self._misses = self._hits[window].copy(), self._misses[window].copy()
-        self._corner = self._corner[0] + columns[0], self._corner[1] + rows[0]
+        self._corner = self._corner[0] + window[1].start, self._corner[1] + window[0].start
 
     def _window(self, low: Cell, high: Cell) -> tuple[slice, slice]:
         column, row = self._corner

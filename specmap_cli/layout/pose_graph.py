@@ -249,7 +249,9 @@ def read_g2o(text: str) -> tuple[dict[int, FloatArray], list[Link]]:
             elif tag == "EDGE_SE2":
                 links.append(_edge(words))
         except (ValueError, IndexError):
-            raise InputError(f"g2o, line {number}: {line!r} is no {tag}; mend the line") from None
+            raise InputError(
+                f"g2o, line {number}: {line!r} is no {tag};", "mend the line"
+            ) from None
     return poses, links
 
 

@@ -1,4 +1,8 @@
-"""Opening recordings by what is in them: the suffix of a file decides nothing."""
+"""Opening recordings by what is in them: the suffix of a file decides nothing.
+
+The readers are the built-in ones, and those that installed packages add. The recordings of one or
+several files are one `Log`, joined in time.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from specmap_cli.core.arguments import Paths, instance_of, paths_of
-from specmap_cli.core.errors import LOG_DAMAGED, LOG_MISSING, PACKAGE, LogError, UsageError
+from specmap_cli.core.errors import LOG_DAMAGED, PACKAGE, LogError, UsageError
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible
@@ -31,6 +35,221 @@ from specmap_cli.logs.readers.recording import (
 )
 from specmap_cli.logs.readers.rosbag1 import Rosbag1File
 from specmap_cli.logs.readers.rosbag2 import Rosbag2File
+
+GROUP = "specmap.readers"
+BUILT_IN: Mapping[str, type[Recording]] = MappingProxyType(
+    {"mcap": McapFile, "rosbag2": Rosbag2File, "rosbag1": Rosbag1File, "carmen": CarmenFile}
+)
+
+
+def known_readers() -> dict[str, type[Recording]]:
+    """The readers by name, those of other packages first, as they are asked first.
+
+    So a package can read a dialect of a format that a built-in reader would take. Raises
+    UsageError for an entry point that cannot be loaded or that is no whole `Recording`.
+    """
+    table = with_plugins(GROUP, BUILT_IN)
+    added = {name: _checked(name, table[name]) for name in table if name not in BUILT_IN}
+    return {**added, **BUILT_IN}
+
+
+def reader_for(
+    head: bytes, file: Path, readers: Mapping[str, type[Recording]]
+) -> type[Recording] | None:
+    """The first reader that knows the file, None when none does."""
+    return next((reader for reader in readers.values() if reader.sniff(head, file)), None)
+
+
+def format_names(readers: Iterable[type[Recording]]) -> str:
+    """The formats in a phrase: `MCAP, ROS 1 bag or CARMEN log`."""
+    *others, last = [reader.format for reader in readers]
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+def _checked(name: str, reader: object) -> type[Recording]:
+    """What an entry point names, if it is a reader; raises UsageError saying what it lacks."""
+    if not isinstance(reader, type) or not issubclass(reader, Recording):
+        raise _unfit(name, "is no class derived from specmap_cli.logs.readers.Recording")
+    missing = sorted(reader.__abstractmethods__)
+    if not isinstance(getattr(reader, "format", None), str):
+        missing.append("format")
+    own_sniff = any("sniff" in vars(base) for base in reader.__mro__ if base is not Recording)
+    if not reader.magic and not own_sniff:
+        missing.append("magic or sniff")
+    if missing:
+        raise _unfit(name, f"lacks {', '.join(missing)}")
+    return reader
+
+
+def _unfit(name: str, fault: str) -> UsageError:
+    found = f"the reader {name!r} of {GROUP} {fault};"
+    return UsageError(found, "mend or remove its package", code=PACKAGE)
+
+
+HEAD_BYTES = 4096  # one page: longer than the magic of any format, short enough to read of any file
+_KINDS = (
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def is_directory(path: Path) -> bool:
+    """Whether a path is a directory; raises LogError when it is neither that nor a regular file.
+
+    A pipe, a socket or a device would keep a reader waiting, perhaps for ever.
+    """
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise unreadable(path, error) from None
+    if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
+        kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "no file")
+        found = f"is {kind}; a log must be a file or a directory"
+        raise LogError(found, "copy it to one", where=path)
+    return stat.S_ISDIR(mode)
+
+
+def head_of(path: Path) -> bytes:
+    """The first bytes of a file; raises LogError when there is none or it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(HEAD_BYTES)
+    except OSError as error:
+        raise unreadable(path, error) from None
+
+
+_Readers = Mapping[str, type[Recording]]
+
+
+def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
+    """Open one recording, or several files of it, as one log in time order.
+
+    A path is a file, or a directory whose recordings are taken together. The readers are those of
+    `known_readers`; `config` bounds what they unpack. Raises LogError for a path that is missing,
+    empty, no recording or given twice, and when nothing in it can be read; TypeError for what is
+    no path or no `LogConfig`.
+    """
+    given = paths_of(paths, "paths")
+    settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
+    if not given:
+        raise LogError("no log given;", "name a file or a directory")
+    readers = known_readers()
+    with ExitStack() as held:
+        recordings: list[Recording] = []
+        for path in given:
+            for file in _files_at(path, readers):
+                recordings.append(_opened(file, readers, settings, held))
+        _refuse_repetition(recordings)
+        _refuse_rubble(recordings)
+        return Log(recordings, given, held.pop_all())
+
+
+def _refuse_repetition(recordings: Sequence[Recording]) -> None:
+    """A file given twice, such as by its name and by its directory, would count twice."""
+    seen: set[Path] = set()
+    for recording in recordings:
+        place = recording.path.resolve()
+        if place in seen:
+            hint = "name each file of a recording once"
+            raise refused(recording.path, "given twice", hint)
+        seen.add(place)
+
+
+def _refuse_rubble(recordings: Sequence[Recording]) -> None:
+    """A damaged log of which no message is left cannot be used."""
+    messages = sum(recording.contents.messages for recording in recordings)
+    damaged = next((recording for recording in recordings if recording.damage), None)
+    if damaged is not None and not messages:
+        where = legible(str(damaged.path))
+        found = damaged.damage[0].removeprefix(f"{where}: ")
+        raise LogError(f"{found}; no message can be read", where=where, code=LOG_DAMAGED)
+
+
+def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
+    """The file at a path, or the recordings in a directory by name."""
+    if not is_directory(path):
+        yield path
+        return
+    try:
+        files = sorted(path.iterdir())
+        visible = [file for file in files if file.is_file() and not file.name.startswith(".")]
+    except OSError as error:
+        raise unreadable(path, error) from None
+    found = [file for file in visible if looks_like_a_log(file, readers)]
+    if not found:
+        expected = f"expected {format_names(readers.values())}"
+        raise refused(path, "no recording in this directory", expected)
+    yield from found
+
+
+def looks_like_a_log(file: Path, readers: _Readers) -> bool:
+    """Whether a file begins as a recording, or as a compressed file. Raises LogError."""
+    head = head_of(file)
+    return compression_of(head) is not None or reader_for(head, file, readers) is not None
+
+
+def _opened(path: Path, readers: _Readers, config: LogConfig, held: ExitStack) -> Recording:
+    """The recording in one file, which `held` closes; a compressed one is unpacked first."""
+    compression = compression_of(_head(path, path))
+    if compression is None:
+        return _read(path, path, readers, config, held)
+
+    def look(file: Path) -> None:
+        if compression_of(head_of(file)) is not None:
+            raise refused(path, "compressed twice", "unpack it first")
+        with _told_of(compression):
+            _reader_of(file, path, readers)
+
+    copy = unpacked(path, compression, config, look, held)
+    look(copy.file)
+    with _told_of(compression):
+        recording = _read(copy.file, path, readers, config, held)
+    if copy.lost is not None:
+        recording.report(copy.lost)
+    return recording
+
+
+@contextmanager
+def _told_of(compression: str) -> Iterator[None]:
+    """Errors say that they are about what is inside a compressed file."""
+    inside = f"(inside {compression} compression)"
+    try:
+        yield
+    except LogError as error:
+        found, hint = error.found, error.hint
+        found, hint = (found, f"{hint} {inside}") if hint else (f"{found} {inside}", None)
+        raise LogError(found, hint, where=error.where, code=error.code) from None
+
+
+def _read(
+    file: Path, path: Path, readers: _Readers, config: LogConfig, held: ExitStack
+) -> Recording:
+    recording = _reader_of(file, path, readers)(file, path, config)
+    held.callback(recording.close)
+    return recording
+
+
+def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
+    """The reader of `file`, called `path`; raises LogError saying what it is instead."""
+    head = _head(file, path)
+    reader = reader_for(head, file, readers)
+    if reader is not None:
+        return reader
+    if any(known.magic.startswith(head) for known in readers.values()):
+        cut = f"cut off after {len(head)} bytes; no message can be read"
+        raise refused(path, cut, code=LOG_DAMAGED)
+    kind = "a text file" if b"\x00" not in head and is_text(head) else "of an unknown format"
+    expected = f"expected {format_names(readers.values())}"
+    raise refused(path, f"{kind}, not a recording", expected)
+
+
+def _head(file: Path, path: Path) -> bytes:
+    head = head_of(file)
+    if not head:
+        raise refused(path, "the file is empty", code=LOG_DAMAGED)
+    return head
 
 
 class Log:
@@ -127,225 +346,3 @@ class Log:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-GROUP = "specmap.readers"
-BUILT_IN: Mapping[str, type[Recording]] = MappingProxyType(
-    {"mcap": McapFile, "rosbag2": Rosbag2File, "rosbag1": Rosbag1File, "carmen": CarmenFile}
-)
-
-
-def known_readers() -> dict[str, type[Recording]]:
-    """The readers by name, those of other packages first, as they are asked first.
-
-    So a package can read a dialect of a format that a built-in reader would take. Raises
-    UsageError for an entry point that cannot be loaded or that is no whole `Recording`.
-    """
-    table = with_plugins(GROUP, BUILT_IN)
-    added = {name: _checked(name, table[name]) for name in table if name not in BUILT_IN}
-    return {**added, **BUILT_IN}
-
-
-def reader_for(
-    head: bytes, file: Path, readers: Mapping[str, type[Recording]]
-) -> type[Recording] | None:
-    """The first reader that knows the file, None when none does."""
-    return next((reader for reader in readers.values() if reader.sniff(head, file)), None)
-
-
-def format_names(readers: Iterable[type[Recording]]) -> str:
-    """The formats in a phrase: `MCAP, ROS 1 bag or CARMEN log`."""
-    *others, last = [reader.format for reader in readers]
-    return f"{', '.join(others)} or {last}" if others else last
-
-
-def _checked(name: str, reader: object) -> type[Recording]:
-    """What an entry point names, if it is a reader; raises UsageError saying what it lacks."""
-    if not isinstance(reader, type) or not issubclass(reader, Recording):
-        raise _unfit(name, "is no class derived from specmap_cli.logs.readers.Recording")
-    missing = sorted(reader.__abstractmethods__)
-    if not isinstance(getattr(reader, "format", None), str):
-        missing.append("format")
-    own_sniff = any("sniff" in vars(base) for base in reader.__mro__ if base is not Recording)
-    if not reader.magic and not own_sniff:
-        missing.append("magic or sniff")
-    if missing:
-        raise _unfit(name, f"lacks {', '.join(missing)}")
-    return reader
-
-
-def _unfit(name: str, fault: str) -> UsageError:
-    hint = "mend or remove its package"
-    return UsageError(f"the reader {name!r} of {GROUP} {fault}; {hint}", code=PACKAGE, hint=hint)
-
-
-HEAD_BYTES = 4096  # one page: longer than the magic of any format, short enough to read of any file
-_KINDS = (
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-)
-
-
-def is_directory(path: Path) -> bool:
-    """Whether a path is a directory; raises LogError when it is neither that nor a regular file.
-
-    A pipe, a socket or a device would keep a reader waiting, perhaps for ever.
-    """
-    try:
-        mode = path.stat().st_mode
-    except FileNotFoundError:
-        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
-    except OSError as error:
-        raise unreadable(path, error) from None
-    if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
-        kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "no file")
-        found = f"is {kind}; a log must be a file or a directory: "
-        hint = "copy it to one"
-        raise LogError(f"{path}: {found}{hint}", where=str(path), hint=hint)
-    return stat.S_ISDIR(mode)
-
-
-def head_of(path: Path) -> bytes:
-    """The first bytes of a file; raises LogError when there is none or it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            return file.read(HEAD_BYTES)
-    except FileNotFoundError:
-        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
-    except OSError as error:
-        raise unreadable(path, error) from None
-
-
-_Readers = Mapping[str, type[Recording]]
-
-
-def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
-    """Open one recording, or several files of it, as one log in time order.
-
-    A path is a file, or a directory whose recordings are taken together. The readers are those of
-    `known_readers`; `config` bounds what they unpack. Raises LogError for a path that is missing,
-    empty, no recording or given twice, and when nothing in it can be read; TypeError for what is
-    no path or no `LogConfig`.
-    """
-    given = paths_of(paths, "paths")
-    settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
-    if not given:
-        hint = "name a file or a directory"
-        raise LogError(f"no log given; {hint}", hint=hint)
-    readers = known_readers()
-    with ExitStack() as held:
-        recordings: list[Recording] = []
-        for path in given:
-            for file in _files_at(path, readers):
-                recordings.append(_opened(file, readers, settings, held))
-        _refuse_repetition(recordings)
-        _refuse_rubble(recordings)
-        return Log(recordings, given, held.pop_all())
-
-
-def _refuse_repetition(recordings: Sequence[Recording]) -> None:
-    """A file given twice, such as by its name and by its directory, would count twice."""
-    seen: set[Path] = set()
-    for recording in recordings:
-        place = recording.path.resolve()
-        if place in seen:
-            hint = "name each file of a recording once"
-            raise refused(recording.path, "given twice", hint)
-        seen.add(place)
-
-
-def _refuse_rubble(recordings: Sequence[Recording]) -> None:
-    """A damaged log of which no message is left cannot be used."""
-    messages = sum(recording.contents.messages for recording in recordings)
-    damaged = next((recording for recording in recordings if recording.damage), None)
-    if damaged is not None and not messages:
-        where = legible(str(damaged.path))
-        fault = f"{damaged.damage[0]}; no message can be read"
-        raise LogError(fault, code=LOG_DAMAGED, where=where)
-
-
-def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
-    """The file at a path, or the recordings in a directory by name."""
-    if not is_directory(path):
-        yield path
-        return
-    try:
-        files = sorted(path.iterdir())
-        visible = [file for file in files if file.is_file() and not file.name.startswith(".")]
-    except OSError as error:
-        raise unreadable(path, error) from None
-    found = [file for file in visible if looks_like_a_log(file, readers)]
-    if not found:
-        expected = f"expected {format_names(readers.values())}"
-        raise refused(path, "no recording in this directory", expected)
-    yield from found
-
-
-def looks_like_a_log(file: Path, readers: _Readers) -> bool:
-    """Whether a file begins as a recording, or as a compressed file. Raises LogError."""
-    head = head_of(file)
-    return compression_of(head) is not None or reader_for(head, file, readers) is not None
-
-
-def _opened(path: Path, readers: _Readers, config: LogConfig, held: ExitStack) -> Recording:
-    """The recording in one file, which `held` closes; a compressed one is unpacked first."""
-    compression = compression_of(_head(path, path))
-    if compression is None:
-        return _read(path, path, readers, config, held)
-
-    def look(file: Path) -> None:
-        if compression_of(head_of(file)) is not None:
-            raise refused(path, "compressed twice", "unpack it first")
-        with _told_of(compression):
-            _reader_of(file, path, readers)
-
-    copy = unpacked(path, compression, config, look, held)
-    look(copy.file)
-    with _told_of(compression):
-        recording = _read(copy.file, path, readers, config, held)
-    if copy.lost is not None:
-        recording.report(copy.lost)
-    return recording
-
-
-@contextmanager
-def _told_of(compression: str) -> Iterator[None]:
-    """Errors say that they are about what is inside a compressed file."""
-    inside = f"(inside {compression} compression)"
-    try:
-        yield
-    except LogError as error:
-        hint = error.hint and f"{error.hint} {inside}"
-        where = error.where
-        raise LogError(f"{error} {inside}", code=error.code, where=where, hint=hint) from None
-
-
-def _read(
-    file: Path, path: Path, readers: _Readers, config: LogConfig, held: ExitStack
-) -> Recording:
-    recording = _reader_of(file, path, readers)(file, path, config)
-    held.callback(recording.close)
-    return recording
-
-
-def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
-    """The reader of `file`, called `path`; raises LogError saying what it is instead."""
-    head = _head(file, path)
-    reader = reader_for(head, file, readers)
-    if reader is not None:
-        return reader
-    if any(known.magic.startswith(head) for known in readers.values()):
-        cut = f"cut off after {len(head)} bytes; no message can be read"
-        raise refused(path, cut, code=LOG_DAMAGED)
-    kind = "a text file" if b"\x00" not in head and is_text(head) else "of an unknown format"
-    expected = f"expected {format_names(readers.values())}"
-    raise refused(path, f"{kind}, not a recording", expected)
-
-
-def _head(file: Path, path: Path) -> bytes:
-    head = head_of(file)
-    if not head:
-        raise refused(path, "the file is empty", code=LOG_DAMAGED)
-    return head

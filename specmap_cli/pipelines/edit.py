@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
-from specmap_cli.core.errors import MapError, UsageError, reason
+from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.json_values import Record
 from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent
@@ -25,15 +25,13 @@ from specmap_cli.core.settings import Config
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.overview import render_overview, render_segmentation
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
-from specmap_cli.grids.map_server import write_png
-from specmap_cli.grids.pictures import read_picture
+from specmap_cli.grids.map_server import read_picture, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words
-from specmap_cli.maps.edits_text import written
+from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words, written
 from specmap_cli.maps.schema import EditsRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.maps.text_files import read_trajectory
 from specmap_cli.pipelines.edits import (
     Drawn,
     RequestedEdits,
@@ -46,7 +44,7 @@ from specmap_cli.pipelines.edits import (
 )
 from specmap_cli.pipelines.finishing import finish, write_finished
 from specmap_cli.pipelines.laying_out import with_grid
-from specmap_cli.pipelines.learning import Prior, lessons_left, lessons_of_stored
+from specmap_cli.pipelines.learning import Prior, training_data_of_stored, valid_training_data
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_in_making import FinishedMap, laid_out_of_stored, quality_of_stored
 from specmap_cli.pipelines.reports import EditReport
@@ -118,8 +116,9 @@ def _drawn(stored: StoredMap, edits: Edits) -> Drawn:
         return Drawn(np.array(stored.ids, dtype=np.int64), (), graph.next_id, edits)
     if not (stored.path / filenames.KEYFRAMES).exists():
         raise MapError(
-            f"{stored.path}: has no {filenames.KEYFRAMES}: merges and splits need the scans of a "
-            "map that this version of `specmap build` made of a recording"
+            f"has no {filenames.KEYFRAMES}: merges and splits need the scans of a map "
+            "that this version of `specmap build` made of a recording",
+            where=stored.path,
         )
     whole, labels = stored.map_grid, stored.labels
     return drawn(whole, labels, graph.edits.borders, edits, graph.next_id)
@@ -132,7 +131,7 @@ def _refuse_absent(submaps: IntArray, requested: RequestedEdits) -> None:
         if id_ not in known:
             there = ", ".join(str(each) for each in known)
             raise UsageError(
-                f"there is no submap {id_} to name or to describe: choose from {there}"
+                f"there is no submap {id_} to name or to describe", f"choose from {there}"
             )
 
 
@@ -173,8 +172,8 @@ def _made_anew(
     """The map with other borders, made of its keyframes; what is thought of its layout stays."""
     config = settings_for(stored, {}) if config is None else config
     laid, labels = laid_out_of_stored(stored), stored.labels
-    lessons = lessons_left(
-        lessons_of_stored(stored, config),
+    kept = valid_training_data(
+        training_data_of_stored(stored, config),
         labels,
         replace(labels, submaps=found.submaps),
         np.arange(len(laid)),
@@ -183,7 +182,7 @@ def _made_anew(
     with stored.keyframes() as store:
         session = Session(config, store, progress)
         laid = with_grid(session, replace(laid, edits=found.edits))
-        prior = Prior.of(session, lessons)
+        prior = Prior.of(session, kept)
         finished = finish(session, laid, prior, quality_of_stored(stored))
         write_finished(session, directory, finished, lambda: _run(stored, finished))
     _carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
@@ -239,7 +238,7 @@ def _carry_over(source: Path, target: Path, without: Collection[str]) -> None:
             elif path.is_file():
                 shutil.copyfile(path, target / path.name)
     except OSError as error:
-        raise MapError(f"{source}: cannot be copied: {reason(error)}") from None
+        raise MapError.of_system(error, "cannot be copied", where=source) from None
 
 
 def _overview(stored: StoredMap, topology: TopologicalMap) -> Image:
@@ -258,7 +257,7 @@ def _segmented(stored: StoredMap) -> Regions:
     path = stored.path / filenames.LABELS_IMAGE
     owner = read_picture(path, stored.limits)[..., 0].astype(np.int64) - 1
     if not set(np.unique(owner).tolist()) <= {NOBODY, *stored.ids}:
-        raise MapError(f"{path}: not the labels of {filenames.TOPOLOGY}: make the map again")
+        raise MapError(f"not the labels of {filenames.TOPOLOGY}", "make the map again", where=path)
     cells, corner, resolution = np.full(owner.shape, UNKNOWN, dtype=np.uint8), (0.0, 0.0), 1.0
     for id_, grid in stored.grids.items():
         own = np.argwhere(owner == id_)
@@ -267,7 +266,9 @@ def _segmented(stored: StoredMap) -> Regions:
         row, column = (own.min(axis=0) - np.argwhere(grid.free).min(axis=0)).tolist()
         window = cells[row : row + grid.cells.shape[0], column : column + grid.cells.shape[1]]
         if window.shape != grid.cells.shape:
-            raise MapError(f"{path}: does not fit to the grid of submap {id_}: make the map again")
+            raise MapError(
+                f"does not fit to the grid of submap {id_}", "make the map again", where=path
+            )
         np.copyto(window, grid.cells, where=grid.cells != UNKNOWN)
         resolution = grid.resolution
         x, y = grid.origin

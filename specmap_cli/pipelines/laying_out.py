@@ -31,7 +31,7 @@ from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.quality.evidence import Evidence, holes_of
 from specmap_cli.quality.verdict import of_recording
-from specmap_cli.segmentation.refinement import regions_of
+from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import settle_labels
 
 _CLOSURE_SIGMA_M = 0.04  # spread of matched grids' transforms about the truth, x and y
@@ -110,8 +110,8 @@ def _whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[G
     whole = counts.snapshot()
     if not whole.cells.size:
         raise NoResultError(
-            "no scan fits into the largest grid allowed: nothing to map; raise grid.max_extent_m "
-            "or grid.max_area_m2, or lower grid.max_range_m"
+            "no scan fits into the largest grid allowed: nothing to map;",
+            "raise grid.max_extent_m or grid.max_area_m2, or lower grid.max_range_m",
         )
     return whole, counts.refused
 

@@ -19,7 +19,7 @@ from specmap_cli.core.records import Sweep, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.logs.writer import LogWriter
-from specmap_cli.maps.tum import planar_trajectory_text
+from specmap_cli.maps.text_files import planar_trajectory_text
 from specmap_cli.simulation.lasers import Cloud, Laser
 from specmap_cli.simulation.simulator import (
     START_NS,
@@ -75,7 +75,9 @@ def simulate(
     out = Path(out)
     truth = out.with_suffix(".tum") if truth is None else Path(truth)
     if truth == out:
-        raise UsageError(f"{out}: the recording and the true poses would be one file; rename one")
+        raise UsageError(
+            "the recording and the true poses would be one file;", "rename one", where=out
+        )
     tour = simulated_tour(plan, options)
     progress.start("simulate", len(tour.scan_times_s))
     with LogWriter(out) as writer:

@@ -49,7 +49,7 @@ class Learned:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TestedSplit:
+class SplitTrial:
     """A test that might have split a submap, made when `keyframe` came.
 
     `eigenvalues` fall; number `chosen`, from 0, divides the way (0: none does). `nodes` (n, 2) are
@@ -79,22 +79,22 @@ class Evidence:
 
     learned: Mapping[int, Learned] = field(default_factory=dict)
     fit: FloatArray | None = None
-    tests: tuple[TestedSplit, ...] = ()
+    tests: tuple[SplitTrial, ...] = ()
     threshold: float = 1.0
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Spectra:
-    """The tests that are kept, of `known` in all, and what the page needs to draw each.
+    """The tests that are kept, of `total` in all, and what the page needs to draw each.
 
     `dots` are the tests in the chart, each with the seconds of recording at which it was made.
     """
 
-    dots: tuple[tuple[float, TestedSplit], ...]
+    dots: tuple[tuple[float, SplitTrial], ...]
     table: tuple[dict[str, Any], ...]
     threshold: float
-    known: int
+    total: int
     thinned: bool
 
 
@@ -106,12 +106,12 @@ def spectra_of(evidence: Evidence, seconds: Sequence[float], frame: Frame) -> Sp
         dots=tuple((seconds[one.keyframe], one) for one in kept),
         table=tuple(_row(one, seconds[one.keyframe], most, frame) for one in kept),
         threshold=evidence.threshold,
-        known=len(evidence.tests),
+        total=len(evidence.tests),
         thinned=any(len(one.nodes) > most for one in kept),
     )
 
 
-def _chosen(tests: Sequence[TestedSplit]) -> list[TestedSplit]:
+def _chosen(tests: Sequence[SplitTrial]) -> list[SplitTrial]:
     """All tests that split a submap, and others, evenly spread, up to so many."""
     splits = [k for k, one in enumerate(tests) if one.split]
     others = np.array([k for k, one in enumerate(tests) if not one.split], dtype=np.int64)
@@ -120,7 +120,7 @@ def _chosen(tests: Sequence[TestedSplit]) -> list[TestedSplit]:
     return [tests[k] for k in sorted([*some.tolist(), *more.tolist()])]
 
 
-def _row(test: TestedSplit, seconds: float, most: int, frame: Frame) -> dict[str, Any]:
+def _row(test: SplitTrial, seconds: float, most: int, frame: Frame) -> dict[str, Any]:
     """A test for the page: `nodes` are x, y and strength in a row."""
     kept = evenly(np.arange(len(test.nodes)), most)
     strength = np.rint(test.sides[kept] * _FINEST).astype(np.int64)

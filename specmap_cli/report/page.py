@@ -74,8 +74,8 @@ def _layers(map_: DrawnMap) -> dict[str, Any]:
         "frame": map_.frame,
         "tones": tones(map_.fills.values()),
         "fill_of": {id_: fills[fill] for id_, fill in map_.fills.items()},
-        "floor": layers.unreached(map_.regions, map_.frame),
-        "walls": layers.walls(map_.regions, map_.frame),
+        "floor": map_.unreached,
+        "walls": map_.walls,
         "regions": layers.regions_of(map_),
         "links": layers.links_of(map_),
         "doors": doors,
@@ -115,7 +115,7 @@ def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
         "sheets": facts.sheets_of(map_, evidence.learned),
         "columns": (
             *_COLUMNS,
-            *(_DRIVEN_COLUMNS if track.known else ()),
+            *(_DRIVEN_COLUMNS if track.total else ()),
             *(_LEARNED_COLUMNS if evidence.learned else ()),
         ),
         "learned": evidence.learned,
@@ -150,15 +150,15 @@ def _data(map_: DrawnMap, track: Track, spectra: Spectra) -> dict[str, Any]:
 def _left_out(track: Track, spectra: Spectra, closures: Closures) -> list[str]:
     """A sentence for each part of the map that is not shown whole."""
     found = ["Outlines are simplified by half a cell; places are rounded to centimetres."]
-    if len(track.seconds) < track.known:
-        kept, known = len(track.seconds), counted(track.known, "keyframe")
-        found.append(f"The way is drawn through {kept:,} of {known}, evenly spread.")
-    if len(spectra.dots) < spectra.known:
-        kept, known = len(spectra.dots), counted(spectra.known, "split test")
-        found.append(f"Of {known} {kept:,} are shown, those that split a submap first.")
+    if len(track.seconds) < track.total:
+        kept, total = len(track.seconds), counted(track.total, "keyframe")
+        found.append(f"The way is drawn through {kept:,} of {total}, evenly spread.")
+    if len(spectra.dots) < spectra.total:
+        kept, total = len(spectra.dots), counted(spectra.total, "split test")
+        found.append(f"Of {total} {kept:,} are shown, those that split a submap first.")
     if spectra.thinned:
         found.append("Split tests show some of their nodes, evenly spread.")
-    if len(closures.refused) < closures.refused_known:
-        kept, known = len(closures.refused), f"{closures.refused_known:,} refused closures"
-        found.append(f"Of {known} the {kept:,} with the largest xi are drawn.")
+    if len(closures.refused) < closures.refused_total:
+        kept, total = len(closures.refused), f"{closures.refused_total:,} refused closures"
+        found.append(f"Of {total} the {kept:,} with the largest xi are drawn.")
     return found

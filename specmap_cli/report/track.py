@@ -22,7 +22,7 @@ _NO_FIT = -1
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """The keyframes that the page keeps, of `known` in all.
+    """The keyframes that the page keeps, of `total` in all.
 
     `seconds` (n,) of recording, without the pauses between recordings; `poses` (n, 3) in the map;
     `submaps` (n,); `fit` (n,) or None; `starts` are the seconds at which recordings begin.
@@ -33,7 +33,7 @@ class Track:
     submaps: IntArray
     fit: FloatArray | None
     starts: tuple[float, ...]
-    known: int
+    total: int
 
     @classmethod
     def of(cls, labels: Labels, starts: Sequence[int], fit: FloatArray | None) -> Track:
@@ -46,7 +46,7 @@ class Track:
             submaps=labels.submaps[kept],
             fit=None if fit is None else fit[kept],
             starts=tuple(float(seconds[start]) for start in (0, *starts) if start < len(seconds)),
-            known=len(seconds),
+            total=len(seconds),
         )
 
     @property

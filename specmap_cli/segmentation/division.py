@@ -16,7 +16,15 @@ from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
+from specmap_cli.grids.gridmap import (
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    BoolArray,
+    CellArray,
+    GridMap,
+    window_of,
+)
 from specmap_cli.segmentation.cells import (
     RINGS,
     border_widths,
@@ -213,7 +221,8 @@ def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation
     if not found.count:
         raise NoResultError(
             f"no free space wider than {2 * config.clearance_m:g} m in the map "
-            f"({grid.free_area_m2:.1f} m2 free): check the resolution and the thresholds"
+            f"({grid.free_area_m2:.1f} m2 free)",
+            "check the resolution and the thresholds",
         )
     return found
 
@@ -231,12 +240,15 @@ def _in_one_piece(found: Segmentation) -> Segmentation:
 
 
 def region_grid(grid: GridMap, region: BoolArray) -> GridMap:
-    """The cells `region` (H, W) of a grid with the obstacles round them, cropped; else unknown."""
+    """The cells `region` (H, W) of a grid with the obstacles round them, cropped; else unknown.
+
+    At least one cell is of the region.
+    """
     reach = np.ones((2 * _WALL_CELLS + 1, 2 * _WALL_CELLS + 1), dtype=np.uint8)
     shown = cv2.dilate(region.astype(np.uint8), reach).astype(bool)
-    rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
-    window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     cells: CellArray = np.full(grid.cells.shape, UNKNOWN, dtype=np.uint8)
     cells[shown & (grid.cells == OCCUPIED)] = OCCUPIED
     cells[region & (grid.cells == FREE)] = FREE
+    window = window_of(shown)
+    assert window is not None
     return GridMap(cells, grid.resolution, grid.origin).window(*window)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.gridmap import BoolArray, cell_distances
+from specmap_cli.grids.gridmap import BoolArray, cell_distances, window_of
 
 _AROUND = np.ones((5, 5), dtype=np.uint8)  # wider than the rays of a laser far away, in cells
 
@@ -61,10 +61,9 @@ def canonical(free: BoolArray, block: int = 1) -> Orientation:
     through doors and windows, so that no single cell decides. For a symmetric map, the turn counts
     whose picture is smallest as bytes.
     """
-    rows, columns = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
-    if not len(rows):
+    window = window_of(free)
+    if window is None:
         return Orientation((slice(0, 0), slice(0, 0)), 0)
-    window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
     mass = _bulk(free[window])
     high, wide = (_moments(mass.sum(axis=axis).tolist()) for axis in (1, 0))
     # a quarter turn counter-clockwise of the array: what was its columns, backwards, is its rows

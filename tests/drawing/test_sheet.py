@@ -14,12 +14,11 @@ from specmap_cli.drawing.overview import render_segmentation
 from specmap_cli.drawing.sheet import LONG_SIDE, MARGIN, TITLE, Sheet, extent_of
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.topological_map import EdgeKind, LogInfo
+from specmap_cli.topology.topological_map import LogInfo
 from tests.drawing.looking import bounds, inked, is_framed, near, of_colour, one_room, pixel
 from tests.strategies import grid_maps, lengths
 
-KINDS: tuple[EdgeKind, ...] = ("traversed", "closure", "loose", "doorway")
-EVERYTHING = symbols.overview_legend(KINDS, with_unreached=True, with_doubts=True)
+EVERYTHING = symbols.legend_of(symbols.SYMBOLS)
 
 
 def sheet_of(width_m: float, height_m: float, legend: symbols.Legend = ()) -> Sheet:

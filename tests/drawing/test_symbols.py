@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
 import numpy as np
 import pytest
 
@@ -24,12 +22,6 @@ from specmap_cli.drawing.palette import (
 )
 from specmap_cli.topology.topological_map import EdgeKind
 from tests.drawing.looking import bounds, inked, near, of_colour, pixel
-
-KINDS: tuple[EdgeKind, ...] = get_args(EdgeKind)
-
-
-def words_of(legend: symbols.Legend) -> list[str]:
-    return [words for words, _ in legend]
 
 
 @pytest.mark.parametrize(
@@ -102,12 +94,6 @@ def test_a_door_of_a_large_building_can_still_be_seen() -> None:
     assert bottom - top >= 14
 
 
-def test_the_legend_tells_doors_apart() -> None:
-    assert words_of(symbols.doors_legend([])) == []
-    assert words_of(symbols.doors_legend([False, True])) == ["door", "door, only seen"]
-    assert "door" in words_of(symbols.regions_legend([], with_doors=True))
-
-
 @pytest.mark.parametrize("name", ["0", "12", "347"])
 def test_a_badge_holds_its_id(name: str) -> None:
     canvas = Canvas(80, 80, SHADE)
@@ -137,61 +123,29 @@ def test_start_is_square_and_end_is_round() -> None:
     assert shares[1] == pytest.approx(np.pi / 4, abs=0.08)
 
 
-@pytest.mark.parametrize("kinds", [(), *[(kind,) for kind in KINDS], KINDS])
-def test_only_links_that_occur_are_explained(kinds: tuple[EdgeKind, ...]) -> None:
-    every = dict(zip(KINDS, words_of(symbols.links_legend(KINDS)), strict=True))
-    assert len(set(every.values())) == len(KINDS)
-    assert set(words_of(symbols.links_legend(kinds))) == {every[kind] for kind in kinds}
-    regions = words_of(symbols.regions_legend(kinds))
-    assert regions == ["submap", "wall", *words_of(symbols.links_legend(kinds))]
+def test_a_legend_explains_what_is_shown_and_nothing_else_in_one_order() -> None:
+    assert symbols.legend_of([]) == ()
+    shown = ["forbidden", "loop closure", "wall", "submap", "door, only seen", "door"]
+    found = [words for words, _ in symbols.legend_of(shown)]
+    assert found == ["submap", "wall", "loop closure", "door", "door, only seen", "forbidden"]
+    assert len({*symbols.LINK_WORDS.values()}) == len(symbols.LINK_WORDS)
 
 
-@pytest.mark.parametrize("unreached", [False, True])
-@pytest.mark.parametrize("doubts", [False, True])
-def test_the_overview_explains_what_it_shows(unreached: bool, doubts: bool) -> None:
-    words = words_of(
-        symbols.overview_legend({"loose"}, with_unreached=unreached, with_doubts=doubts)
-    )
-    assert ("seen, not reached" in words) is unreached
-    assert ("the map may be wrong here" in words) is doubts
-    assert set(words) >= {"submap", "wall", "trajectory", "start", "end", "joined by a guess"}
-
-
-@pytest.mark.parametrize("with_map", [False, True])
-@pytest.mark.parametrize("with_unknown", [False, True])
-@pytest.mark.parametrize("with_truth", [False, True])
-def test_predictions_explain_what_they_show(
-    with_map: bool, with_unknown: bool, with_truth: bool
-) -> None:
-    words = words_of(symbols.labels_legend(with_map, with_unknown, with_truth))
-    asked = {"wall": with_map, "unknown": with_unknown, "wrong": with_truth}
-    assert {word: word in words for word in asked} == asked
-    assert {"predicted submap, with its id", "start"} <= set(words)
-
-
-LEGENDS = dict(
-    [
-        *symbols.overview_legend(KINDS, with_unreached=True, with_doubts=True),
-        *symbols.labels_legend(True, True, True),
-    ]
-)
-
-
-@pytest.mark.parametrize("words", sorted(LEGENDS))
+@pytest.mark.parametrize("words", sorted(symbols.SYMBOLS))
 def test_every_symbol_fits_its_place_in_the_legend(words: str) -> None:
     canvas = Canvas(120, 80, (200, 180, 160))
-    LEGENDS[words](canvas, 60.0, 40.0)
+    symbols.SYMBOLS[words](canvas, np.array([60.0, 40.0]))
     left, right, top, bottom = bounds(inked(canvas.image, (200, 180, 160)))
     assert min(left - 32, top - 19) >= 0  # words begin 30 pixels to the right of the middle
     assert max(right - 88, bottom - 61) <= 0
     assert right - left >= 8
     assert abs(left + right - 120) <= 6
-    assert abs(top + bottom - 80) <= 2
+    assert abs(top + bottom - 80) <= 3
 
 
 def test_the_mark_of_a_wrong_prediction_shows_on_both_sides_of_it() -> None:
     canvas = Canvas(120, 80)
-    LEGENDS["wrong"](canvas, 60.0, 40.0)
+    symbols.SYMBOLS["wrong"](canvas, np.array([60.0, 40.0]))
     across = of_colour(canvas.image, WRONG, 20)[:, 60]
     assert across[:38].any()
     assert across[43:].any()

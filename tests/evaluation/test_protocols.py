@@ -57,15 +57,13 @@ def test_blocks_are_held_out_whole() -> None:
 
 
 def test_the_choice_depends_on_number_and_seed_alone() -> None:
-    chooser = HoldOut(seed=4).chooser()
-    backwards = [chooser(k) for k in reversed(range(200))]
+    backwards = [HoldOut(seed=4).holds(k) for k in reversed(range(200))]
     assert backwards[::-1] == chosen_of(HoldOut(seed=4), 200).tolist()
     assert backwards[::-1] != chosen_of(HoldOut(seed=5), 200).tolist()
 
 
 def chosen_of(options: HoldOut, count: int) -> np.ndarray[Any, Any]:
-    chooser = options.chooser()
-    return np.array([chooser(k) for k in range(count)])
+    return np.array([options.holds(k) for k in range(count)])
 
 
 def test_labels_come_from_the_nearest_place_in_reach() -> None:

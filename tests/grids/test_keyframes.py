@@ -12,17 +12,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angle
+from specmap_cli.core.geometry import Pose2, wrap_angle
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, KeyframeConfig
 from specmap_cli.grids import keyframes
 from specmap_cli.grids.keyframes import (
     KeyframeSelector,
     KeyframeStore,
+    informative,
     integrate_keyframes,
-    telling,
 )
 from specmap_cli.grids.occupancy import OccupancyGrid
+from tests.casting import keyframe
 from tests.strategies import planar_scans, poses
 
 CONFIG = KeyframeConfig(distance_m=0.1, angle_rad=0.05)
@@ -31,15 +32,7 @@ NOTHING = PlanarScan(0, np.array([0.0]), np.array([np.inf]), 10.0, False)
 
 def at(x: float, theta: float = 0.0, lost: bool = False, restarted: bool = False) -> PosedScan:
     pose = Pose2(x, 0.0, theta)
-    return PosedScan(
-        index=0,
-        stamp_ns=0,
-        map_from_base=pose,
-        planar=NOTHING,
-        base_from_laser=IDENTITY,
-        lost=lost,
-        restarted=restarted,
-    )
+    return replace(keyframe(NOTHING, pose), lost=lost, restarted=restarted)
 
 
 @given(st.lists(st.tuples(planar_scans(beams=16), poses, poses), min_size=1, max_size=5))
@@ -113,11 +106,7 @@ def test_a_grid_of_keyframes_is_that_of_their_scans(
     direct = OccupancyGrid(config)
     with KeyframeStore() as store:
         for scan, pose, mounting in taken:
-            store.append(
-                PosedScan(
-                    index=0, stamp_ns=0, map_from_base=pose, planar=scan, base_from_laser=mounting
-                )
-            )
+            store.append(keyframe(scan, pose, mounting))
         numbers = list(range(len(taken)))[::-1]
         for number in numbers:
             pose = store.pose(number)
@@ -248,13 +237,13 @@ def test_a_patrol_of_any_length_tells_as_much_as_the_place_holds() -> None:
     lap = [(0.1 * step, 0.2, 0.1) for step in range(30)]
     back = [(x, y, -3.0) for x, y, _ in lap[::-1]]
     patrol = np.array([*lap, *back] * 40)
-    chosen = telling(patrol)
+    chosen = informative(patrol)
     assert len(chosen) == 2 * 6 * 16  # two directions, six places half a metre wide
     assert (np.diff(chosen) > 0).all()
     laps = np.bincount(chosen // 60, minlength=40)
     assert laps[:20].sum() == pytest.approx(laps[20:].sum(), rel=0.2)  # neither first nor last
-    assert len(telling(patrol[: 2 * 60])) == 2 * 60  # the first laps are taken in whole
-    assert len(telling(np.zeros((0, 3)))) == 0
+    assert len(informative(patrol[: 2 * 60])) == 2 * 60  # the first laps are taken in whole
+    assert len(informative(np.zeros((0, 3)))) == 0
 
 
 def test_keyframes_that_tell_nothing_new_stay_out_of_the_grid() -> None:

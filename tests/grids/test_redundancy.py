@@ -7,17 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import IntArray, PlanarScan, PosedScan
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import IntArray, PlanarScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import (
     KeyframeStore,
     Recorded,
-    enough_looks,
-    last_witnesses,
     repeated,
+    sole_views,
+    views_needed,
 )
+from tests.casting import keyframe
 
 ENOUGH = 4
 
@@ -40,7 +41,7 @@ def laser(beams: int, view_deg: float, range_max: float) -> PlanarScan:
 def test_so_many_scans_show_a_place_that_every_cell_of_a_wall_is_hit(
     scan: PlanarScan, looks: int
 ) -> None:
-    assert enough_looks(scan, GridConfig()) == looks
+    assert views_needed(scan, GridConfig()) == looks
 
 
 def along(start: float, end: float, y: float = 0.0, heading: float = 0.0) -> FloatArray:
@@ -124,15 +125,7 @@ def beside() -> KeyframeStore:
     for k in range(10):
         scan = PlanarScan(k, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
         pose = Pose2(k + 0.05, 0.0, 0.0)
-        store.append(
-            PosedScan(
-                index=k,
-                stamp_ns=k,
-                map_from_base=pose,
-                planar=scan,
-                base_from_laser=IDENTITY,
-            )
-        )
+        store.append(keyframe(scan, pose, number=k))
     return store
 
 
@@ -143,7 +136,7 @@ def stay(store: KeyframeStore, marked: Sequence[int], unseen: Sequence[int]) -> 
     dropped = np.zeros(len(store), dtype=bool)
     dropped[list(marked)] = True
     with store:
-        found = last_witnesses(store, dropped, store.poses, grid, cells, 20.0)
+        found = sole_views(store, dropped, store.poses, grid, cells, 20.0)
     return [int(number) for number in found]
 
 
@@ -163,13 +156,5 @@ def test_of_several_witnesses_the_last_stays() -> None:
     store = KeyframeStore()
     for k in range(3):
         scan = PlanarScan(k, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
-        store.append(
-            PosedScan(
-                index=k,
-                stamp_ns=k,
-                map_from_base=Pose2(3.05 + 0.02 * k, 0.0, 0.0),
-                planar=scan,
-                base_from_laser=IDENTITY,
-            )
-        )
+        store.append(keyframe(scan, Pose2(3.05 + 0.02 * k, 0.0, 0.0), number=k))
     assert stay(store, marked=range(3), unseen=[30]) == [2]

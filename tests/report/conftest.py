@@ -15,7 +15,7 @@ from specmap_cli.grids.map_server import write_grid
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.report import report_map
-from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, TestedSplit
+from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, SplitTrial
 from specmap_cli.report.page import render
 from specmap_cli.topology.topological_map import Door
 from tests.report.browser import Browser, BrowserGoneError, installed
@@ -69,7 +69,7 @@ def evidence() -> Evidence:
     features = (FeatureShare("area", 0.5), FeatureShare(HOSTILE, 0.25))
     nodes = np.array([[0.0, 0.0], [1.0, 0.5], [-3.0, 3.5]])
     tests = tuple(
-        TestedSplit(
+        SplitTrial(
             keyframe=keyframe,
             eigenvalues=np.array([1.0, 0.9, 0.4]),
             chosen=chosen,

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import IDENTITY, Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.segmentation.splitting import PATH_MARGIN_M, SPLIT_CELL_M, CoarseSubmap, way_driven
+from tests.casting import keyframe
 from tests.turning import turn
 
 CONFIG = SegmentationConfig()
@@ -31,15 +32,7 @@ def stored(poses: list[Pose2]) -> KeyframeStore:
     store, bearings = KeyframeStore(), np.linspace(-np.pi, np.pi, 90, endpoint=False)
     for number, pose in enumerate(poses):
         scan = PlanarScan(number, bearings, np.full(90, 3.0 - 0.05 * number), 20.0, True)
-        store.append(
-            PosedScan(
-                index=number,
-                stamp_ns=number,
-                map_from_base=pose,
-                planar=scan,
-                base_from_laser=IDENTITY,
-            )
-        )
+        store.append(keyframe(scan, pose, number=number))
     return store
 
 

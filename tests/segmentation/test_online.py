@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.config import load_config
-from specmap_cli.core.geometry import IDENTITY, Pose2, step_lengths
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.geometry import Pose2, step_lengths
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.segmentation.online import _TEST_METRES, Occasion, OnlineSegmenter, Region
+from specmap_cli.segmentation.online import (
+    _TEST_METRES,
+    Observer,
+    Occasion,
+    OnlineSegmenter,
+    Region,
+)
 from specmap_cli.segmentation.splitting import (
     PATH_MARGIN_M,
     CoarseSubmap,
@@ -22,7 +28,7 @@ from specmap_cli.segmentation.splitting import (
     examine,
     way_driven,
 )
-from tests.casting import ranges_at
+from tests.casting import keyframe, ranges_at
 from tests.turning import turn
 
 DEFAULT = SegmentationConfig()
@@ -48,21 +54,26 @@ def record(grid: GridMap, poses: list[Pose2]) -> KeyframeStore:
     seen = ranges_at(grid, np.array(poses), BEARINGS, RANGE_M)
     for number, (pose, ranges) in enumerate(zip(poses, seen, strict=True)):
         scan = PlanarScan(number, BEARINGS, ranges, RANGE_M, True)
-        store.append(
-            PosedScan(
-                index=number,
-                stamp_ns=number,
-                map_from_base=pose,
-                planar=scan,
-                base_from_laser=IDENTITY,
-            )
-        )
+        store.append(keyframe(scan, pose, number=number))
     return store
 
 
-def run(segmenter: OnlineSegmenter, keyframes: int) -> list[Region]:
-    regions = [region for number in range(keyframes) for region in segmenter.add(number)]
-    return regions + segmenter.flush()
+def run(
+    store: KeyframeStore,
+    config: SegmentationConfig = DEFAULT,
+    observer: Observer | None = None,
+    keyframes: int | None = None,
+) -> list[Region]:
+    """The regions of the first keyframes, all unless told otherwise."""
+    segmenter = OnlineSegmenter(config, GridConfig(), store, observer)
+    count = len(store) if keyframes is None else keyframes
+    return [r for number in range(count) for r in segmenter.add(number)] + segmenter.flush()
+
+
+def examined(store: KeyframeStore, config: SegmentationConfig = DEFAULT) -> list[SplitTest]:
+    tests: list[SplitTest] = []
+    run(store, config, lambda test, *_: tests.append(test))
+    return tests
 
 
 THERE_AND_BACK = waypoints_to_poses(
@@ -80,7 +91,7 @@ def two_room_tour(two_rooms: GridMap) -> Iterator[KeyframeStore]:
 def test_two_rooms_are_two_and_the_first_goes_on_when_the_robot_is_back(
     two_room_tour: KeyframeStore,
 ) -> None:
-    regions = run(OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour), len(two_room_tour))
+    regions = run(two_room_tour)
     assert [region.continues for region in regions] == [None, None, 0]
     assert [region.number for region in regions] == [0, 1, 2]
     every = sorted(number for region in regions for number in region.keyframes)
@@ -94,7 +105,7 @@ def test_without_regrowing_the_return_is_a_region_of_its_own(
     two_room_tour: KeyframeStore,
 ) -> None:
     config = DEFAULT.model_copy(update={"regrow": False})
-    regions = run(OnlineSegmenter(config, GridConfig(), two_room_tour), len(two_room_tour))
+    regions = run(two_room_tour, config)
     assert [region.continues for region in regions] == [None, None, None]
 
 
@@ -113,10 +124,7 @@ def test_what_no_sight_line_joins_any_more_is_a_region_once_the_robot_is_gone(
     three_rooms: KeyframeStore,
 ) -> None:
     tests: list[SplitTest] = []
-    segmenter = OnlineSegmenter(
-        DEFAULT, GridConfig(), three_rooms, lambda test, *_: tests.append(test)
-    )
-    regions = run(segmenter, len(three_rooms))
+    regions = run(three_rooms, observer=lambda test, *_: tests.append(test))
     x, y = three_rooms.poses[:, :2].T
     assert sorted(k for region in regions for k in region.keyframes) == list(range(len(x)))
     assert [(region.number, region.continues) for region in regions] == [
@@ -149,26 +157,22 @@ def test_a_hall_of_any_width_is_not_split(plan: Callable[..., GridMap], width: f
         (1.0, 1.0), (1.0, 11.5), (width - 0.4, 11.5), (width - 0.4, 1.0), (1.5, 1.0)
     )
     with record(grid, poses) as store:
-        regions = run(OnlineSegmenter(DEFAULT, GridConfig(), store), len(store))
+        regions = run(store)
     assert len(regions) == 1
 
 
 def test_looking_into_a_room_does_not_split_the_corridor(office: GridMap) -> None:
     poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5), (1.0, 5.4))
     with record(office, poses) as store:
-        assert len(run(OnlineSegmenter(DEFAULT, GridConfig(), store), len(store))) == 1
-        assert len(run(OnlineSegmenter(PAPER, GridConfig(), store), len(store))) > 1
+        assert len(run(store)) == 1
+        assert len(run(store, PAPER)) > 1
 
 
 def test_tests_come_by_the_way_travelled_or_by_keyframes(two_room_tour: KeyframeStore) -> None:
-    tests: list[SplitTest] = []
-    count = len(two_room_tour)
-    whole = way_driven(two_room_tour, range(count))
-    run(OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour, lambda t, *_: tests.append(t)), count)
-    assert len(tests) == pytest.approx(whole / _TEST_METRES, abs=0.1 * whole)
-    tests.clear()
-    run(OnlineSegmenter(PAPER, GridConfig(), two_room_tour, lambda t, *_: tests.append(t)), count)
-    assert len(tests) == count // PAPER.test_keyframes
+    whole = way_driven(two_room_tour, range(len(two_room_tour)))
+    found = len(examined(two_room_tour))
+    assert found == pytest.approx(whole / _TEST_METRES, abs=0.1 * whole)
+    assert len(examined(two_room_tour, PAPER)) == len(two_room_tour) // PAPER.test_keyframes
 
 
 def test_the_longer_the_way_in_one_submap_the_rarer_the_tests(
@@ -179,16 +183,8 @@ def test_the_longer_the_way_in_one_submap_the_rarer_the_tests(
     poses = waypoints_to_poses((1.0, 1.0), (29.0, 1.0), (1.0, 1.6))
 
     def ways_at_tests(store: KeyframeStore, share: float) -> list[float]:
-        ways: list[float] = []
         config = DEFAULT.model_copy(update={"split_share": share})
-        segmenter = OnlineSegmenter(
-            config,
-            GridConfig(),
-            store,
-            lambda test, *_: ways.append(float(step_lengths(test.poses).sum())),
-        )
-        assert len(run(segmenter, len(store))) == 1
-        return ways
+        return [float(step_lengths(test.poses).sum()) for test in examined(store, config)]
 
     with record(grid, poses) as store:
         # one a metre, as few metres are split off
@@ -201,12 +197,7 @@ def test_the_longer_the_way_in_one_submap_the_rarer_the_tests(
 
 def test_the_paper_compares_the_second_eigenvalue(two_room_tour: KeyframeStore) -> None:
     tests: list[tuple[SplitTest, bool]] = []
-    run(
-        OnlineSegmenter(
-            PAPER, GridConfig(), two_room_tour, lambda t, split, _: tests.append((t, split))
-        ),
-        len(two_room_tour),
-    )
+    run(two_room_tour, PAPER, lambda test, split, _: tests.append((test, split)))
     for test, split in tests:
         assert test.chosen == 1
         assert test.eigenvalue == test.eigenvalues[1]
@@ -255,7 +246,7 @@ TWICE_OVER = (
 
 def test_a_region_gone_on_with_twice_is_named_by_its_first_piece(two_rooms: GridMap) -> None:
     with record(two_rooms, list(TWICE_OVER)) as store:
-        regions = run(OnlineSegmenter(DEFAULT, GridConfig(), store), len(store))
+        regions = run(store)
     assert [region.continues for region in regions] == [None, None, 0, 1]
     for region in regions:
         beyond = np.mean([TWICE_OVER[k].x > 5.4 for k in region.keyframes])
@@ -271,16 +262,16 @@ def test_the_observer_sees_what_is_split(two_room_tour: KeyframeStore) -> None:
         occasions.append(occasion)
 
     segmenter = OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour, observe)
-    for keyframe in range(len(two_room_tour)):
+    for number in range(len(two_room_tour)):
         before = len(seen)
-        left = segmenter.add(keyframe)
+        left = segmenter.add(number)
         assert len(seen) - before <= 1
         assert len(left) == sum(split for _, split in seen[before:])
         for occasion in occasions[before:]:
-            assert occasion.latest == keyframe
+            assert occasion.latest == number
             stamps_ns = two_room_tour.stamps_ns
-            assert occasion.seconds == (stamps_ns[keyframe] - stamps_ns[0]) / 1e9
-            assert len(seen[-1][0].poses) == keyframe - occasion.first + 1
+            assert occasion.seconds == (stamps_ns[number] - stamps_ns[0]) / 1e9
+            assert len(seen[-1][0].poses) == number - occasion.first + 1
         for region in left:
             test, _ = seen[-1]
             gone = two_room_tour.poses_of(region.keyframes)
@@ -293,7 +284,7 @@ def test_the_observer_sees_what_is_split(two_room_tour: KeyframeStore) -> None:
 @pytest.mark.parametrize("side", [0, 1])
 def test_a_glimpse_is_too_short_to_be_split_off(two_room_tour: KeyframeStore, side: int) -> None:
     config = DEFAULT.model_copy(update={"region_min_m": (7.0, 100.0)[side]})
-    regions = run(OnlineSegmenter(config, GridConfig(), two_room_tour), 150)
+    regions = run(two_room_tour, config, keyframes=150)
     for region in regions[:-1]:
         assert way_driven(two_room_tour, region.keyframes) >= config.region_min_m
     assert (len(regions) == 1) == (side == 1)

@@ -21,6 +21,12 @@ FINE_EDGES_M = tuple(round(0.2 * k, 1) for k in range(1, 30))
 CLIPS_M = (1.0, 2.0, 3.0, 5.0, 8.0)
 _BREAK_M, _BREAK_PER_M = 0.25, 0.03  # neighbouring beams lie this far apart on a slanted wall
 _LONG_PIECES_M = (0.5, 1.0, 2.0)
+# These define features: classifiers on disk hold thresholds on what comes of them.
+QUANTILES = (0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95)
+RING_EDGES_M = (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 12.0)
+HARMONICS = 16
+_SAMPLES = 128
+_FARTHEST_M = 12.0
 
 
 def breaks_of(batch: ReturnsBatch) -> BoolArray:
@@ -101,14 +107,6 @@ GROUPS: tuple[BatchGroup, ...] = (
         ),
     ),
 )
-
-
-# These define features: classifiers on disk hold thresholds on what comes of them.
-QUANTILES = (0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95)
-RING_EDGES_M = (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 12.0)
-HARMONICS = 16
-_SAMPLES = 128
-_FARTHEST_M = 12.0
 
 
 def range_quantiles(batch: ReturnsBatch) -> FloatArray:

@@ -1,0 +1,211 @@
+"""labels.csv and trajectory.tum: written as others read them, and read back whole."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from specmap_cli.core.errors import MapError
+from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
+from specmap_cli.core.text import stamp_ns
+from specmap_cli.evaluation.trajectories import read_tum
+from specmap_cli.maps.text_files import (
+    labels_text,
+    planar_trajectory_text,
+    read_labels,
+    read_trajectory,
+    trajectory_text,
+)
+from tests.strategies import few
+
+
+def test_a_keyframe_in_no_submap_has_an_empty_cell() -> None:
+    labels = Labels(
+        stamps_ns=np.array([0, 1]), poses=np.zeros((2, 3)), submaps=np.array([NO_SUBMAP, 4])
+    )
+    lines = labels_text(labels).splitlines()
+    assert lines[1].endswith(",")
+    assert lines[2].endswith(",4")
+
+
+FINITE = st.floats(-1e6, 1e6, allow_nan=False)
+ROWS = st.tuples(
+    st.integers(-(2**62), 2**62), FINITE, FINITE, st.floats(-3.2, 3.2), st.integers(-1, 2**40)
+)
+
+
+@few(30)
+@given(st.lists(ROWS, max_size=20))
+def test_keyframes_there_and_back(rows: list[tuple[int, float, float, float, int]]) -> None:
+    columns = list(zip(*rows, strict=True)) or [()] * 5
+    labels = Labels(
+        stamps_ns=np.array(columns[0], dtype=np.int64),
+        poses=np.array(columns[1:4], dtype=np.float64).T.reshape(-1, 3),
+        submaps=np.array(columns[4], dtype=np.int64),
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "labels.csv"
+        path.write_text(labels_text(labels))
+        read = read_labels(str(path))
+    np.testing.assert_array_equal(read.stamps_ns, labels.stamps_ns)
+    np.testing.assert_array_equal(read.submaps, labels.submaps)
+    np.testing.assert_allclose(read.poses, labels.poses, atol=5.1e-7)
+    assert read.poses.shape == (len(rows), 3)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "1.5,0,0,0",
+        "1.5,0,0,0,1,2",
+        "1.5,nan,0,0,1",
+        "1.5,0,-9999999999999999999,0,1",
+        "1.5,0,inf,0,1",
+        "1.5,0,0,-1e999,1",
+        "1.5,0,0,0,-1",
+        "1.5,0,0,0,1.0",
+        "1.5,0,0,0,99999999999999999999",
+        "99999999999999999999,0,0,0,1",
+        "soon,0,0,0,1",
+        "",
+    ],
+)
+def test_a_line_that_is_no_keyframe_is_quoted(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "labels.csv"
+    path.write_text(f"stamp,x,y,theta,submap\n0.5,1,2,3,0\n{line}\n0.7,1,2,3,0\n")
+    with pytest.raises(MapError) as caught:
+        read_labels(path)
+    expected = f"{path}: line 3 is {line!r}: expected stamp,x,y,theta,submap"
+    assert str(caught.value) == expected
+
+
+@pytest.mark.parametrize("text", ["", "stamp,x,y,theta\n", "stamp;x;y;theta;submap\n", "\ufeff"])
+def test_another_header_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "labels.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(MapError, match="line 1 is not 'stamp,x,y,theta,submap': build the map"):
+        read_labels(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [(None, "cannot read the keyframes: No such file"), (b"\xff\xfe", "not a text file")],
+)
+def test_tables_that_cannot_be_read(tmp_path: Path, content: bytes | None, complaint: str) -> None:
+    if content is not None:
+        (tmp_path / "labels.csv").write_bytes(content)
+    with pytest.raises(MapError, match=rf"labels\.csv: {complaint}"):
+        read_labels(tmp_path / "labels.csv")
+
+
+def test_no_poses_are_an_empty_file() -> None:
+    nowhere = np.zeros((0, 3))
+    stamps = np.zeros(0, dtype=np.int64)
+    assert (
+        labels_text(Labels(stamps_ns=stamps, poses=nowhere, submaps=stamps))
+        == "stamp,x,y,theta,submap\n"
+    )
+
+
+@few(30)
+@given(st.lists(st.tuples(st.integers(0, 2**40), FINITE, FINITE, st.floats(-3.2, 3.2)), max_size=9))
+def test_true_poses_are_written_to_the_nanometre(
+    rows: list[tuple[int, float, float, float]],
+) -> None:
+    stamps = np.array([1000 * row[0] for row in rows], dtype=np.int64)
+    poses = np.array([row[1:] for row in rows], dtype=np.float64).reshape(-1, 3)
+    lines = planar_trajectory_text(Trajectory(stamps, poses)).splitlines()
+    assert len(lines) == len(rows)
+    for line, stamp, (x, y, theta) in zip(lines, stamps.tolist(), poses.tolist(), strict=True):
+        words = line.split(" ")
+        assert words[3:6] == ["0", "0", "0"]
+        assert [len(word.partition(".")[2]) for word in words] == [6, 9, 9, 0, 0, 0, 9, 9]
+        assert stamp_ns(words[0]) == stamp
+        assert [float(words[1]), float(words[2])] == pytest.approx([x, y], abs=1e-9)
+        turn = Rotation.from_quat([float(word) for word in words[4:]])
+        assert (turn.inv() * Rotation.from_euler("z", theta)).magnitude() < 1e-8
+        assert "-0.000000000" not in words
+
+
+def test_lost_scans_are_marked_between_the_lines_of_a_trajectory() -> None:
+    lost = np.array([True, True, False, True, False])
+    way = Trajectory(np.arange(5) * 10**9, np.zeros((5, 3)), lost=lost)
+    lines = trajectory_text(way).splitlines()
+    assert [line for line in lines if line.startswith("#")] == [
+        "# lost: the poses of the next 2 scans are guesses",
+        "# found",
+        "# lost: the poses of the next 1 scan are guesses",
+        "# found",
+    ]
+    assert [k for k, line in enumerate(lines) if line.startswith("#")] == [0, 3, 5, 7]
+    plain_lines = [line for line in lines if not line.startswith("#")]
+    assert plain_lines == trajectory_text(Trajectory(way.stamps_ns, way.poses)).splitlines()
+
+
+def test_a_marked_trajectory_reads_back(tmp_path: Path) -> None:
+    way = Trajectory(
+        np.arange(4) * 10**9, np.arange(12.0).reshape(4, 3) / 10, lost=np.arange(4) == 2
+    )
+    file = tmp_path / "trajectory.tum"
+    file.write_text(trajectory_text(way), encoding="utf-8")
+    np.testing.assert_allclose(read_tum(file).poses, way.poses, atol=1e-6)
+    assert len(np.loadtxt(file)) == 4
+
+
+def test_a_trajectory_comes_back_with_its_tilt_and_its_lost_scans(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    lost = np.arange(20) % 7 < 2
+    way = Trajectory(
+        np.arange(20) * 10**8 + 1_700_000_000_123_456_789,
+        rng.uniform(-3, 3, (20, 3)),
+        rng.uniform(-0.4, 0.4, (20, 3)),
+        lost=lost,
+    )
+    file = tmp_path / "trajectory.tum"
+    file.write_text(trajectory_text(way), encoding="utf-8")
+    back = read_trajectory(file)
+    assert back.stamps_ns.tolist() == way.stamps_ns.tolist()
+    np.testing.assert_allclose(back.poses, way.poses, atol=1e-6)
+    assert back.tilt is not None
+    assert way.tilt is not None
+    np.testing.assert_allclose(back.tilt, way.tilt, atol=1e-6)
+    assert back.lost is not None
+    assert back.lost.tolist() == lost.tolist()
+
+
+def test_a_planar_trajectory_comes_back_without_tilt(tmp_path: Path) -> None:
+    file = tmp_path / "trajectory.tum"
+    file.write_text(trajectory_text(Trajectory(np.arange(3), np.ones((3, 3)))), encoding="utf-8")
+    back = read_trajectory(file)
+    assert back.tilt is None
+    assert back.lost is None
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"1.0 0 0 0 0 0 1\n", "line 1 is"),
+        (b"1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 nan 1\n", "line 2 is"),
+        (b"x 0 0 0 0 0 0 1\n", "line 1 is"),
+        (b"\xff\xfe", "not a text file"),
+        (None, "cannot read"),
+    ],
+)
+def test_what_is_no_trajectory(tmp_path: Path, content: bytes | None, complaint: str) -> None:
+    file = tmp_path / "trajectory.tum"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(MapError, match=rf"trajectory\.tum: {complaint}"):
+        read_trajectory(file)
+
+
+def test_no_poses_are_an_empty_trajectory() -> None:
+    nowhere = Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+    assert trajectory_text(nowhere) == ""
+    assert planar_trajectory_text(nowhere) == ""

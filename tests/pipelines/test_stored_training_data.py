@@ -1,0 +1,164 @@
+"""Training data in a map directory: kept, used by what comes after, let go where it errs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from specmap_cli import build_map, read_map
+from specmap_cli.core.records import IntArray, Labels
+from specmap_cli.core.settings import Config
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.pipelines.learning import (
+    arrays_of,
+    comparable,
+    training_data_of_stored,
+    valid_training_data,
+)
+from specmap_cli.pipelines.localize import classifiers_of
+from specmap_cli.recognition.learning.training_data import Samples, TrainingData
+from tests.flats import QUICK
+
+
+def samples(*keyframes: int) -> Samples:
+    numbers = np.array(keyframes, dtype=np.intp)
+    return Samples(np.ones((len(numbers), 2)), numbers)
+
+
+def test_features_survive_the_file_in_half_precision() -> None:
+    large = Samples(np.array([[1.0 / 3.0, 1e9], [-1e9, 0.0]]), np.array([2, 5], dtype=np.intp))
+    arrays = arrays_of(TrainingData(large, samples(), samples(), samples()))
+    assert arrays["raw"].T.tolist() == [[0.333251953125, 65504.0], [-65504.0, 0.0]]
+    assert arrays["raw_keyframes"].tolist() == [2, 5]
+    assert arrays["raw"].dtype == np.float16
+
+
+def test_a_map_keeps_what_its_classifiers_learned_from(flat_map: StoredMap) -> None:
+    data = training_data_of_stored(flat_map, flat_map.config)
+    for own in data.kinds:
+        assert len(own.features) == len(own.keyframes) > 0
+    assert len(np.unique(data.raw.keyframes)) == len(data.raw.keyframes)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"recognition": {"feature_set": "table1"}},
+        {"localization": {"false_unknown": 0.1}},
+    ],
+)
+def test_other_settings_learn_anew(flat_map: StoredMap, changed: dict[str, Any]) -> None:
+    values = flat_map.config.model_dump()
+    for section, settings in changed.items():
+        values[section] |= settings
+    config = Config.model_validate(values)
+    assert len(training_data_of_stored(flat_map, config).raw.keyframes) == 0
+
+
+def test_what_was_cast_in_other_grids_is_cast_anew(flat_map: StoredMap) -> None:
+    values = flat_map.config.model_dump()
+    values["grid"] |= {"footprint_m": 0.3}
+    found = training_data_of_stored(flat_map, Config.model_validate(values))
+    assert len(found.cast.keyframes) == 0 < len(found.along.keyframes)
+
+
+@pytest.mark.parametrize("without", [{"virtual": False}, {"augmentation": 0}])
+def test_a_map_without_some_kind_of_scans_keeps_the_others(
+    tiny_log: Path, tmp_path: Path, without: dict[str, Any]
+) -> None:
+    values = QUICK.model_dump()
+    values["localization"] |= without
+    build_map(tiny_log, tmp_path / "map", Config.model_validate(values))
+    stored = read_map(tmp_path / "map")
+    found = training_data_of_stored(stored, stored.config)
+    assert len(found.raw.keyframes) > 0 == len(found.cast.keyframes)
+
+
+def test_another_version_and_a_map_without_the_file_learn_anew(
+    flat_map: StoredMap, tmp_path: Path
+) -> None:
+    shutil.copytree(flat_map.path, tmp_path / "other")
+    run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
+    run["versions"]["specmap"] = "0.0.1"
+    (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
+    other = read_map(tmp_path / "other")
+    assert len(training_data_of_stored(other, flat_map.config).raw.keyframes) == 0
+    shutil.copyfile(flat_map.path / "run.json", tmp_path / "other" / "run.json")
+    (tmp_path / "other" / "features.npz").unlink()
+    assert (
+        len(training_data_of_stored(read_map(tmp_path / "other"), flat_map.config).raw.keyframes)
+        == 0
+    )
+
+
+def test_settings_of_another_version_need_not_be_known(flat_map: StoredMap, tmp_path: Path) -> None:
+    shutil.copytree(flat_map.path, tmp_path / "other")
+    run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
+    run["versions"]["specmap"] = "0.0.1"
+    run["config"]["grid"]["footprint_m"] = 7
+    (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
+    other = read_map(tmp_path / "other")
+    assert len(training_data_of_stored(other, flat_map.config).raw.keyframes) == 0
+    assert comparable(classifiers_of(other), other, flat_map.config) is None
+
+
+def test_classifiers_of_other_settings_are_no_test(flat_map: StoredMap) -> None:
+    classifiers = classifiers_of(flat_map)
+    assert comparable(classifiers, flat_map, flat_map.config) is classifiers
+    values = flat_map.config.model_dump()
+    values["recognition"] |= {"rounds": 1 + flat_map.config.recognition.rounds}
+    assert comparable(classifiers, flat_map, Config.model_validate(values)) is None
+    assert comparable(None, flat_map, flat_map.config) is None
+
+
+def labels(poses: list[tuple[float, float, float]], submaps: list[int]) -> Labels:
+    stamps: IntArray = np.arange(len(submaps), dtype=np.int64)
+    return Labels(stamps_ns=stamps, poses=np.array(poses), submaps=np.array(submaps))
+
+
+ROW = [(float(x), 0.0, 0.0) for x in range(6)]
+BEFORE = labels(ROW, [0, 0, 0, 1, 1, 1])
+
+
+@pytest.mark.parametrize(
+    ("left", "now", "cast"),
+    [
+        ([0, 1, 2, 3, 4, 5], labels([*ROW, (7.0, 0.0, 0.0)], [0, 0, 0, 1, 1, 1, 1]), [0, 2]),
+        ([0, 2, 3, 4, 5], labels([ROW[k] for k in (0, 2, 3, 4, 5)], [0, 0, 1, 1, 1]), [2, 4]),
+        (
+            [*range(6)],
+            labels([(y, x, 0.0) for x, y, _ in ROW], BEFORE.submaps.tolist()),
+            [0, 2, 3, 5],
+        ),
+        ([*range(6)], labels([*ROW[:5], (5.0, 0.5, 0.0)], BEFORE.submaps.tolist()), [0, 2]),
+    ],
+    ids=["visited again", "a keyframe is gone", "moved as a whole", "bent"],
+)
+def test_scans_cast_in_a_grid_hold_while_the_submap_is_as_it_was(
+    left: list[int], now: Labels, cast: list[int]
+) -> None:
+    data = TrainingData(samples(0, 5), samples(), samples(1), samples(0, 2, 3, 5))
+    found = valid_training_data(data, BEFORE, now, np.array(left), 0.05)
+    assert found.cast.keyframes.tolist() == cast
+
+
+def test_training_data_of_a_map_behind_another_are_numbered_behind_it() -> None:
+    data = TrainingData(samples(0, 5), samples(2), samples(1), samples(0, 5))
+    now = labels([*ROW, *ROW], [7, 7, 7, 0, 0, 0, 0, 0, 0, 1, 1, 1])
+    found = valid_training_data(data, BEFORE, now, np.arange(6), 0.05, first=6)
+    assert found.raw.keyframes.tolist() == [6, 11]
+    assert found.along.keyframes.tolist() == [7]
+    assert found.beside.keyframes.tolist() == [8]
+    assert found.cast.keyframes.tolist() == [11]  # the first submap has keyframes of both maps
+
+
+def test_scans_cast_in_two_submaps_that_are_one_now_do_not_hold() -> None:
+    data = TrainingData(samples(), samples(), samples(), samples(0, 5))
+    now = labels(ROW, [0] * 6)
+    found = valid_training_data(data, BEFORE, now, np.arange(6), 0.05)
+    assert found.cast.keyframes.tolist() == []

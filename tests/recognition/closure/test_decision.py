@@ -1,0 +1,235 @@
+"""What a match is worth: every reason in its words, the limits that decide, and confirmed ways."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.grids.gridmap import FREE, GridMap, PackedGrid
+from specmap_cli.recognition.closure.decision import Decision, DriftGraph, Stay, decide
+from specmap_cli.recognition.closure.verification import Check
+
+CONFIG = RecognitionConfig()
+SURE = Check(
+    old_from_new=IDENTITY, score=0.9, confirmed_m=25.0, overlap=0.9, least_overlap=0.8, lead=0.5
+)
+LINE = np.column_stack([np.arange(0.0, 8.0, 0.25), np.zeros(32), np.zeros(32)])
+
+
+def stay(number: int = 0, **known: Any) -> Stay:
+    """A stay along a line of 8 m; only its track and what is known of its frame matter."""
+    grid = GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.05)
+    return Stay(
+        number=number, features=np.zeros((1, 1)), packed=PackedGrid.of(grid), track=LINE, **known
+    )
+
+
+def told(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig) -> Decision:
+    """The verdict where nothing confirmed the way between two stays."""
+    return decide(old, new, check, DriftGraph(config).between(old, new), config)
+
+
+@pytest.mark.parametrize(
+    ("change", "verified", "merged", "reason"),
+    [
+        (None, False, False, "the grids do not match"),
+        ({}, True, True, "the grids match and the tracks overlap"),
+        ({"score": 0.7499}, False, False, "the grids do not match"),
+        ({"score": 0.75}, True, True, "the grids match and the tracks overlap"),
+        ({"confirmed_m": 4.95}, False, False, "too little wall matches"),
+        ({"overlap": 0.39, "least_overlap": 0.39}, False, False, "the grids overlap too little"),
+        ({"least_overlap": 0.14}, False, False, "the grids overlap too little"),
+        ({"lead": 0.09}, False, False, "ambiguous: the grids match in more than one way"),
+        (
+            {"old_from_new": Pose2(6.0, 0.0, 0.0)},
+            True,
+            False,
+            "the grids match, the robot's tracks do not overlap",
+        ),
+        (
+            {"old_from_new": Pose2(0.0, 1.01, 0.0)},
+            True,
+            False,
+            "the grids match, the robot's tracks do not overlap",
+        ),
+    ],
+)
+def test_every_verdict_says_why(
+    change: dict[str, Any] | None, verified: bool, merged: bool, reason: str
+) -> None:
+    check = None if change is None else replace(SURE, **change)
+    found = told(stay(), stay(1), check, CONFIG)
+    assert (found.verified, found.merged, found.reason) == (verified, merged, reason)
+
+
+TWIN = "ambiguous: looks the same but is too far away, a twin"
+
+
+@pytest.mark.parametrize(
+    ("apart_m", "driven_m", "reason"),
+    [
+        (0.4, 0.0, "the grids match and the tracks overlap"),
+        (0.6, 0.0, TWIN),
+        (0.6, 2.0, "the grids match and the tracks overlap"),
+        (2.5, 15.0, TWIN),  # the office next door
+        (9.0, 80.0, TWIN),
+        (9.0, 90.0, "the grids match and the tracks overlap"),
+        (9.0, math.inf, "the grids match and the tracks overlap"),
+    ],
+)
+def test_twins_are_told_by_the_drift_that_one_place_would_need(
+    apart_m: float, driven_m: float, reason: str
+) -> None:
+    old = stay(0, map_from_stay=Pose2(3.0, 2.0, 0.4), travelled_m=10.0)
+    frame = Pose2(3.0, 2.0, 0.4) @ Pose2(apart_m, 0.0, 0.0)
+    new = stay(1, map_from_stay=frame, travelled_m=10.0 + driven_m)
+    assert told(old, new, SURE, CONFIG).reason == reason
+    assert told(new, old, SURE, CONFIG).reason == reason
+
+
+@pytest.mark.parametrize(
+    ("turned_deg", "driven_m", "merged"),
+    [(30.0, 5.0, True), (90.0, 5.0, False), (-177.0, 350.0, False), (90.0, 1000.0, True)],
+)
+def test_tracking_turns_a_little_on_a_long_way_and_never_by_a_quarter(
+    turned_deg: float, driven_m: float, merged: bool
+) -> None:
+    old = stay(0, map_from_stay=IDENTITY)
+    frame = Pose2(0.0, 0.0, math.radians(turned_deg))
+    new = stay(1, map_from_stay=frame, travelled_m=driven_m)
+    assert told(old, new, SURE, CONFIG).merged is merged
+
+
+def test_two_stays_after_a_loss_of_tracking_may_be_any_way_apart() -> None:
+    known = {"travelled_m": math.inf}
+    old = stay(0, map_from_stay=IDENTITY, **known)
+    new = stay(1, map_from_stay=Pose2(500.0, 0.0, 0.0), **known)
+    assert told(old, new, SURE, CONFIG).merged
+
+
+def test_where_most_of_a_way_is_confirmed_the_office_next_door_is_a_twin() -> None:
+    old = stay(0, map_from_stay=IDENTITY)
+    new = stay(1, map_from_stay=Pose2(9.0, 0.0, 0.0), travelled_m=90.0)
+    assert decide(old, new, SURE, 90.0, CONFIG).merged
+    assert decide(old, new, SURE, 84.0, CONFIG).reason == TWIN
+
+
+@pytest.mark.parametrize("known", [(True, False), (False, True), (False, False)])
+def test_without_both_frames_no_twin_is_told(known: tuple[bool, bool]) -> None:
+    frames = [Pose2(90.0 * k, 0.0, 0.0) if is_known else None for k, is_known in enumerate(known)]
+    stays = [stay(k, map_from_stay=frame) for k, frame in enumerate(frames)]
+    assert told(stays[0], stays[1], SURE, CONFIG).merged
+
+
+@given(
+    st.floats(-1.0, 1.0),
+    st.floats(0.0, 20.0),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.floats(-1.0, 2.0),
+)
+def test_a_better_match_is_never_worth_less(
+    score: float, confirmed: float, overlap: float, least: float, lead: float
+) -> None:
+    check = Check(
+        old_from_new=IDENTITY,
+        score=score,
+        confirmed_m=confirmed,
+        overlap=max(overlap, least),
+        least_overlap=min(overlap, least),
+        lead=lead,
+    )
+    found = told(stay(), stay(1), check, CONFIG)
+    better = replace(
+        check, score=min(1.0, score + 0.1), confirmed_m=confirmed + 2.5, lead=lead + 0.1
+    )
+    assert told(stay(), stay(1), better, CONFIG).verified >= found.verified
+    assert found.merged <= found.verified
+
+
+def along(travelled_m: float, where: Pose2 | None = IDENTITY) -> Stay:
+    """A stay that began so far along the way; nothing else of it matters here."""
+    return stay(map_from_stay=where, travelled_m=travelled_m)
+
+
+def test_without_a_match_the_way_is_the_one_driven() -> None:
+    way = DriftGraph(CONFIG)
+    assert way.between(along(20.0), along(152.0)) == 132.0
+    assert way.between(along(152.0), along(20.0)) == 132.0
+
+
+def test_a_match_that_mends_nothing_cuts_the_way_short() -> None:
+    way = DriftGraph(CONFIG)
+    way.confirm(along(25.0), along(110.0), 0.0)
+    assert way.between(along(20.0), along(152.0)) == pytest.approx(5.0 + 42.0)
+    assert way.between(along(152.0), along(20.0)) == pytest.approx(5.0 + 42.0)
+    assert way.between(along(60.0), along(70.0)) == pytest.approx(10.0)
+
+
+def test_what_a_match_mends_counts_as_way() -> None:
+    """On so many metres tracking drifts as much: 0.3 m on 3 m of path."""
+    way = DriftGraph(CONFIG)
+    way.confirm(along(0.0), along(80.0), 0.3)
+    assert way.between(along(0.0), along(80.0)) == pytest.approx(0.3 / CONFIG.max_drift)
+
+
+def test_a_match_that_cuts_no_way_short_is_not_kept() -> None:
+    way = DriftGraph(CONFIG)
+    for mended_m in (0.2, 0.3, 0.2, 0.1):
+        way.confirm(along(0.0), along(80.0), mended_m)
+    way.confirm(along(80.0), along(81.0), 0.3)
+    assert [metres * CONFIG.max_drift for _, _, metres in way._ties] == pytest.approx([0.2, 0.1])
+
+
+def test_matches_are_followed_one_after_the_other() -> None:
+    way = DriftGraph(CONFIG)
+    way.confirm(along(10.0), along(50.0), 0.0)
+    way.confirm(along(52.0), along(90.0), 0.0)
+    assert way.between(along(9.0), along(91.0)) == pytest.approx(1.0 + 2.0 + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "mended_m"),
+    [
+        (along(0.0), along(80.0), 0.6),
+        (along(0.0, None), along(80.0), 0.0),
+        (along(0.0), along(80.0, None), 0.0),
+        (along(0.0), along(math.inf), 0.0),
+    ],
+    ids=["mends too much", "nothing known of one", "nothing known of the other", "after a loss"],
+)
+def test_what_confirms_nothing(old: Stay, new: Stay, mended_m: float) -> None:
+    way = DriftGraph(CONFIG)
+    way.confirm(old, new, mended_m)
+    assert way.between(along(0.0), along(80.0)) == 80.0
+
+
+def test_across_a_loss_of_tracking_no_way_is_known() -> None:
+    way = DriftGraph(CONFIG)
+    way.confirm(along(10.0), along(50.0), 0.0)
+    assert way.between(along(10.0), along(math.inf)) == math.inf
+    assert math.isnan(way.between(along(math.inf), along(math.inf)))
+
+
+places = st.floats(0.0, 500.0)
+
+
+@given(st.lists(st.tuples(places, places, st.floats(0.0, 0.5)), max_size=12), places, places)
+def test_no_match_makes_a_way_longer(
+    ties: list[tuple[float, float, float]], start: float, end: float
+) -> None:
+    way = DriftGraph(CONFIG)
+    last = abs(end - start)
+    for old, new, mended_m in ties:
+        way.confirm(along(old), along(new), mended_m)
+        now = way.between(along(start), along(end))
+        assert 0.0 <= now <= last + 1e-9
+        last = now

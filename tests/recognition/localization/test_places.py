@@ -1,0 +1,52 @@
+"""Places: where motion leads from them, and which of them led."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.recognition.localization.places import LeadHistory, LeadingPlace, Place
+from tests.recognition.posed import at
+
+TRACK = Pose2(40.0, -3.0, 2.0)  # registration has a frame of its own
+PLACE = Place(1, Pose2(1.0, 2.0, 0.5), TRACK)
+STEP = Pose2(0.4, 0.1, -0.2)
+FRAMES = {1: Pose2(10.0, 5.0, 1.0), 4: Pose2(-2.0, 7.0, -2.5)}
+
+
+def test_in_the_same_submap_the_motion_alone_leads() -> None:
+    assert PLACE.led_to(1, TRACK @ STEP, {}) == pytest.approx(PLACE.pose @ STEP)
+
+
+def test_in_another_submap_the_layout_says_where_it_leads() -> None:
+    found = PLACE.led_to(4, TRACK @ STEP, FRAMES)
+    assert found is not None
+    assert FRAMES[4] @ found == pytest.approx(FRAMES[1] @ PLACE.pose @ STEP)
+
+
+@pytest.mark.parametrize("frames", [{}, {1: FRAMES[1]}, {4: FRAMES[4]}])
+def test_without_both_frames_nothing_is_known_of_another_submap(frames: dict[int, Pose2]) -> None:
+    assert PLACE.led_to(4, TRACK, frames) is None
+
+
+def test_the_next_lead_is_carried_back_within_reach() -> None:
+    leads = LeadHistory()
+    late = LeadingPlace(Place(7, Pose2(5.0, 1.0, 0.0), Pose2(3.0, 0.0, 0.0)), 0.97)
+    for x in range(6):
+        leads.add(at(float(x)), late if x == 3 else None)
+    found = leads.looking_back(2.0)
+    assert [lead is not None for lead in found] == [False, True, True, True, False, False]
+    assert [lead.place.pose.x for lead in found if lead is not None] == [3.0, 4.0, 5.0]
+    assert {lead.probability for lead in found if lead is not None} == {0.97}
+
+
+@pytest.mark.parametrize(("restarted", "known"), [(1, [False, True]), (0, [True, True])])
+def test_it_is_not_carried_past_a_loss_of_tracking(restarted: int, known: list[bool]) -> None:
+    leads = LeadHistory()
+    lead = LeadingPlace(Place(7, Pose2(0.0, 0.0, 0.0), Pose2(0.1, 0.0, 0.0)), 0.97)
+    for k in range(2):
+        scan = replace(at(0.1 * k), restarted=k == restarted)
+        leads.add(scan, lead if k == 1 else None)
+    assert [each is not None for each in leads.looking_back(10.0)] == known

@@ -1,0 +1,259 @@
+"""A sweep in front of the local map: its score, its alignment kernel by kernel, its search."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import KDTree
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.matching import Window
+from specmap_cli.registration.aligner import SensorKind
+from specmap_cli.registration.local_map import Fit, LocalMap, SeenSpace
+from specmap_cli.registration.sweep_view import outline_of
+from tests.registration.aligners import ToldAligner
+from tests.registration.drives import circle, scene_in, scene_of, turned, view_of_points
+from tests.strategies import seeds
+
+LADDER = (2.0, 1.0, 0.5, 0.25)
+
+
+def test_kernels_are_in_voxels_of_the_sensor(world: GridMap) -> None:
+    aligner = ToldAligner()
+    scene_in(world, aligner, voxel_m=0.3).align(np.eye(4), (1.0,))
+    assert aligner.asked[0].kernel_m == pytest.approx(0.3)
+
+
+def test_every_alignment_starts_where_the_one_before_ended(world: GridMap) -> None:
+    aligner = ToldAligner(lambda guess: guess @ Pose2(0.1, 0.0, 0.0).matrix())
+    fit = scene_in(world, aligner).align(np.eye(4), LADDER)
+    assert [float(asked.guess[0, 3]) for asked in aligner.asked] == pytest.approx(
+        [0, 0.1, 0.2, 0.3]
+    )
+    assert fit.planar.x == pytest.approx(0.4)
+    assert fit.refused == 0
+
+
+def broken(guess: FloatArray) -> FloatArray:
+    return np.full_like(guess, np.nan)
+
+
+def moved(
+    x: float = 0.0, yaw: float = 0.0, roll: float = 0.0
+) -> Callable[[FloatArray], FloatArray]:
+    return lambda guess: guess @ turned(x, yaw, roll)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [broken, moved(x=1.51), moved(yaw=0.81), moved(yaw=-0.81), moved(roll=0.31), moved(x=1e300)],
+)
+def test_an_alignment_that_runs_off_is_refused_and_ends_the_ladder(
+    world: GridMap, answer: Callable[[FloatArray], FloatArray]
+) -> None:
+    answers = [moved(x=0.2), answer]
+    aligner = ToldAligner(lambda guess: answers.pop(0)(guess))
+    fit = scene_in(world, aligner).align(np.eye(4), LADDER)
+    assert len(aligner.asked) == 2
+    assert fit.refused == 1
+    assert fit.planar == Pose2(0.2, 0.0, 0.0)  # the result before it stands
+
+
+@pytest.mark.parametrize(
+    ("answer", "settings"),
+    [
+        (moved(x=1.49), {}),
+        (moved(yaw=0.79), {}),
+        (moved(roll=0.29), {}),
+        (moved(x=2.5), {"max_shift_m": 3.0}),
+        (moved(yaw=1.5), {"max_shift_rad": 2.0}),
+        (moved(roll=0.5), {"max_tilt_rad": 0.6}),
+    ],
+)
+def test_an_alignment_within_the_limits_is_followed(
+    world: GridMap, answer: Callable[[FloatArray], FloatArray], settings: dict[str, float]
+) -> None:
+    fit = scene_in(world, ToldAligner(answer), **settings).align(np.eye(4), (1.0,))
+    assert fit.refused == 0
+    assert np.array_equal(fit.pose, answer(np.eye(4)))
+
+
+def test_the_limits_count_from_the_first_guess_of_all_kernels(world: GridMap) -> None:
+    aligner = ToldAligner(moved(x=0.6))
+    fit = scene_in(world, aligner).align(np.eye(4), LADDER)
+    assert fit.planar.x == pytest.approx(1.2)  # the third step would be 1.8 m away
+    assert fit.refused == 1
+
+
+@given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+def test_the_score_is_that_of_the_distances_to_the_nearest_walls(
+    world: GridMap, x: float, y: float, turn: float
+) -> None:
+    scene = scene_in(world, ToldAligner())
+    place = Pose2(x, y, turn)
+    distance, _ = KDTree(scene.view.walls).query(place.apply(scene.view.probe))
+    exact = float(np.exp(-(distance**2) / (2 * 0.1**2)).mean())  # sigma is a voxel
+    assert scene.score(place) == pytest.approx(exact, abs=0.12)  # cells of 7.5 cm
+
+
+def test_the_score_is_of_the_alignment_that_stands(world: GridMap) -> None:
+    scene = scene_in(world, ToldAligner(moved(x=0.3)))
+    fit = scene.align(np.eye(4), (1.0,))
+    assert fit.score == scene.score(Pose2(0.3, 0.0, 0.0)) < scene.score(IDENTITY)
+
+
+@pytest.mark.parametrize("away", [Pose2(0.2, -0.15, 0.2), Pose2(-0.25, 0.1, -0.3)])
+def test_a_search_finds_the_place_from_a_wrong_guess(world: GridMap, away: Pose2) -> None:
+    aligner = ToldAligner()
+    scene = scene_in(world, aligner)
+    fit = scene.search(away.matrix(), Window(distance_m=0.3, angle_rad=0.35, step_m=0.05), LADDER)
+    assert fit.planar.distance < 0.08
+    assert abs(fit.planar.theta) < 0.03
+    assert len(aligner.asked) == len(LADDER)  # what was found is aligned
+
+
+def test_a_search_in_the_plane_keeps_height_and_tilt_of_the_guess(world: GridMap) -> None:
+    guess = turned(0.2, 0.1, 0.05)
+    guess[2, 3] = 0.7
+    fit = scene_in(world, ToldAligner()).search(
+        guess, Window(distance_m=0.3, angle_rad=0.2, step_m=0.05), LADDER
+    )
+    assert fit.pose[2, 3] == pytest.approx(0.7)
+    assert fit.pose[2, 2] == pytest.approx(guess[2, 2])
+    assert np.allclose(fit.pose[:3, :3] @ fit.pose[:3, :3].T, np.eye(3))
+    assert fit.planar.distance < 0.08
+
+
+@pytest.mark.parametrize(
+    ("score", "taken"), [(0.4, False), (0.5, False), (0.51, False), (0.53, True), (0.9, True)]
+)
+def test_another_fit_must_be_clearly_better(score: float, taken: bool) -> None:
+    first = Fit(pose=np.eye(4), score=0.5, refused=1)
+    second = Fit(pose=Pose2(1.0, 0.0, 0.0).matrix(), score=score, refused=2)
+    best = first.or_better(second)
+    assert best.planar.x == float(taken)
+    assert best.score == (score if taken else 0.5)
+    assert best.refused == 3
+
+
+def test_the_local_map_forgets_what_left_its_window() -> None:
+    """Eighty keyframes, which leave with every fourth one."""
+    sensor = SensorKind(in_space=False, voxel_m=0.1, range_m=20.0)
+    local = LocalMap(ToldAligner(), sensor, RegistrationConfig())
+    walls = np.column_stack([np.linspace(-1.0, 1.0, 40), np.full(40, 1.0)])
+    first = Pose2(0.0, 15.0, 0.0)
+    local.insert(view_of_points(walls), first.matrix())
+    for _ in range(79):
+        local.insert(view_of_points(walls), np.eye(4))
+    assert local.field.score(walls, first) == pytest.approx(1.0)
+    local.insert(view_of_points(walls), np.eye(4))
+    assert local.field.score(walls, first) < 1e-3
+    assert len(local) == 80
+    local.clear()
+    assert len(local) == 0
+
+
+def test_the_field_follows_the_robot_when_keyframes_are_far_apart() -> None:
+    """Forty keyframes every 2 m along a corridor: the walls round the last one count."""
+    config = RegistrationConfig()
+    sensor = SensorKind(in_space=False, voxel_m=0.1, range_m=20.0)
+    local = LocalMap(ToldAligner(), sensor, config)
+    walls = np.array([[x, y] for x in np.arange(-3.0, 3.0, 0.05).tolist() for y in (-1.0, 1.0)])
+    view = view_of_points(walls, 5.0)
+    for k in range(40):
+        local.insert(view, Pose2(2.0 * k, 0.0, 0.0).matrix())
+    last = Pose2(78.0, 0.0, 0.0)
+    assert local.field.score(walls, last) == pytest.approx(1.0)
+    assert local.field.left_out > 0
+    assert local.seen.holds(last.apply(walls)).all()
+    assert not local.seen.holds(walls).any()  # walls that score nothing are no evidence
+
+
+def test_support_counts_only_what_could_be_seen() -> None:
+    """Against the score of each half alone."""
+    old = np.column_stack([np.linspace(-2.0, 2.0, 80), np.full(80, 1.0)])
+    new = old + (0.0, 20.0)
+    scene = scene_of(np.concatenate([old, new]), old, ToldAligner(), looked_m=5.0)
+    support = scene.support(IDENTITY)
+    assert support.score == pytest.approx(1.0, abs=1e-6)
+    assert (support.share, support.count) == (0.5, 40)
+    assert scene.score(IDENTITY) == pytest.approx(0.5, abs=1e-6)
+    shifted = Pose2(0.0, 0.2, 0.0)
+    assert scene.gain(IDENTITY, shifted) < -0.6  # the half that neither sees does not dilute it
+    assert scene.gain(shifted, IDENTITY) == pytest.approx(-scene.gain(IDENTITY, shifted))
+    far = Pose2(0.0, 30.0, 0.0)
+    assert scene.support(far).count == 0
+    assert scene.gain(IDENTITY, far) == 0.0
+
+
+CELL_M = 0.2
+
+
+@given(seeds)
+def test_space_inside_of_an_outline_was_seen_and_space_outside_was_not(seed: int) -> None:
+    """Against the signed distance of each point from each outline."""
+    rng = np.random.default_rng(seed)
+    scans = [circle(0, rng.uniform(1.0, 5.0, 24)).planar for _ in range(3)]
+    places = [Pose2(*rng.uniform(-2, 2, 3)) for _ in scans]
+    outlines = [
+        place.apply(outline_of(scan, IDENTITY, 20.0))
+        for scan, place in zip(scans, places, strict=True)
+    ]
+    seen = SeenSpace.of(outlines, CELL_M, 20.0)
+    points = rng.uniform(-8, 8, (200, 2))
+    depths = np.array(
+        [
+            max(
+                cv2.pointPolygonTest(outline[1:].astype(np.float32), (float(x), float(y)), True)
+                for outline in outlines
+            )
+            for x, y in points
+        ]
+    )
+    found = seen.holds(points)
+    assert found[depths > 0.0].all()
+    assert not found[depths < -3 * CELL_M].any()
+
+
+def test_a_beam_without_return_and_the_back_of_the_laser_are_not_seen() -> None:
+    bearings = np.linspace(-np.pi / 2, np.pi / 2, 181)
+    ranges = np.where(bearings < 0.0, 3.0, np.inf)
+    scan = PlanarScan(0, bearings, ranges, 10.0, full_circle=False)
+    seen = SeenSpace.of([outline_of(scan, IDENTITY, 10.0)], CELL_M, 10.0)
+    points = np.array([[1.0, -1.0], [1.0, 1.5], [-1.0, -1.0], [2.5, -3.0]])
+    assert seen.holds(points).tolist() == [True, False, False, False]
+
+
+def test_no_farther_than_walls_are_registered() -> None:
+    scan = circle(0, np.full(90, 9.0)).planar
+    seen = SeenSpace.of([outline_of(scan, Pose2(1.0, 0.0, 0.3), 4.0)], CELL_M, 20.0)
+    assert seen.holds(np.array([[4.5, 0.0], [-2.5, 0.0], [6.0, 0.0]])).tolist() == [
+        True,
+        True,
+        False,
+    ]
+
+
+@pytest.mark.parametrize("beams", [4, 359, 720, 5000])
+def test_outlines_of_many_beams_are_thinned(beams: int) -> None:
+    outline = outline_of(circle(0, np.full(beams, 2.0)).planar, IDENTITY, 10.0)
+    assert len(outline) <= 362
+    assert np.allclose(outline[0], 0.0)
+    assert np.allclose(np.hypot(*outline[1:].T), 2.0)
+    assert np.allclose(outline[1], outline[-1])
+
+
+def test_points_off_the_grid_were_not_seen() -> None:
+    scan = dataclasses.replace(circle(0, np.full(90, 9.0)).planar, full_circle=True)
+    seen = SeenSpace.of([outline_of(scan, IDENTITY, 20.0)], CELL_M, 5.0)
+    points = np.array([[4.9, 4.9], [5.5, 0.0], [-1e6, 0.0], [0.0, 1e9]])
+    assert seen.holds(points).tolist() == [True, False, False, False]

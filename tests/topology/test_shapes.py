@@ -1,0 +1,252 @@
+"""The outlines of regions, what a submap is by its shape, and the division of cells."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import NO_SUBMAP, Labels
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.topology.regions import NOBODY, Regions, divide
+from specmap_cli.topology.shapes import Outline, kind_of, outline_of
+from tests.exports.consumers import consumer
+
+
+def rectangle(width: float, height: float) -> FloatArray:
+    return np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "kind"),
+    [
+        (5.0, 4.0, "room"),
+        (2.0, 2.0, "room"),
+        (6.0, 2.5, "room"),
+        (7.0, 6.5, "room"),
+        (12.0, 4.0, "room"),
+        (10.0, 2.0, "corridor"),
+        (1.5, 6.2, "corridor"),
+        (1.5, 5.8, "room"),
+        (40.0, 3.0, "corridor"),
+        (8.0, 8.0, "hall"),
+        (30.0, 5.0, "hall"),
+        (60.0, 40.0, "hall"),
+    ],
+)
+def test_rectangles(width: float, height: float, kind: str) -> None:
+    assert kind_of(rectangle(width, height)) == kind
+
+
+def test_a_corridor_may_bend_and_branch() -> None:
+    bent = np.array([[0, 0], [8, 0], [8, 2], [2, 2], [2, 9], [0, 9]], dtype=np.float64)
+    tee = np.array([[0, 0], [9, 0], [9, 2], [5.5, 2], [5.5, 7], [3.5, 7], [3.5, 2], [0, 2]])
+    assert kind_of(bent) == "corridor"
+    assert kind_of(tee) == "corridor"
+
+
+def test_furniture_along_the_walls_makes_no_corridor_of_a_room() -> None:
+    """Shelves 0.5 m apart stand out from both long walls of 6 m x 5 m."""
+    lower = [
+        (x, y) for k in range(6) for x, y in ((k, 0), (k + 0.5, 0), (k + 0.5, 1.5), (k + 1, 1.5))
+    ]
+    upper = [(6 - x, 5 - y) for x, y in lower]
+    assert kind_of(np.array([*lower, (6, 0), *upper, (0, 5)], dtype=np.float64)) == "room"
+
+
+@pytest.mark.parametrize("shape", [np.zeros((0, 2)), np.zeros((2, 2)), np.zeros((5, 2))])
+def test_what_has_no_area_has_no_kind(shape: FloatArray) -> None:
+    assert kind_of(shape) is None
+    assert kind_of(rectangle(9.0, 0.05)) is None
+
+
+def test_the_work_does_not_grow_with_the_size() -> None:
+    assert kind_of(rectangle(1e7, 1e7)) == "hall"
+
+
+@given(
+    st.sampled_from([(4.0, 4.0), (12.0, 2.0), (9.0, 9.0)]),
+    st.floats(-math.pi, math.pi),
+    st.floats(-50.0, 50.0),
+)
+def test_it_does_not_hang_on_where_the_shape_lies(
+    sides: tuple[float, float], turn: float, shift: float
+) -> None:
+    shape = rectangle(*sides)
+    assert kind_of(Pose2(shift, -shift, turn).apply(shape)) == kind_of(shape)
+
+
+def grid_of(picture: list[str], resolution: float = 0.5) -> GridMap:
+    """Free cells where a `.` is, the first line being the highest y."""
+    cells = [[FREE if letter == "." else UNKNOWN for letter in line] for line in picture[::-1]]
+    return GridMap(np.array(cells, dtype=np.uint8), resolution, (10.0, -4.0))
+
+
+def outline(grid: GridMap) -> Outline:
+    """The outline of all free cells."""
+    return outline_of(grid.free, grid)
+
+
+def area(polygon: NDArray[Any]) -> float:
+    x, y = polygon.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+
+
+def test_a_rectangle() -> None:
+    grid = GridMap(np.full((20, 30), FREE, dtype=np.uint8), 0.1, (1.0, 2.0))
+    shape = outline(grid)
+    assert shape.area_m2 == pytest.approx(6.0)
+    assert len(shape.polygon) == 4
+    assert area(shape.polygon) == pytest.approx(6.0, rel=0.06)  # counter-clockwise: positive
+    assert shape.polygon.min(axis=0) == pytest.approx((1.0, 2.0), abs=0.05)
+    assert shape.polygon.max(axis=0) == pytest.approx((4.0, 4.0), abs=0.05)
+    assert shape.centroid == pytest.approx((2.5, 3.0), abs=0.06)
+
+
+def test_the_centroid_lies_inside_an_l() -> None:
+    shape = outline(grid_of(["...     ", "...     ", "...     ", "........", "........"]))
+    assert shape.centroid is not None
+    inside = cv2.pointPolygonTest(
+        shape.polygon.astype(np.float32), tuple(shape.centroid.tolist()), False
+    )
+    assert inside > 0
+
+
+def test_the_polygon_is_that_of_the_largest_part() -> None:
+    shape = outline(grid_of(["....  .", "....   ", "      ."]))
+    assert shape.area_m2 == pytest.approx(10 * 0.25)
+    assert shape.polygon[:, 0].max() < 12.1
+    assert shape.polygon[:, 1].min() > -3.6
+
+
+@pytest.mark.parametrize("picture", [["."], ["...."], [".", "."]])
+def test_thin_regions_keep_an_area(picture: list[str]) -> None:
+    shape = outline(grid_of(picture))
+    assert len(shape.polygon) >= 3
+    assert area(shape.polygon) > 0
+
+
+def test_a_polygon_does_not_cross_itself() -> None:
+    """Ragged regions; with fewer corners some of their contours would."""
+    shapely = consumer("shapely")
+    for seed in range(200):
+        ragged = cv2.blur(np.random.default_rng(seed).random((30, 30)), (3, 3)) > 0.5
+        grid = GridMap(np.where(ragged, FREE, OCCUPIED).astype(np.uint8), 0.05)
+        assert shapely.Polygon(outline(grid).polygon).is_valid, seed
+
+
+def test_nothing_free() -> None:
+    shape = outline(grid_of(["  ", "  "]))
+    assert (len(shape.polygon), shape.centroid, shape.area_m2) == (0, None, 0.0)
+
+
+def labels_at(places: dict[int, tuple[float, float]]) -> Labels:
+    """One keyframe in each submap."""
+    poses = np.array([(x, y, 0.0) for x, y in places.values()])
+    return Labels(stamps_ns=np.arange(len(places)), poses=poses, submaps=np.array(list(places)))
+
+
+def test_shared_cells_go_to_the_nearest_keyframe() -> None:
+    grid = GridMap(np.full((4, 10), FREE, dtype=np.uint8), 1.0)
+    regions = divide(grid, labels_at({3: (1.5, 1.5), 5: (8.5, 1.5)}))
+    assert (regions.owner[:, :4] == 3).all()
+    assert (regions.owner[:, 6:] == 5).all()
+    assert set(np.unique(regions.owner)) == {3, 5}
+
+
+def test_near_is_on_foot_not_through_a_wall() -> None:
+    cells = np.full((30, 41), FREE, dtype=np.uint8)
+    cells[:24, 20] = OCCUPIED  # a wall with an opening at the far end
+    grid = GridMap(cells, 1.0)
+    regions = divide(grid, labels_at({0: (18.5, 1.5), 1: (39.5, 28.5)}))
+    assert (regions.owner[:4, :20] == 0).all()
+    assert (regions.owner[:4, 21:] == 1).all()  # nearer to keyframe 0 as the crow flies
+
+
+def test_on_foot_leads_through_no_slit_of_a_railing() -> None:
+    cells = np.full((80, 120), FREE, dtype=np.uint8)
+    cells[:60, 60] = OCCUPIED  # a railing with a way round it at the far end
+    cells[5:60:6, 60] = FREE
+    regions = divide(GridMap(cells, 0.05), labels_at({0: (2.7, 0.5), 1: (3.7, 3.7)}))
+    assert (regions.owner[:20, :60] == 0).all()
+    assert (regions.owner[:20, 61:] == 1).all()  # as near as can be to keyframe 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_regions_are_connected_and_hold_their_keyframes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cells = np.where(rng.random((60, 80)) < 0.04, OCCUPIED, FREE).astype(np.uint8)
+    grid = GridMap(cells, 0.1)
+    places = {id_: tuple(rng.uniform((0.2, 0.2), (7.8, 5.8))) for id_ in range(6)}
+    regions = divide(grid, labels_at(places))
+    for id_, place in places.items():
+        row, column = grid.cells_of(np.array([place]))[0]
+        region = regions.owner == id_
+        assert region[row, column] or cells[row, column] == OCCUPIED
+        count, _, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8))
+        largest = stats[1:, cv2.CC_STAT_AREA].max() if count > 1 else 0
+        assert largest >= 0.97 * region.sum()
+    owned = regions.owner != NOBODY
+    assert (owned <= grid.free).all()
+    assert owned.sum() > 0.97 * grid.free.sum()
+
+
+def test_what_no_keyframe_reaches_is_nobodys() -> None:
+    cells = np.full((9, 20), FREE, dtype=np.uint8)
+    cells[:, 10] = OCCUPIED
+    regions = divide(GridMap(cells, 1.0), labels_at({0: (3.0, 3.0)}))
+    assert (regions.owner[:, :10] == 0).all()
+    assert (regions.owner[:, 10:] == NOBODY).all()
+
+
+def test_specks_behind_a_wall_are_not_reached() -> None:
+    cells = np.full((20, 30), FREE, dtype=np.uint8)
+    cells[:, 20], cells[:, 22:] = OCCUPIED, UNKNOWN
+    regions = divide(GridMap(cells, 0.05), labels_at({0: (0.3, 0.3)}))
+    assert (regions.owner[:, :20] == 0).all()
+    assert (regions.owner[:, 20:] == NOBODY).all()
+
+
+def test_thin_rays_are_not_reached() -> None:
+    """What single beams carved through a gap is no part of a room."""
+    cells = np.full((40, 120), UNKNOWN, dtype=np.uint8)
+    cells[5:35, 5:35] = FREE
+    cells[20, 35:110] = FREE
+    regions = divide(GridMap(cells, 0.05), labels_at({0: (1.0, 1.0)}))
+    assert (regions.owner[5:35, 5:35] == 0).all()
+    assert (regions.owner[20, 45:110] == NOBODY).all()
+
+
+def test_a_doorway_of_half_a_metre_is_gone_through() -> None:
+    cells = np.full((40, 70), FREE, dtype=np.uint8)
+    cells[:, 35] = OCCUPIED
+    cells[15:25, 35] = FREE
+    regions = divide(GridMap(cells, 0.05), labels_at({0: (1.0, 1.0)}))
+    assert (regions.owner[cells == FREE] == 0).all()
+
+
+def test_where_the_robot_stood_is_reached_even_when_marked_occupied() -> None:
+    cells = np.full((9, 20), FREE, dtype=np.uint8)
+    cells[4, 4] = OCCUPIED
+    regions = divide(GridMap(cells, 1.0), labels_at({0: (4.5, 4.5)}))
+    assert regions.outline(0).area_m2 == 9 * 20 - 1
+
+
+def test_no_keyframes_and_keyframes_off_the_grid() -> None:
+    grid = GridMap(np.full((4, 4), FREE, dtype=np.uint8), 1.0)
+    for labels in (labels_at({0: (100.0, 0.0)}), labels_at({NO_SUBMAP: (1.0, 1.0)})):
+        assert (divide(grid, labels).owner == NOBODY).all()
+
+
+def test_a_region_without_a_cell_has_no_outline() -> None:
+    grid = GridMap(np.full((2, 2), FREE, dtype=np.uint8), 1.0)
+    regions = Regions.of(grid, np.array([[0, 0], [NOBODY, 2]]))
+    assert sorted(regions.outlines) == [0, 2]
+    assert regions.outline(1).centroid is None
