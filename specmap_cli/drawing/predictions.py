@@ -156,10 +156,7 @@ def _has_room(id_: int, middle: FloatArray, taken: list[tuple[int, FloatArray]])
 
 
 def render_confusion(
-    matrix: NDArray[Any],
-    names: Sequence[str],
-    predicted_names: Sequence[str] | None = None,
-    title: str = "Confusion",
+    matrix: NDArray[Any], names: Sequence[str], predicted_names: Sequence[str] | None = None
 ) -> Image:
     """Counts `matrix` (k, m), a row per true submap, a column per prediction; BGR (H, W, 3).
 
@@ -173,7 +170,7 @@ def render_confusion(
     table = _Table.of(list(names), columns)
     width = max(table.right + _COUNTS + _MARGIN, _NARROWEST)
     canvas = Canvas(width, table.top + table.cell * len(names) + _MARGIN)
-    canvas.text(_MARGIN, 46, title, 20, bold=True)
+    canvas.text(_MARGIN, 46, "Confusion", 20, bold=True)
     canvas.text(
         _MARGIN, 80, "row: where it was;  column: what was said;  percent of the row", 13, QUIET
     )

@@ -104,13 +104,12 @@ def search_everywhere(
     count: int = PLACES,
     step: float = PLACES_STEP_M,
     angle_step: float | None = None,
-    apart: float = APART_M,
 ) -> list[Match]:
     """The best `count` poses of points (N, 2) anywhere on the field at any angle, best first.
 
     A correlation by Fourier transform per angle, on the field pooled to cells of about `step`
     metres: no guess is needed, drift of any size does not matter. The poses are good to about a
-    step and are at least `apart` metres (or 0.3 rad) from each other; follow with `search` over
+    step and are at least a metre (or 0.3 rad) from each other; follow with `search` over
     +- a step, or `refine`. Scores are upper bounds, pooled.
     """
     if not len(points):
@@ -124,7 +123,7 @@ def search_everywhere(
     centres: list[Pose2] = []
     for score, x, y, angle in found:
         centre = Pose2(x, y, wrap_angle(angle))
-        if all(_differ(centre, other, apart) for other in centres):
+        if all(_differ(centre, other) for other in centres):
             centres.append(centre)
             kept.append(
                 Match(centre @ Pose2(-float(middle[0]), -float(middle[1]), 0.0), min(1.0, score))
@@ -150,31 +149,24 @@ def refine(
     return Match(pose, field.score(points, pose))
 
 
-def covariance(
-    field: ScoreField,
-    points: NDArray[Any],
-    pose: Pose2,
-    temperature: float = SPREAD_TEMPERATURE,
-    distance_m: float = SPREAD_M,
-    angle_rad: float = SPREAD_RAD,
-) -> FloatArray:
+def covariance(field: ScoreField, points: NDArray[Any], pose: Pose2) -> FloatArray:
     """Covariance (3, 3) of a match, of the score surface around `pose` (Olson 2009, section III).
 
-    Poses on a lattice of +-`distance_m` and +-`angle_rad` are weighted by
-    exp((score - best) / `temperature`): a corridor comes out long along its axis. Coordinates are
+    Poses on a lattice of +-`SPREAD_M` and +-`SPREAD_RAD` are weighted by
+    exp((score - best) / `SPREAD_TEMPERATURE`): a corridor comes out long along its axis. Coordinates are
     x, y and theta of the pose in the field's frame.
     """
     window = Window(
-        distance_m=distance_m,
-        angle_rad=angle_rad,
-        step_m=max(distance_m / _SPREAD_STEPS, field.resolution),
-        angle_step_rad=angle_rad / _SPREAD_STEPS,
+        distance_m=SPREAD_M,
+        angle_rad=SPREAD_RAD,
+        step_m=max(SPREAD_M / _SPREAD_STEPS, field.resolution),
+        angle_step_rad=SPREAD_RAD / _SPREAD_STEPS,
     )
     shifts, angles = _lattice(points, window, field.resolution)
     poses = np.concatenate([np.column_stack([shifts, np.full(len(shifts), a)]) for a in angles])
     lattice = _lattice_scores(field, points, pose, shifts, angles)
     scores = np.concatenate([row for _, row in lattice])
-    below = ((scores - scores.max()) / temperature).tolist()
+    below = ((scores - scores.max()) / SPREAD_TEMPERATURE).tolist()
     weights = np.array([math.exp(each) for each in below])  # NumPy's exp depends on the processor
     weights /= weights.sum()
     centred = poses - (weights[:, None] * poses).sum(axis=0)
@@ -265,10 +257,10 @@ def _everywhere(
     return sorted(found, key=lambda place: (-place[0], place[1:]))
 
 
-def _differ(a: Pose2, b: Pose2, apart: float) -> bool:
+def _differ(a: Pose2, b: Pose2) -> bool:
     """Whether two poses are two different answers."""
     turn = abs(wrap_angle(a.theta - b.theta))
-    return math.hypot(a.x - b.x, a.y - b.y) >= apart or turn >= _APART_RAD
+    return math.hypot(a.x - b.x, a.y - b.y) >= APART_M or turn >= _APART_RAD
 
 
 def observability(points: FloatArray, range_noise_m: float) -> FloatArray:

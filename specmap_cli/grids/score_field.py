@@ -89,21 +89,18 @@ class ScoreField:
         resolution: float = CELL_M,
         sigma: float = SIGMA_M,
         max_side: float = LARGEST_SIDE_M,
-        middle: tuple[float, float] | None = None,
     ) -> ScoreField:
         """The field of obstacle points (N, 2), metres.
 
         The grid covers all points if they spread over no more than `max_side` metres in x and in y,
-        else those within half of that from `middle`, or from their median. So a stray point
+        else those within half of that from their median. So a stray point
         kilometres away costs neither time nor memory. But walls beyond do not count either: what
         is matched there scores 0. `left_out` of the result says how many points that were.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         cells = PointCells.of(points, resolution)
-        if middle is None:
-            x, y = np.median(points, axis=0).tolist() if cells.spread > max_side else (0.0, 0.0)
-            middle = (x, y)
-        return cls.from_cells([cells], sigma, max_side, middle)
+        x, y = np.median(points, axis=0).tolist() if cells.spread > max_side else (0.0, 0.0)
+        return cls.from_cells([cells], sigma, max_side, (x, y))
 
     @classmethod
     def from_cells(

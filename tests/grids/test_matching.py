@@ -20,6 +20,7 @@ from specmap_cli.grids.matching import (
 )
 from specmap_cli.grids.score_field import ScoreField
 from tests.strategies import few, seeds
+from tests.turning import turn
 
 WIDE = Window(distance_m=1.0, angle_rad=0.3, step_m=0.1)
 NARROW = Window(distance_m=0.3, angle_rad=0.1, step_m=0.1)
@@ -67,7 +68,7 @@ def test_a_scan_is_found_without_a_guess(
 
 
 def test_places_found_everywhere_are_apart(field: ScoreField, room: FloatArray) -> None:
-    matches = search_everywhere(field, room[::2], count=4, apart=1.0)
+    matches = search_everywhere(field, room[::2], count=4)
     for k, a in enumerate(matches):
         for b in matches[:k]:
             centre = room[::2].mean(axis=0)[None, :]
@@ -154,13 +155,14 @@ def test_covariance_is_that_of_weights_summed_pose_by_pose(seed: int) -> None:
     resolution = 0.0625
     field = ScoreField.from_points(rng.uniform(-2.0, 2.0, (60, 2)), resolution)
     points, pose = rng.uniform(-1.5, 1.5, (25, 2)), Pose2(*rng.uniform(-0.5, 0.5, 3).tolist())
-    reach, turn = 6 * resolution, 0.06
-    window = Window(distance_m=reach, angle_rad=turn, step_m=resolution)
+    reach, angle = 6 * resolution, 0.06
+    window = Window(distance_m=reach, angle_rad=angle, step_m=resolution)
     offsets = np.array(lattice(window, resolution, 6))
     scores = np.array([field.score(points, Pose2(*(pose + o).tolist())) for o in offsets])
     weights = np.exp((scores - scores.max()) / 0.05)
     expected = np.cov(offsets.T, aweights=weights, ddof=0)
-    found = covariance(field, points, pose, 0.05, reach, turn)
+    turn("grids", spread_temperature=0.05, spread_m=reach, spread_rad=angle)
+    found = covariance(field, points, pose)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9)
 
 

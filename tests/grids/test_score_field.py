@@ -34,7 +34,8 @@ def test_values_are_those_of_the_distance_to_the_nearest_point(room: FloatArray)
 @pytest.mark.parametrize("longest", [100.0, 5.0])
 def test_walls_in_parts_make_the_field_of_all(room: FloatArray, longest: float) -> None:
     parts = [room[:40], np.zeros((0, 2)), room[40:] + (0.3, -2.0), np.array([[9.0, 2.0]])]
-    whole = ScoreField.from_points(np.vstack(parts), 0.075, 0.1, longest, (0.5, 0.2))
+    together = PointCells.of(np.vstack(parts), 0.075)
+    whole = ScoreField.from_cells([together], 0.1, longest, (0.5, 0.2))
     cells = [PointCells.of(part, 0.075) for part in parts]
     field = ScoreField.from_cells(cells, 0.1, longest, (0.5, 0.2))
     assert np.array_equal(field.values, whole.values)
