@@ -153,8 +153,8 @@ def covariance(field: ScoreField, points: NDArray[Any], pose: Pose2) -> FloatArr
     """Covariance (3, 3) of a match, of the score surface around `pose` (Olson 2009, section III).
 
     Poses on a lattice of +-`SPREAD_M` and +-`SPREAD_RAD` are weighted by
-    exp((score - best) / `SPREAD_TEMPERATURE`): a corridor comes out long along its axis. Coordinates are
-    x, y and theta of the pose in the field's frame.
+    exp((score - best) / `SPREAD_TEMPERATURE`): a corridor comes out long along its axis.
+    Coordinates are x, y and theta of the pose in the field's frame.
     """
     window = Window(
         distance_m=SPREAD_M,
