@@ -182,24 +182,12 @@ def test_there_is_one_unknown(unknown: int | None) -> None:
     assert found.accuracy == pytest.approx(2 / 3)
 
 
-def test_a_class_never_called_has_no_precision_and_one_never_visited_has_no_score() -> None:
-    found = classification_scores([0, 0, 1], [1, 1, 1], [0, 1, 2])
-    assert found.precision_of == {0: 0.0, 1: pytest.approx(1 / 3)}
-    assert found.recall_of == {0: 0.0, 1: 1.0}
-    assert found.recall == 0.5
-
-
 @pytest.mark.parametrize("ids", [[], [0, 1]])
 def test_nothing_scored_scores_nought(ids: list[int]) -> None:
     found = classification_scores([], [], ids)
     assert found.confusion.shape == (len(ids), len(ids) + 1)
     assert found.as_dict() == {"recall": 0.0, "precision": 0.0, "accuracy": 0.0, "scans": 0}
     assert len(score_lines(found)) == 2
-
-
-def test_every_scan_needs_a_prediction() -> None:
-    with pytest.raises(ValueError, match="shorter"):
-        classification_scores([0, 1], [0], [0, 1])
 
 
 def test_figures_have_six_decimals_and_are_json() -> None:

@@ -303,21 +303,6 @@ def test_small_obstacles_are_those_taken_piece_by_piece(
     np.testing.assert_array_equal(found & ~undecided, taken & ~undecided)
 
 
-def test_noise_does_not_tip_whether_a_cupboard_is_furniture() -> None:
-    """It is as thick as furniture has to be, and noise ate a notch and a hole into it."""
-    free = np.ones((60, 60), dtype=bool)
-    free[20:40, 20:28] = False
-    free[20:26, 20:22] = free[30:33, 23:25] = True
-    assert small_obstacles(free, 8.0, 25.0, 8.0).sum() == 20 * 8 - 12 - 6
-
-
-def test_walls_that_meet_are_no_furniture_however_thick_their_corner() -> None:
-    free = np.ones((60, 60), dtype=bool)
-    free[20:40, 20:25] = free[20:25, 20:42] = False
-    free[20:28, 20:28] = False
-    assert not small_obstacles(free, 8.0, 25.0, 8.0).any()
-
-
 @pytest.mark.parametrize(("shape", "taken"), [((20, 10), True), ((20, 3), False)])
 def test_a_table_is_furniture_and_a_piece_of_wall_as_long_is_not(
     shape: tuple[int, int], taken: bool

@@ -165,16 +165,6 @@ def test_unknown_cells_are_as_closed_as_walls(office: GridMap) -> None:
     np.testing.assert_array_equal(segment(unknown, DEFAULT).labels, segment(office, DEFAULT).labels)
 
 
-def test_where_the_map_lies_in_the_world_moves_the_nodes_and_nothing_else(
-    two_rooms: GridMap,
-) -> None:
-    here = segment(two_rooms, DEFAULT)
-    there = segment(GridMap(two_rooms.cells, two_rooms.resolution, (-70.0, 12.5)), DEFAULT)
-    np.testing.assert_array_equal(here.labels, there.labels)
-    np.testing.assert_array_equal(here.pairs, there.pairs)
-    np.testing.assert_allclose(here.nodes + (-70.0, 12.5), there.nodes)
-
-
 @pytest.mark.parametrize("turn", [0, 1, 2, 3])
 def test_nodes_keep_clear_of_walls_and_see_each_other(office: GridMap, turn: int) -> None:
     turned = GridMap(np.ascontiguousarray(np.rot90(office.cells, turn)), office.resolution)

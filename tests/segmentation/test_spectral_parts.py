@@ -120,12 +120,6 @@ def test_eigenpairs_are_those_of_a_dense_solver(size: int) -> None:
         np.testing.assert_array_equal(same_vectors, vectors)
 
 
-def test_kmeans_of_one_cluster_or_equal_rows() -> None:
-    rows = np.tile([1.0, 0.0], (6, 1))
-    assert not kmeans_unit(rows, 1, [0]).any()
-    assert len(np.unique(kmeans_unit(rows, 3, [0]))) == 1
-
-
 @given(seed=seeds)
 @few(15)
 def test_clusters_are_the_groups_whatever_the_order_of_the_nodes(seed: int) -> None:
@@ -231,16 +225,6 @@ def test_a_level_that_no_eigenvalue_passes_leaves_one_cluster() -> None:
     found = clusters_of(L, degrees, 1.0 + 1e-6)
     assert found.used == 1
     assert not found.labels.any()
-
-
-@given(seed=seeds, factor=st.sampled_from([0.01, 3.0, 250.0]))
-def test_eq_1_does_not_change_with_the_unit_of_length(seed: int, factor: float) -> None:
-    graph = blobs(seed, each=6)
-    here, there = (
-        similarity(lengths, graph.pairs, local_scales(lengths, graph.pairs, 18), 18).toarray()
-        for lengths in (graph.lengths, factor * graph.lengths)
-    )
-    np.testing.assert_allclose(here, there, rtol=1e-9)
 
 
 def test_scales_of_nodes_that_see_no_other_are_one() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -181,18 +181,6 @@ def test_scans_in_a_row_are_those_cast_one_by_one(hall: World) -> None:
     for k in (0, 63, 64, 65, 128, 199):
         (alone,) = laser.scans(hall, turning, times[k : k + 1], rng)
         np.testing.assert_array_equal(together[k], alone)
-
-
-def test_beam_times_spread_over_the_sweep() -> None:
-    times = laser_of(np.pi, 5, sweep_s=0.2).beam_times_s
-    np.testing.assert_allclose(times, [0.0, 0.05, 0.1, 0.15, 0.2])
-    assert not laser_of(np.pi, 5).beam_times_s.any()
-
-
-def test_errors_are_scaled_each_by_itself() -> None:
-    once, twice = asdict(OdometryErrors()), asdict(OdometryErrors().times(2.0))
-    assert min(once.values()) > 0.0
-    assert twice == {name: 2.0 * error for name, error in once.items()}
 
 
 def test_wheels_slip_less_sideways_than_along() -> None:
