@@ -18,8 +18,8 @@ from fuzz.record_changes import change_records
 from fuzz.row_changes import change_rows
 from fuzz.seeds import Seeds
 from fuzz.token_changes import change_tokens
+from specmap_cli.logs.readers.encoding import SCAN_TYPES
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.readers.typestore import SCAN_TYPES
 
 MAP_EVERY, BUILD_EVERY, CONVERT_EVERY = 20, 20, 20  # every so many cases
 KEEPERS = ("compare", "update", "merge", "edit", "like")  # what maps that are kept go through

@@ -18,9 +18,14 @@ from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.serde import SerdeError
 
 from fuzz.bag_records import closed_to_active
-from specmap_cli.logs.readers.encoding import message_definition
+from specmap_cli.logs.readers.encoding import (
+    LASER_SCAN,
+    ODOMETRY,
+    SUPPORTED_TYPES,
+    message_definition,
+    typestore,
+)
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.readers.typestore import LASER_SCAN, ODOMETRY, SUPPORTED_TYPES, typestore
 
 _CHUNK_BYTES = 1500  # some four scans
 _LAST_BAG_NS = ((1 << 32) - 1) * 10**9  # seconds are told in 32 bits

@@ -12,22 +12,20 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.logs.readers.encoding import (
-    cloud_cdr,
-    in_space,
-    odometry_cdr,
-    scan_cdr,
-    transform_cdr,
-)
-from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.readers.typestore import (
     LASER_SCAN,
     MULTI_ECHO,
     ODOMETRY,
     POINT_CLOUD,
     TF_MESSAGE,
+    cloud_cdr,
+    in_space,
     message_class,
+    odometry_cdr,
+    scan_cdr,
+    transform_cdr,
     typestore,
 )
+from specmap_cli.logs.readers.recording import Message
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
 
 SCAN_TOPIC = "/scan"

@@ -19,10 +19,11 @@ from specmap_cli.core.errors import SpecmapError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.exports.table import export_map, exporters
 from specmap_cli.logs import open_log
-from specmap_cli.logs.readers.typestore import SCAN_TYPES
+from specmap_cli.logs.readers.encoding import SCAN_TYPES
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.pipelines.kept_map import seen_of_stored
+from specmap_cli.pipelines.map_in_making import laid_out_of_stored
+from specmap_cli.pipelines.overlaps import known_map
 
 CODES = {0, 2, 3, 4}  # that a command may end with on a damaged input; 1 is a bug
 _LEFT_OUT = ("unusable_scans", "other_sensor", "unusable_odometry")  # counts of a stream
@@ -320,7 +321,8 @@ def _in_keyframes(stored: StoredMap) -> int:
 
 
 def _in_layout(stored: StoredMap) -> int:
-    return len(seen_of_stored(stored).kept.layout.poses)
+    known_map(stored)
+    return len(laid_out_of_stored(stored).layout.poses)
 
 
 # What a map is read for, and how many keyframes that tells of.

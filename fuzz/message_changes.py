@@ -14,14 +14,14 @@ import numpy as np
 from rosbags.serde import SerdeError
 
 from fuzz.changes import replaced
-from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.readers.typestore import (
+from specmap_cli.logs.readers.encoding import (
     LASER_SCAN,
     ODOMETRY,
     POINT_CLOUD,
     TF_MESSAGE,
     typestore,
 )
+from specmap_cli.logs.readers.recording import Message
 
 _FLOATS = (
     math.nan,

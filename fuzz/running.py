@@ -114,9 +114,9 @@ def prepare() -> None:
 
 def preload() -> None:
     """Import what the commands import late, so that every worker runs the same program."""
-    for module in ("build", "localize", "localization_report"):
+    for module in ("build", "localize"):
         import_module(f"specmap_cli.pipelines.{module}")
-    import_module("specmap_cli.logs.convert")
+    import_module("specmap_cli.logs.writer")
     import_module("specmap_cli.logs.inspection")
 
 

@@ -9,7 +9,7 @@ from specmap_cli.core.config import load_config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.build import build_map
-from specmap_cli.pipelines.run_record import BuildReport
+from specmap_cli.pipelines.reports import BuildReport
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.simulation.simulator import SimulationOptions
 

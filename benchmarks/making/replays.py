@@ -14,7 +14,7 @@ from benchmarks.making.recordings import mount, write_scan
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs import Message, open_log
-from specmap_cli.logs.readers.typestore import typestore
+from specmap_cli.logs.readers.encoding import typestore
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
 

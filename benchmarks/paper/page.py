@@ -13,8 +13,8 @@ from benchmarks.paper.blocks import Block, Found, Picture, Table
 from benchmarks.paper.cases import FREIBURG, LACKING, STATA, Cases
 from benchmarks.paper.charts import drawn
 from benchmarks.paper.parts import Part
-from specmap_cli.report.colours import tones
-from specmap_cli.report.pouring import page_parts, poured
+from specmap_cli.report.html import html_page
+from specmap_cli.report.svg import tones
 
 _PACKAGE = "benchmarks.paper"
 _MOST_DOTS = 120  # of a line: more of them hide it
@@ -48,7 +48,6 @@ def render(parts: Sequence[Done], cases: Cases, command: str) -> str:
         "command": command,
         "tones": tones(()),
         "most_dots": _MOST_DOTS,
-        **page_parts(_PACKAGE, (), ("page.css", "parts.css", "paper.css")),
     }
     filters: dict[str, Callable[..., Any]] = {
         "image": image,
@@ -56,7 +55,8 @@ def render(parts: Sequence[Done], cases: Cases, command: str) -> str:
         "drawn": drawn,
         "lacking": lacking,
     }
-    return poured(_PACKAGE, "paper.html", context, filters)
+    styles = ("page.css", "parts.css", "paper.css")
+    return html_page(_PACKAGE, "paper.html", context, styles, filters=filters)
 
 
 def image(picture: Picture) -> str:

@@ -23,7 +23,7 @@ from specmap_cli.evaluation.semantic import (
     kinds_of,
     semantic_scores,
 )
-from specmap_cli.recognition.learning.sensor import Sensor
+from specmap_cli.recognition.learning.classifiers import Sensor
 
 _RATE_HZ = 2.0  # of the scans to learn from: enough of every place
 

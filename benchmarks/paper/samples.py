@@ -20,7 +20,7 @@ from specmap_cli.evaluation.protocols import (
 )
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.sets import scans_features
-from specmap_cli.recognition.learning.one_vs_all import OneVsAll
+from specmap_cli.recognition.learning.boosting import OneVsAll
 
 
 @dataclass(frozen=True, slots=True)

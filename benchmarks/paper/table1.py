@@ -16,10 +16,8 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.evaluation.protocols import HoldOut
-from specmap_cli.recognition.features import point_pairs, profile, shape, table1
-from specmap_cli.recognition.learning.boosting import StumpBoost
-from specmap_cli.recognition.learning.looks import feature_shares
-from specmap_cli.recognition.learning.one_vs_all import OneVsAll
+from specmap_cli.recognition.features import point_pairs, shape, table1
+from specmap_cli.recognition.learning.boosting import OneVsAll, StumpBoost, feature_shares
 
 ROUNDS = 100  # of classifiers learned without a group: all of them together take a minute
 _GROUPS = (
@@ -67,7 +65,7 @@ def make(workshop: Workshop) -> list[Block]:
             "Table I, all twelve groups": table1.GROUPS,
             "finer distances, pieces of the outline, cut ranges": shape.GROUPS,
             "pairs of wall points by distance and angle": point_pairs.GROUPS,
-            "quantiles, rings and harmonics of the ranges": profile.GROUPS,
+            "quantiles, rings and harmonics of the ranges": shape.PROFILE_GROUPS,
         }
     )
     by_the_paper = {c.name: _tried(c, workshop, papers, the_papers(ROUNDS)) for c in shown}

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from benchmarks.paper.cases import Case, Cases, Drawing
 from specmap_cli.core.config import load_config
-from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.evaluation.protocols import HoldingOut, HoldOut, HoldOutResult, score_hold_out
@@ -17,10 +16,12 @@ from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.pipelines.build import explore
-from specmap_cli.pipelines.exploration import Exploration, Explored
-from specmap_cli.pipelines.finished_map import FinishedMap
+from specmap_cli.pipelines.exploration import Exploration
 from specmap_cli.pipelines.finishing import finish
-from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.laying_out import lay_out
+from specmap_cli.pipelines.learning import Prior
+from specmap_cli.pipelines.map_in_making import Explored, FinishedMap
+from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking, track
 from specmap_cli.segmentation.online import Observer, Occasion
 from specmap_cli.segmentation.splitting import SplitTest
@@ -128,14 +129,15 @@ def _build(
     store: KeyframeStore,
     aside: KeyframeStore,
 ) -> Built:
-    config, clock = load_config(preset=preset), Stopwatch()
+    config = load_config(preset=preset)
+    session = Session(config, store)
     tests: list[Test] = []
     accepts = KeyframeSelector(config.keyframes).accepts
     if held_out is not None:
         accepts = HoldingOut(config.keyframes, held_out, aside).accepts
-    exploration = Exploration(config, store, clock, _noting(tests))
-    explored = explore(recording.scans, exploration, accepts, Silent())
-    finished = finish(explored, recording.tracking, config, store, Silent(), clock)
+    explored = explore(recording.scans, Exploration(session, _noting(tests)), accepts)
+    laid = lay_out(session, explored, recording.tracking, "recording")
+    finished = finish(session, laid, Prior(explored.features))
     return Built(
         config=config,
         store=store,

@@ -15,8 +15,9 @@ from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.closure_matching import Place, place_around, sharpened
 from specmap_cli.layout.relaxation import Constraint
-from specmap_cli.pipelines.exploration import Explored, Regions
-from specmap_cli.pipelines.refutation import constraints_of
+from specmap_cli.pipelines.exploration import Regions
+from specmap_cli.pipelines.laying_out import constraints_of
+from specmap_cli.pipelines.map_in_making import Explored
 from specmap_cli.recognition.closure.verification import tracks_overlap
 from specmap_cli.topology.graph import submap_of_regions
 

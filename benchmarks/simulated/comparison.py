@@ -27,7 +27,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.store import read_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
-from specmap_cli.pipelines.known_maps import align_maps
+from specmap_cli.pipelines.overlaps import align_maps
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import simulation_options
 from specmap_cli.topology.differences import Crossing

@@ -18,12 +18,11 @@ from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figure, Figures, Row
 from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.pipelines.build import explore
 from specmap_cli.pipelines.exploration import Exploration
-from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.session import Session
 from specmap_cli.registration.frontend import FrontEnd
 from specmap_cli.simulation.simulator import simulate_sweeps
 
@@ -69,7 +68,7 @@ def closures_of(name: str, view: float) -> Judged:
             yield front_end.register(sweep)
 
     with KeyframeStore() as store:
-        exploration = Exploration(config, store, Stopwatch(), None)
+        exploration = Exploration(Session(config, store))
         accepts = KeyframeSelector(config.keyframes).accepts
-        explored = explore(scans(), exploration, accepts, Silent())
+        explored = explore(scans(), exploration, accepts)
         return judged(explored, store, np.array([poses[s] for s in store.stamps_ns]))

@@ -21,7 +21,7 @@ from specmap_cli.batch.records import Job, JobRecord, JobResult, Kind, Turn
 from specmap_cli.core.json_values import Record
 from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.core.text import counted
-from specmap_cli.report.words import lasting
+from specmap_cli.report.html import lasting
 
 SCHEMA_VERSION = 1
 

@@ -27,9 +27,8 @@ from specmap_cli.batch.places import PlaceError, path_at, reaching, store_at
 from specmap_cli.batch.records import InputRecord, Job, Step
 from specmap_cli.batch.steps import JOB
 from specmap_cli.core.errors import LogError, SpecmapError, UsageError, reason
-from specmap_cli.logs.opening import looks_like_a_log
+from specmap_cli.logs.opening import known_readers, looks_like_a_log
 from specmap_cli.logs.readers.recording import Recording
-from specmap_cli.logs.readers.table import known_readers
 from specmap_cli.maps.filenames import TOPOLOGY
 
 _SUFFIXES = {".mcap", ".bag", ".db3"}

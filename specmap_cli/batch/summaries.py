@@ -9,16 +9,15 @@ import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import quote
 
 from specmap_cli.batch.records import JobRecord
 from specmap_cli.batch.steps import LOG_TEXT, MAP, REPORT
 from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.core.text import counted
-from specmap_cli.report import words
-from specmap_cli.report.colours import tones
-from specmap_cli.report.pouring import page_parts, poured
+from specmap_cli.report.html import html_page, lasting
+from specmap_cli.report.svg import tones
 
 INDEX = "index.html"
 WAITING = "waiting"
@@ -26,7 +25,6 @@ _MOST = 20  # rows of a table that a person reads
 _PACKAGE = "specmap_cli.batch"
 _SCRIPTS = ("core.js", "tables.js", "batch.js")
 _STYLES = ("page.css", "parts.css", "batch.css", "print.css")
-_FILTERS = ("lasting", "percent", "figure")
 _KM = 1000.0
 _OVERVIEW = f"{MAP}/overview.png"
 # Heads of the table of the page: their words, and how the column is sorted.
@@ -197,7 +195,7 @@ def _totals(rows: Sequence[Row]) -> list[str]:
     verdicts = Counter(row["verdict"] for row in rows if row["verdict"] is not None)
     said = [
         f"{total(rows, 'scans'):,.0f} scans over {total(rows, 'path_m'):,.0f} m in "
-        f"{words.lasting(total(rows, 'wall_s'))} of work"
+        f"{lasting(total(rows, 'wall_s'))} of work"
     ]
     if verdicts:
         said.append("maps: " + ", ".join(f"{verdicts[one]:,} {one}" for one in sorted(verdicts)))
@@ -225,48 +223,39 @@ def _shown(row: Row, column: str) -> str:
     return "" if value is None else f"{value:,}" if isinstance(value, int | float) else value
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    """A row of the page: what is known of a job, and where its files are; None: there is none."""
-
-    row: Row
-    picture: str | None
-    report: str | None
-    log: str | None
-    folder: str | None
-
-    @property
-    def result(self) -> str:
-        """The verdict on the map of a job that is done, else its state."""
-        state = str(self.row["state"])
-        return str(self.row["verdict"] or state) if state == "done" else state
-
-
 def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
     """The page; links go to the folders beside it."""
     entries = [_entry(row, records.get(str(row["name"]))) for row in rows]
     context = {
         "title": headline(rows),
         "entries": entries,
-        "results": sorted({entry.result for entry in entries}),
+        "results": sorted({entry["result"] for entry in entries}),
         "heads": _HEADS,
         "kinds": kinds_of(rows),
         "facts": _facts(rows),
         "tones": tones([]),
         "data": {},
-        **page_parts(_PACKAGE, _SCRIPTS, _STYLES),
     }
-    filters = {name: getattr(words, name) for name in _FILTERS}
-    return poured(_PACKAGE, "batch.html", context, filters).encode()
+    return html_page(_PACKAGE, "batch.html", context, _STYLES, _SCRIPTS).encode()
 
 
-def _entry(row: Row, record: JobRecord | None) -> _Entry:
-    files = set() if record is None else set(record.files)
+def _entry(row: Row, record: JobRecord | None) -> dict[str, Any]:
+    """A row of the page: what is known of a job, and where its files are; None: there is none."""
+    files = {} if record is None else record.files
     base = quote(str(row["name"]), safe="")
-    found = {name: f"{base}/{quote(name)}" for name in (_OVERVIEW, REPORT, LOG_TEXT)}
-    picture, report, log = (link if name in files else None for name, link in found.items())
+
+    def link(name: str) -> str | None:
+        return f"{base}/{quote(name)}" if name in files else None
+
     has_map = any(name.startswith(f"{MAP}/") for name in files)
-    return _Entry(row, picture, report, log, f"{base}/{MAP}/" if has_map else None)
+    return {
+        "row": row,
+        "result": row["verdict"] or row["state"] if row["state"] == "done" else row["state"],
+        "picture": link(_OVERVIEW),
+        "report": link(REPORT),
+        "log": link(LOG_TEXT),
+        "folder": f"{base}/{MAP}/" if has_map else None,
+    }
 
 
 def _facts(rows: Sequence[Row]) -> list[tuple[str, str]]:
@@ -278,7 +267,7 @@ def _facts(rows: Sequence[Row]) -> list[tuple[str, str]]:
         ("doubtful or poor", f"{sum(row['verdict'] in ('doubtful', 'poor') for row in rows):,}"),
         ("scans", f"{total(rows, 'scans'):,.0f}"),
         ("driven", _distance(total(rows, "path_m"))),
-        ("of work", words.lasting(total(rows, "wall_s"))),
+        ("of work", lasting(total(rows, "wall_s"))),
     ]
 
 

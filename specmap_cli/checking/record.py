@@ -1,29 +1,32 @@
-"""What `specmap check --json` prints: every rule, and every figure of the map.
+"""What a check found: every rule and every figure of the map, for a machine, a person and a CI.
 
-These models are the format. `check.schema.json` beside this file is the same as JSON Schema, for
-other tools. After a change of the models, `python -m specmap_cli.checking.record` prints the new
-one.
+The models are the format of `specmap check --json`. `check.schema.json` beside this file is the
+same as JSON Schema, for other tools. After a change of the models,
+`python -m specmap_cli.checking.record` prints the new one.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from typing import Literal
 
 from pydantic import Field
 
+from specmap_cli.core import tables
 from specmap_cli.core.json_values import Record
 from specmap_cli.core.schemas import ModelSchema
+from specmap_cli.core.tables import Case, markdown_table, markdown_text
+from specmap_cli.core.text import counted, legible
 
 SCHEMA_VERSION = 1
-
-RuleName = str
+_SIGNS = {"most": "<=", "least": ">="}
 
 
 class OutcomeRecord(Record):
     """One rule, and whether the map keeps it."""
 
-    rule: RuleName = Field(description="name of the figure that has a bound")
+    rule: str = Field(description="name of the figure that has a bound")
     bound: Literal["most", "least"] = Field(description="on which side it is bounded")
     limit: float | str = Field(description="the bound; a word for the verdict")
     value: float | str | None = Field(description="of the map; null where it is not known")
@@ -43,6 +46,78 @@ class CheckRecord(Record):
         description="every figure that a rule could bound; null where it is not known"
     )
 
+
+def lines_of(record: CheckRecord) -> list[str]:
+    """A line a rule, broken ones with what breaks them; then whether all are kept."""
+    width = max(len(outcome.rule) for outcome in record.rules)
+    rows = [
+        f"  {'ok    ' if outcome.passed else 'BROKEN'}  {outcome.rule:<{width}}  "
+        f"{_value(outcome.value):>8}  {_bound(outcome)}"
+        + (f"  {legible(outcome.detail)}" if outcome.detail else "")
+        for outcome in record.rules
+    ]
+    return [*rows, summary(record)]
+
+
+def summary(record: CheckRecord) -> str:
+    """Whether the map keeps the rules, in a line."""
+    broken = [outcome.rule for outcome in record.rules if not outcome.passed]
+    against = "" if record.against is None else f" against {record.against}"
+    if not broken:
+        return f"{record.map}{against}: keeps {counted(len(record.rules), 'rule')}"
+    return (
+        f"{record.map}{against}: breaks {len(broken)} of "
+        f"{counted(len(record.rules), 'rule')}: {', '.join(broken)}"
+    )
+
+
+def junit(record: CheckRecord) -> bytes:
+    """A test suite with a test case a rule, as CI servers read it."""
+    cases = [_case(outcome) for outcome in record.rules]
+    return tables.junit(f"specmap check {record.map}", record.map, cases)
+
+
+def _case(outcome: OutcomeRecord) -> Case:
+    name = f"{outcome.rule} {_bound(outcome)}"
+    if outcome.passed:
+        return Case(name=name)
+    told = f"{outcome.rule} is {_value(outcome.value)}, allowed is {_bound(outcome)}"
+    return Case(name=name, failure=told, kind="BrokenRule", detail=outcome.detail)
+
+
+def markdown(record: CheckRecord) -> str:
+    """A section with a table for the summary page of a CI: broken rules first."""
+    rows = [
+        (
+            "ok" if one.passed else "**broken**",
+            markdown_text(one.rule),
+            _value(one.value),
+            markdown_text(_bound(one)),
+            markdown_text(one.detail),
+        )
+        for one in sorted(record.rules, key=lambda outcome: outcome.passed)
+    ]
+    table = markdown_table(("", "rule", "value", "bound", ""), rows, {"value"})
+    return "\n".join([f"### {markdown_text(summary(record))}", "", *table, ""])
+
+
+def _bound(outcome: OutcomeRecord) -> str:
+    return f"{_SIGNS[outcome.bound]} {_value(outcome.limit)}"
+
+
+def _value(value: float | str | None) -> str:
+    """A figure, short: four digits tell enough."""
+    if value is None:
+        return "unknown"
+    if isinstance(value, str):
+        return value
+    return f"{value:.0f}" if value == round(value) or abs(value) >= 1e4 else f"{value:.4g}"
+
+
+FORMATS: dict[str, Callable[[CheckRecord], bytes]] = {
+    "junit": junit,
+    "markdown": lambda record: markdown(record).encode(),
+}
 
 SCHEMA = ModelSchema(CheckRecord, "check", SCHEMA_VERSION, "specmap check --json")
 

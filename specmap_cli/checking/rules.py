@@ -25,7 +25,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from specmap_cli.checking.figures import FINDINGS, GOLDEN, MEANINGS, Figures, is_figure
-from specmap_cli.checking.record import CheckRecord, OutcomeRecord, RuleName
+from specmap_cli.checking.record import CheckRecord, OutcomeRecord
 from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.findings import VERDICTS, Verdict, at_least_as_bad
 from specmap_cli.core.toml import TomlFormat, UnfitError, choice, unless
@@ -190,7 +190,7 @@ def _worse(verdict: Verdict, worst: Verdict) -> bool:
 
 
 def _of_figure(
-    name: RuleName, bound: Bound, limit: float, figures: Figures, details: Mapping[str, str]
+    name: str, bound: Bound, limit: float, figures: Figures, details: Mapping[str, str]
 ) -> OutcomeRecord:
     """A figure that is not known keeps no rule; no finding of a code is none of it."""
     value = figures.get(name, 0 if name.startswith(FINDINGS) else None)

@@ -14,7 +14,7 @@ from specmap_cli.cli.targets import keep_inputs
 from specmap_cli.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from specmap_cli.pipelines.wishes import Wishes
+    from specmap_cli.pipelines.edits import RequestedEdits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,26 +102,26 @@ def edit(
     from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.edit import edit_map
 
-    wishes = _wishes(said, changed)
+    requested = _requested(said, changed)
     if out is not None and out.resolve() != map_.resolve():
         keep_inputs([out], [map_])
         if map_.resolve() in out.resolve().parents:
             raise UsageError(f"{out}: is inside the map {map_}: choose another place")
     stored = read_map(map_, settings.load().limits)
     with common.progress() as progress:
-        report = edit_map(stored, wishes, out, overwrite=overwrite, progress=progress)
+        report = edit_map(stored, requested, out, overwrite=overwrite, progress=progress)
     common.show(report.as_dict(), report.lines())
 
 
-def _wishes(said: Said, changed: Changed) -> Wishes:
-    """The options as wishes. Raises UsageError for one that cannot be read."""
-    from specmap_cli.pipelines.wishes import Wishes
+def _requested(said: Said, changed: Changed) -> RequestedEdits:
+    """What the options ask for. Raises UsageError for one that cannot be read."""
+    from specmap_cli.pipelines.edits import RequestedEdits
 
     properties: dict[int, dict[str, Any]] = {}
     for id_, assignment in _pairs("--set-property", said.set_property, "ID KEY=VALUE"):
         key, value = _property(assignment)
         properties.setdefault(_id("--set-property", id_), {})[key] = value
-    return Wishes(
+    return RequestedEdits(
         names={_id("--rename", i): name for i, name in _pairs("--rename", said.rename, "ID NAME")},
         kinds={_id("--kind", i): kind for i, kind in _pairs("--kind", said.kind, "ID KIND")},
         properties=properties,

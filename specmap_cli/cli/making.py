@@ -24,7 +24,7 @@ from specmap_cli.cli.targets import check_files, keep_inputs
 from specmap_cli.core.errors import BROKEN_RULE, UsageError
 
 if TYPE_CHECKING:
-    from specmap_cli.pipelines.meetings import Spread
+    from specmap_cli.pipelines.overlaps import Spread
 
 
 class FailingVerdict(StrEnum):
@@ -87,7 +87,7 @@ def build(
                 logs, out, effective, overwrite=overwrite, progress=progress, explain=explain
             )
         else:
-            from specmap_cli.pipelines.likeness import build_like
+            from specmap_cli.pipelines.update import build_like
 
             report = build_like(logs, like, out, effective, overwrite=overwrite, progress=progress)
     common.show(report.as_dict(), report.lines())

@@ -55,8 +55,7 @@ def localize(
     specmap localize other.mcap --map map --offline --metric --json
     """
     from specmap_cli.maps.store import read_map
-    from specmap_cli.pipelines.localization_report import write_report
-    from specmap_cli.pipelines.localize import localize_log
+    from specmap_cli.pipelines.localize import localize_log, write_report
 
     check_files([out, plot], [*logs, *files_of_maps(map_directory)], common, overwrite=overwrite)
     stored = read_map(map_directory, settings.load().limits)
@@ -143,7 +142,7 @@ def check(
     specmap check map --rules rules.toml --junit check.xml
     specmap check tonight --against golden --markdown summary.md
     """
-    from specmap_cli.checking.reports import FORMATS
+    from specmap_cli.checking.record import FORMATS
     from specmap_cli.checking.rules import read_rules
     from specmap_cli.core.files import write_together
     from specmap_cli.maps.store import read_map

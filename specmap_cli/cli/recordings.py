@@ -79,7 +79,7 @@ def convert(
     specmap convert log.bag -o log.mcap
     specmap convert log.bag log.mcap
     """
-    from specmap_cli.logs.convert import convert as convert_log
+    from specmap_cli.logs.writer import convert as convert_log
 
     logs, target = (paths, out) if out is not None else (paths[:-1], paths[-1])
     if not logs:

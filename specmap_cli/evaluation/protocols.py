@@ -26,8 +26,9 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.filenames import TOPOLOGY
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.build import build_map, map_log
-from specmap_cli.pipelines.finished_map import FinishedMap
 from specmap_cli.pipelines.localize import localize_log
+from specmap_cli.pipelines.map_in_making import FinishedMap
+from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Label, Localizer
@@ -208,7 +209,8 @@ def hold_out(
     ):
         selector = HoldingOut(config.keyframes, options, held_out)
         stream = SweepStream(log, config.log)
-        finished = map_log(stream, config, store, progress, accepts=selector.accepts)
+        session = Session(config, store, progress)
+        finished = map_log(session, stream, accepts=selector.accepts)
         if not len(held_out):
             raise NoResultError("no keyframe was held out: the log is too short for this share")
         return score_hold_out(finished, store, held_out, config)

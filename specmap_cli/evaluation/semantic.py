@@ -32,6 +32,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.pipelines.build import map_log
+from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import feature_names, scans_features
 from specmap_cli.recognition.learning.boosting import StumpBoost
 from specmap_cli.simulation.worlds import RoomTruth
@@ -146,7 +147,7 @@ def room_hallway(
     """
     model = _trained(learned, config, progress)
     with open_log(asked.log, config.log) as log, KeyframeStore() as store:
-        finished = map_log(SweepStream(log, config.log), config, store, progress)
+        finished = map_log(Session(config, store, progress), SweepStream(log, config.log))
         predicted = model.predict(store.scan(k) for k in range(len(store)))
         truth = asked.kinds(np.array(store.stamps_ns, dtype=np.int64))
     return semantic_scores(predicted, truth, finished.labels.submaps, finished.topology.joined)

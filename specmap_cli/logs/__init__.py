@@ -3,8 +3,7 @@
 Other packages may add readers of further formats: see `logs.readers.Recording`.
 """
 
-from specmap_cli.logs.log import Log
-from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.opening import Log, open_log
 from specmap_cli.logs.readers.recording import Message, TopicInfo
 
 __all__ = ["Log", "Message", "TopicInfo", "open_log"]

@@ -15,17 +15,16 @@ from typing import Literal
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.text import nanoseconds
-from specmap_cli.logs.first_scans import LOOK_SCANS
-from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import (
     BadMessageError,
     decode_odometry,
     decode_scan,
     decode_transforms,
 )
+from specmap_cli.logs.opening import Log
+from specmap_cli.logs.readers.encoding import NS_PER_S, TF_MESSAGE
 from specmap_cli.logs.readers.recording import Message, time_text
-from specmap_cli.logs.readers.typestore import NS_PER_S, TF_MESSAGE
-from specmap_cli.logs.sensors import Glimpse, ScanSensor
+from specmap_cli.logs.sensors import LOOK_SCANS, ScanSensor
 
 _ASCENDING_SHARE = 0.25  # share of stamps that must follow the one ahead, or they are of no use
 _ORDER_INTERVAL_S = 0.1  # between scans stamped by order: a usual laser's 10 Hz
@@ -39,18 +38,6 @@ _MOST_MESSAGES = 5_000  # read for them: odometry at 1 kHz for 5 s
 
 OdometryKind = Literal["topic", "tf"]
 TimeSource = Literal["header", "recorder", "order"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OdometrySource:
-    """Where the odometry comes from.
-
-    `kind` is an Odometry topic, or transforms from `frame` to the base, or None: there is none.
-    """
-
-    kind: OdometryKind | None = None
-    topics: tuple[str, ...] = ()
-    frame: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,10 +92,9 @@ class Beside:
         return stamps - (self.scan[1] - self.odometry[1])
 
 
-def choose_clock(glimpses: Sequence[Glimpse], besides: Sequence[Beside]) -> Clock:
-    """The clock of a log from the first scans of its sensor, and the odometry beside them."""
-    stamps = [glimpse.stamp_ns for glimpse in glimpses]
-    times = [glimpse.time_ns for glimpse in glimpses]
+def choose_clock(scans: Sequence[tuple[int, int]], besides: Sequence[Beside]) -> Clock:
+    """The clock of a log by the stamps and times of its sensor's first scans, and the odometry."""
+    stamps, times = [stamp for stamp, _ in scans], [time for _, time in scans]
     if not _ascends(stamps):
         return _without_stamps(stamps, times, besides)
     apart = nanoseconds(_CLOCKS_APART_S)
@@ -170,17 +156,23 @@ def clock_warnings(clock: Clock, topic: str) -> Iterator[str]:
 
 
 def odometry_beside(
-    log: Log, scan_topic: str, sensor: ScanSensor, odometry: OdometrySource
+    log: Log,
+    scan_topic: str,
+    sensor: ScanSensor,
+    odom_topics: Sequence[str],
+    odom_frame: str | None,
 ) -> list[Beside]:
     """The odometry ahead of each of the first scans of a sensor, in the order of the log."""
     found: list[Beside] = []
     last: tuple[int, int] | None = None
     place = (0.0, 0.0)
-    topics, most = odometry.topics, min(_PAIRS, LOOK_SCANS)
-    for message in islice(log.messages([scan_topic, *topics]), _MOST_MESSAGES):
+    most = min(_PAIRS, LOOK_SCANS)
+    if not odom_topics:
+        return found
+    for message in islice(log.messages([scan_topic, *odom_topics]), _MOST_MESSAGES):
         try:
             if message.topic != scan_topic:
-                heard = odometry_of(message, odometry.frame)
+                heard = odometry_of(message, odom_frame)
                 if heard is not None:
                     last, place = (heard[0], message.time_ns), heard[1]
             elif last is not None:
@@ -189,7 +181,7 @@ def odometry_beside(
                     found.append(Beside(last, (record.stamp_ns, message.time_ns), place))
         except BadMessageError:
             continue
-        if len(found) >= most or not topics:
+        if len(found) >= most:
             break
     return found
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.arrays import first_in_cells
+from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
+from specmap_cli.core.records import BoolArray, PlanarScan
+from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.messages import CloudRecord
-from specmap_cli.logs.readers.typestore import NS_PER_S
+from specmap_cli.logs.readers.encoding import NS_PER_S
 
 _CLOUD_TIME_MAX_S = 10.0  # times of points farther from the stamp are of no use
 CLOUD_RANGE_MAX_M = 100.0  # a 3D cloud is cut here
@@ -125,3 +130,250 @@ def _times(
     stamp = stamp_ns / (NS_PER_S * unit)
     absolute = abs(finite[0] - stamp) < abs(finite[0])
     return np.asarray((values - stamp if absolute else values) * unit)
+
+
+FLOOR_RADIUS_M = 10.0  # a floor of unknown height is sought among the returns this near
+# Floors are sought up to this tilt of the lidar: 45 degrees, as carried by hand.
+_FLOOR_TILT_MAX_RAD = 0.785
+_FLOOR_SHARE = 0.1  # share of the returns within FLOOR_RADIUS_M that must show a floor
+_CELL_M = 0.4  # returns are thinned to it: floors near the lidar have thousands
+_STEP_RAD = math.radians(5.0)  # between the tilts tried: 0.2 m off at 5 m
+_LAYER_M = 0.2  # in which returns at one tilt are counted: what such a step displaces
+_LOWER_WEIGHT = 2.0  # of a return below a floor, against one on it
+_WIDTHS_M = (0.4, 0.2, 0.1, 0.05)  # returns this near a plane fix it anew, coarse to fine
+_SPREAD_M = 0.4  # standard deviation of a floor's returns across it: less is a kerb or a board
+_FEWEST = 30  # returns that fix a plane well: a tilt of 0.05 m / 10 m / sqrt(30)
+
+
+class Level(NamedTuple):
+    """A cloud's rotation (3, 3) into a level frame, and the floor's height there if it is known.
+
+    The level frame looks where the lidar's x axis looks, and has its origin.
+    """
+
+    rotation: FloatArray
+    floor_m: float | None
+
+
+class CloudLeveller:
+    """Finds the level of each cloud; one that shows no floor gets that of the cloud before it."""
+
+    def __init__(self) -> None:
+        self._last = Level(np.eye(3), None)
+
+    def level(self, cloud: FloatArray) -> Level:
+        """The level of a cloud (N, 3)."""
+        self._last = floor_of(cloud) or self._last
+        return self._last
+
+
+def floor_of(cloud: FloatArray) -> Level | None:
+    """The floor in a cloud (N, 3), None when it shows none."""
+    squares = np.einsum("ij,ij->i", cloud, cloud)
+    near = cloud[np.flatnonzero(squares <= FLOOR_RADIUS_M**2)]
+    near = near[first_in_cells(near, _CELL_M)]
+    if len(near) < _FEWEST:
+        return None
+    tilts = _tilts(_FLOOR_TILT_MAX_RAD)
+    number, height = _best_layer(near, tilts)
+    rotation = tilts[number]
+    for width_m in _WIDTHS_M:
+        turned = product(near, rotation.T)
+        floor = turned[np.abs(turned[:, 2] - height) < width_m]
+        if not _is_wide(floor):
+            return None
+        normal, height = _plane(floor)
+        rotation = _upright(product(normal[None], rotation)[0])
+    enough = len(floor) >= _FLOOR_SHARE * len(near)
+    upright = float(rotation[2, 2]) >= math.cos(_FLOOR_TILT_MAX_RAD)
+    return Level(rotation, height) if enough and upright and height < 0.0 else None
+
+
+@cache
+def _tilts(most_rad: float) -> FloatArray:
+    """Rotations (T, 3, 3) to level frames whose vertical is within an angle of the lidar's z."""
+    steps = math.floor(most_rad / _STEP_RAD)
+    angles = [_STEP_RAD * step for step in range(-steps, steps + 1)]
+    normals = [
+        (math.sin(a) * math.cos(b), math.sin(b), math.cos(a) * math.cos(b))
+        for a in angles
+        for b in angles
+    ]
+    lowest = math.cos(most_rad)
+    return np.stack([_upright(np.array(n)) for n in normals if n[2] >= lowest])
+
+
+def _upright(normal: FloatArray) -> FloatArray:
+    """The rotation (3, 3) that turns a unit vector up and leaves the heading of the x axis."""
+    x, y, z = normal.tolist()
+    slope = math.hypot(y, z)
+    cr, sr, cp, sp = z / slope, y / slope, slope, -x
+    return np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
+
+
+def _best_layer(points: FloatArray, tilts: FloatArray) -> tuple[int, float]:
+    """Which tilt shows the fullest layer of points (N, 3) below the lidar, and its middle."""
+    depths = np.floor(product(tilts[:, 2, :], -points.T) / _LAYER_M).astype(np.intp)
+    count = max(1, int(depths.max()) + 1)
+    depths[depths < 0] = count  # above the lidar
+    rows = np.arange(len(tilts))[:, None] * (count + 1)
+    counts = np.bincount((depths + rows).ravel(), minlength=(count + 1) * len(tilts))
+    filled = counts.reshape(len(tilts), -1)[:, :count]
+    lower = filled[:, ::-1].cumsum(axis=1)[:, ::-1]
+    lower = np.pad(lower, ((0, 0), (0, 2)))[:, 2:]  # the next layer may be of the same floor
+    worth = filled - _LOWER_WEIGHT * lower
+    number, depth = divmod(int(worth.argmax()), count)
+    return number, -(depth + 0.5) * _LAYER_M
+
+
+def _is_wide(points: FloatArray) -> bool:
+    """Whether points (N, 3) are enough, and far enough apart every way, to fix a plane."""
+    if len(points) < _FEWEST:
+        return False
+    x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T
+    xx, xy, yy = float((x * x).mean()), float((x * y).mean()), float((y * y).mean())
+    least = (xx + yy) / 2 - math.hypot((xx - yy) / 2, xy)
+    return least >= _SPREAD_M**2
+
+
+def _plane(points: FloatArray) -> tuple[FloatArray, float]:
+    """The plane z = a x + b y + c of points (N, 3) by least squares: its normal, its height.
+
+    The height is that of the point of the plane nearest the origin, along the normal.
+    """
+    ground = np.column_stack([points[:, :2], np.ones(len(points))])
+    slopes = product(ground.T, points[:, 2:])
+    a, b, c = product(inverse3(product(ground.T, ground)), slopes)[:, 0].tolist()
+    length = math.sqrt(1.0 + a * a + b * b)
+    return np.array([-a, -b, 1.0]) / length, c / length
+
+
+_FLOOR_PERCENTILE = 2.0  # of the heights of returns is the floor: a few stray ones lie below it
+_CLOUD_BEAMS = 720  # bearings of the planar scan of a 3D cloud
+_CLOUD_FILLED_SHARE = 0.9  # share of the bearings that must have returns, or they are halved
+_MAX_HALVINGS = 2  # a planar scan has no fewer bearings than a quarter of those asked for
+_FULL_CIRCLE = 2.0 * math.pi
+
+
+class CloudFlattener:
+    """Turns clouds in the base frame into planar scans: the nearest return per bearing in a band.
+
+    The band lies between two heights above the floor. A bearing with nothing in the band is +inf
+    where the lidar has had a return at any height in this or an earlier cloud, so that it looked
+    there, and NaN where it never had one, outside its field of view. The number of bearings is
+    `_CLOUD_BEAMS`, halved until the lidar's resolution fills them. A floor of unknown height
+    (None) is taken to be where the lowest returns of the first cloud are. The clouds of a `planar`
+    laser have one height, whichever it is, and their scans keep the times of the beams.
+    """
+
+    def __init__(
+        self,
+        base_from_laser: FloatArray,
+        floor_m: float | None,
+        config: LogConfig,
+        *,
+        planar: bool = False,
+    ) -> None:
+        self.mount = Pose2(float(base_from_laser[0, 3]), float(base_from_laser[1, 3]), 0.0)
+        self.config = config
+        self._floor = floor_m
+        self._planar, self._shift = planar, 0.0
+        self._bearings: FloatArray = np.zeros(0)
+        self._seen = np.zeros(0, dtype=bool)
+
+    def flatten(
+        self,
+        cloud: FloatArray,
+        stamp_ns: int,
+        floor_m: float | None = None,
+        times_s: FloatArray | None = None,
+    ) -> PlanarScan:
+        """The planar scan, seen from the lidar's place, of points (N, 3) in the base frame.
+
+        `floor_m` is the height of the floor in this cloud, if it was found, `times_s` (N,) seconds
+        after the stamp.
+        """
+        dx, dy = cloud[:, 0] - self.mount.x, cloud[:, 1] - self.mount.y
+        distance = np.hypot(dx, dy)
+        turn = np.arctan2(dy, dx) / _FULL_CIRCLE + 0.5  # [0, 1] from -pi to pi
+        if not len(self._bearings):
+            self._choose_bearings(turn[distance > 0.0])
+        beams = len(self._seen)
+        bins = _bins(turn, beams, self._shift)
+        self._seen[bins[distance > 0.0]] = True
+        inside = self._in_band(cloud, distance, floor_m)
+        inside &= (distance > 0.0) & (distance <= CLOUD_RANGE_MAX_M)
+        ranges = np.where(self._seen, np.inf, np.nan)
+        nearest = np.full(beams, np.inf)
+        np.minimum.at(nearest, bins[inside], distance[inside])
+        ranges[np.isfinite(nearest)] = nearest[np.isfinite(nearest)]
+        return PlanarScan(
+            stamp_ns=stamp_ns,
+            bearings=self._bearings,
+            ranges=ranges,
+            range_max=CLOUD_RANGE_MAX_M,
+            full_circle=bool(self._seen.mean() >= _CLOUD_FILLED_SHARE),
+            beam_times_s=_beam_times(bins, times_s, beams) if self._planar else None,
+        )
+
+    def _in_band(self, cloud: FloatArray, distance: FloatArray, floor_m: float | None) -> BoolArray:
+        """Which points (N, 3) are of the heights that count."""
+        if self._planar:
+            return np.ones(len(cloud), dtype=bool)
+        height = cloud[:, 2] - (self._first_floor(cloud, distance) if floor_m is None else floor_m)
+        return (height >= self.config.band_min_m) & (height <= self.config.band_max_m)
+
+    def _first_floor(self, cloud: FloatArray, distance: FloatArray) -> float:
+        """The floor's height where it is known once for all, or taken from the first cloud."""
+        if self._floor is None:
+            near = cloud[distance <= FLOOR_RADIUS_M]
+            self._floor = lowest_returns(near, _FLOOR_PERCENTILE)
+        return self._floor
+
+    def _choose_bearings(self, turn: FloatArray) -> None:
+        """Settle on the bearings from the first cloud's returns at any height."""
+        for halvings in range(_MAX_HALVINGS + 1):
+            beams = _CLOUD_BEAMS >> halvings
+            self._shift = _phase(turn * beams) if self._planar else 0.0
+            filled = np.unique(_bins(turn, beams, self._shift))
+            share = _CLOUD_FILLED_SHARE
+            if len(filled) and len(filled) >= share * (filled[-1] - filled[0] + 1):
+                break
+        bearings: FloatArray = (np.arange(beams, dtype=np.float64) + 0.5 + self._shift) * (
+            _FULL_CIRCLE / beams
+        ) - math.pi
+        bearings.setflags(write=False)
+        self._bearings, self._seen = bearings, np.zeros(beams, dtype=bool)
+
+
+def _bins(turn: FloatArray, beams: int, shift: float) -> NDArray[np.intp]:
+    """Of directions (N,) in [0, 1] of a turn, the numbers of the bearings nearest to them."""
+    if shift:
+        return np.floor(turn * beams - shift).astype(np.intp) % beams
+    return np.minimum((turn * beams).astype(np.intp), beams - 1)
+
+
+def _phase(steps: FloatArray) -> float:
+    """Where directions (N,), in steps of the bearings, lie between two of these: -0.5 to 0.5.
+
+    Beams as far apart as the bearings would otherwise lie on their borders, two in the one bin and
+    none in the next.
+    """
+    angles = _FULL_CIRCLE * (steps - 0.5)
+    return math.atan2(float(np.sin(angles).sum()), float(np.cos(angles).sum())) / _FULL_CIRCLE
+
+
+def _beam_times(
+    bins: NDArray[np.intp], times_s: FloatArray | None, beams: int
+) -> FloatArray | None:
+    """Times (beams,) of all beams by those (N,) of points in the bins (N,), None without any."""
+    if times_s is None or not len(bins):
+        return None
+    order = np.argsort(bins, kind="stable")
+    times: FloatArray = np.interp(np.arange(beams), bins[order], times_s[order])
+    return times
+
+
+def lowest_returns(cloud: FloatArray, percentile: float) -> float:
+    """Height below which a `percentile` of a cloud (N, 3) lies; 0 when it is empty."""
+    return float(np.percentile(cloud[:, 2], percentile)) if len(cloud) else 0.0

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +11,79 @@ import numpy as np
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.log import Log
-from specmap_cli.logs.messages import BadMessageError, decode_transforms
+from specmap_cli.logs.messages import BadMessageError, TransformRecord, decode_transforms
+from specmap_cli.logs.opening import Log
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.topics import dynamic_topics, static_topics
-from specmap_cli.logs.transforms import TransformTree, tilt_of
+from specmap_cli.logs.sensors import dynamic_topics, static_topics
+
+_MAX_DEPTH = 100  # a longer chain of frames is a loop
+
+
+class TransformTree:
+    """The latest transform of every frame from its parent; frames form a forest."""
+
+    def __init__(self) -> None:
+        self._parent: dict[str, str] = {}
+        self._parent_from: dict[str, FloatArray] = {}
+        self._moving: set[str] = set()
+
+    def add(self, record: TransformRecord, *, dynamic: bool) -> None:
+        """Take in one transform; a later one of the same child replaces it."""
+        if record.parent == record.child:
+            return
+        self._parent[record.child] = record.parent
+        self._parent_from[record.child] = record.parent_from_child
+        if dynamic:
+            self._moving.add(record.child)
+
+    def copy(self) -> TransformTree:
+        """A tree that can change on its own."""
+        tree = TransformTree()
+        tree._parent, tree._parent_from = dict(self._parent), dict(self._parent_from)
+        tree._moving = set(self._moving)
+        return tree
+
+    @property
+    def frames(self) -> set[str]:
+        """Every frame that occurs."""
+        return set(self._parent) | set(self._parent.values())
+
+    def edges(self) -> list[tuple[str, str, FloatArray, bool]]:
+        """(parent, child, parent_from_child, whether it came on a dynamic topic), by child."""
+        return [
+            (self._parent[child], child, self._parent_from[child], child in self._moving)
+            for child in sorted(self._parent)
+        ]
+
+    def ancestors(self, frame: str) -> Iterator[str]:
+        """The frame and its parents up to the root."""
+        for _ in range(_MAX_DEPTH):
+            yield frame
+            if frame not in self._parent:
+                return
+            frame = self._parent[frame]
+
+    def lookup(self, target: str, source: str) -> FloatArray | None:
+        """target_from_source (4, 4), None when no chain of transforms joins the frames."""
+        above = list(self.ancestors(target))
+        common = next((frame for frame in self.ancestors(source) if frame in above), None)
+        if common is None:
+            return None
+        up, down = self._from_ancestor(common, target), self._from_ancestor(common, source)
+        return np.asarray(np.linalg.inv(up) @ down)
+
+    def _from_ancestor(self, ancestor: str, frame: str) -> FloatArray:
+        matrix = np.eye(4)
+        while frame != ancestor:
+            matrix = self._parent_from[frame] @ matrix
+            frame = self._parent[frame]
+        return matrix
+
+
+def tilt_of(matrix: FloatArray) -> float:
+    """Angle between the z axes of the two frames of a transform (4, 4), radians in [0, pi]."""
+    return math.acos(float(np.clip(matrix[2, 2], -1.0, 1.0)))
+
 
 _TILT_MAX_RAD = 0.175  # a laser tilted more is warned of: it is read as level
 USUAL_BASES = ("base_link", "base_footprint", "base")  # by REP 105 and by custom
@@ -121,10 +190,9 @@ def _asked_base(tree: TransformTree, laser_frame: str, config: LogConfig) -> Pla
     if _any_joined(tree, [base], laser_frame):
         return _placement(tree, base, laser_frame)
     above = sorted({laser_frame, *tree.ancestors(laser_frame)})
-    raise UsageError(
-        f"--base-frame {base}: no transform joins it to the laser's frame {laser_frame!r}; "
-        f"choose from {', '.join(above)}"
-    )
+    where, hint = f"--base-frame {base}", f"choose from {', '.join(above)}"
+    none = f"no transform joins it to the laser's frame {laser_frame!r}"
+    raise UsageError(f"{where}: {none}; {hint}", where=where, hint=hint)
 
 
 def _placement(tree: TransformTree, base: str, laser_frame: str) -> Placement:

@@ -4,34 +4,61 @@ from __future__ import annotations
 
 import math
 import shlex
+from array import array
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.errors import InputError, UsageError
-from specmap_cli.core.geometry import FloatArray, yaw_of
-from specmap_cli.core.progress import Progress
-from specmap_cli.core.records import Sweep
+from specmap_cli.core.geometry import FloatArray, step_lengths, yaw_of
+from specmap_cli.core.progress import Progress, Silent
+from specmap_cli.core.records import IntArray, Sweep
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.checking import check
-from specmap_cli.logs.frames import read_frames
-from specmap_cli.logs.log import Log
-from specmap_cli.logs.preview import Preview, preview
-from specmap_cli.logs.readers.recording import Contents, TopicInfo
-from specmap_cli.logs.readers.typestore import LASER_SCAN, NS_PER_S, ODOMETRY, SCAN_TYPES
-from specmap_cli.logs.sensors import SeveralSensorsError
+from specmap_cli.logs.clocks import odometry_of
+from specmap_cli.logs.frames import TransformTree, read_frames
+from specmap_cli.logs.messages import BadMessageError, decode_scan
+from specmap_cli.logs.opening import Log
+from specmap_cli.logs.planar import Repeats
+from specmap_cli.logs.readers.encoding import (
+    LASER_SCAN,
+    NS_PER_S,
+    ODOMETRY,
+    SCAN_TYPES,
+    TF_MESSAGE,
+)
+from specmap_cli.logs.readers.recording import Message, TopicInfo
+from specmap_cli.logs.selection import Selection
+from specmap_cli.logs.sensors import LOOK_SCANS, SeveralSensorsError
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.summary import (
+    DAY,
+    EARLIEST_STAMP_S,
     Extent,
     FrameSummary,
+    Gap,
     LogSummary,
     Outlook,
+    Pauses,
+    Preview,
     ScanSummary,
+    Spacing,
+    StampFaults,
+    TopicCheck,
     TopicSummary,
 )
-from specmap_cli.logs.transforms import TransformTree
+
+_PAUSE_INTERVALS = 5.0  # a pause is told that is so many usual intervals, medians, long
+_GAP_S = 1.0  # a gap between scans is told that is longer than this and a pause
+_SPARSE_STEP_M = 0.25  # scans this far apart are called sparse: views change much between
+_CLOUDS = 20  # read at the most, where not the whole log is: each takes as long as many scans
+_MOST_MESSAGES = 5_000  # read for their stamps: odometry at 1 kHz for 5 s
+_STANDING_M = 0.01  # a shorter step is noise, or a robot that stands
+_STAMP_LIMIT_NS = (1 << 62) - 1  # differences of such stamps fit into 64 bits; they end in 2116
 
 
 def summarize(
@@ -50,17 +77,17 @@ def summarize(
     """
     instance_of(log, Log, "log")
     settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
-    scan, tree, outlook, met = _look(log, settings, complete=complete)
-    checked = check(log, progress) if complete else None
+    look = _look(log, settings, complete=complete)
+    reading = _read(log, look, progress, complete=complete)
     extent = _extent(log)
     return LogSummary(
         extent=extent,
-        topics=_topics(log.contents, extent.duration_s),
-        frames=_frames(tree),
-        scan=scan,
-        outlook=outlook,
-        checked=checked,
-        preview=met,
+        topics=_topics(log.contents.topics, extent.duration_s),
+        frames=_frames(look.tree),
+        scan=look.scan,
+        outlook=look.outlook,
+        checked=_checked(log, reading) if complete else None,
+        preview=look.met and replace(look.met, stamps=tuple(_faults(reading))),
         damage=tuple(log.damage),
     )
 
@@ -72,34 +99,30 @@ class _Look(NamedTuple):
     tree: TransformTree
     outlook: Outlook
     met: Preview | None = None
+    chosen: Selection | None = None
 
 
 def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
-    """Read the first scans as `build` would."""
+    """Read the first scans, or all of them, as `build` would."""
     try:
         stream = SweepStream(log, config)
-        met, first = preview(stream, complete=complete)
+        met, first = _preview(stream, complete=complete)
+    except InputError as error:
+        return _Look(None, read_frames(log, "", [], config).tree, Outlook(problem=str(error)))
     except UsageError as error:
         command = _command(log, _likeliest(log, error, config))
         problem = Outlook(problem=str(error), next_command=command)
-        return _Look(None, _frames_alone(log, config), problem)
-    except InputError as error:
-        return _Look(None, _frames_alone(log, config), Outlook(problem=str(error)))
+        return _Look(None, read_frames(log, "", [], config).tree, problem)
     chosen = stream.selection
-    nothing = None if first is not None else f"no usable scan on {chosen.scan_topic}"
+    warnings = [*chosen.warnings, *_lonely(stream), *stream.ceiling.notes, *stream.own_body.notes]
     outlook = Outlook(
         chosen=chosen.note,
-        problem=nothing,
-        next_command=_command(log, _given(config)) if nothing is None else None,
-        warnings=(
-            *chosen.warnings,
-            *_lonely(stream),
-            *stream.ceiling.notes,
-            *stream.own_body.notes,
-        ),
+        problem=f"no usable scan on {chosen.topic.name}" if first is None else None,
+        next_command=_command(log, _given(config)) if first is not None else None,
+        warnings=tuple(warnings),
     )
-    scan = _describe(stream, first) if first is not None else None
-    return _Look(scan, chosen.tree, outlook, met)
+    scan = _describe(chosen, first) if first is not None else None
+    return _Look(scan, chosen.tree, outlook, met, chosen)
 
 
 def _lonely(stream: SweepStream) -> Iterator[str]:
@@ -109,8 +132,195 @@ def _lonely(stream: SweepStream) -> Iterator[str]:
         yield f"scans without odometry near their stamp: {without:,} of {scans:,}"
 
 
-def _frames_alone(log: Log, config: LogConfig) -> TransformTree:
-    return read_frames(log, "", [], config).tree
+def _preview(stream: SweepStream, *, complete: bool) -> tuple[Preview | None, Sweep | None]:
+    """What the first scans, or all of them, tell but for their stamps; and the first sweep.
+
+    None twice when there is no usable scan among them.
+    """
+    first: Sweep | None = None
+    stamps, places = array("q"), array("d")
+    readings = invalid = stale = 0
+    repeats = Repeats()
+    for sweep in islice(stream, None if complete else _most_scans(stream.selection)):
+        first = sweep if first is None else first
+        stamps.append(_clipped(sweep.stamp_ns))
+        pose = sweep.odom_from_base
+        places.extend((np.nan, np.nan) if pose is None else (pose.x, pose.y))
+        readings += len(sweep.planar.ranges)
+        invalid += int(np.isnan(sweep.planar.ranges).sum())
+        stale += repeats.stale(sweep)
+    if first is None:
+        return None, None
+    steps = _Steps(stamps)
+    is_cloud = stream.selection.sensor.is_cloud
+    found = Preview(
+        scans=len(stamps),
+        blank_scans=stream.counts["blank_scans"],
+        stale_scans=stale,
+        invalid_share=None if is_cloud else invalid / max(readings, 1),
+        spacing=_spacing(steps, np.array(places).reshape(-1, 2)),
+        gaps=tuple(
+            Gap(steps.length_s(n), steps.begins_s(n))
+            for n in steps.longer_than(max(_GAP_S, _PAUSE_INTERVALS * steps.usual_s))
+        ),
+        sensors=tuple((sensor.name, sensor.count) for sensor in stream.selection.sensors),
+    )
+    return found, first
+
+
+def _most_scans(selection: Selection) -> int:
+    return min(LOOK_SCANS, _CLOUDS) if selection.sensor.is_cloud else LOOK_SCANS
+
+
+def _clipped(stamp_ns: int) -> int:
+    return max(-_STAMP_LIMIT_NS, min(stamp_ns, _STAMP_LIMIT_NS))
+
+
+class _Steps:
+    """The steps in time from one stamp (ns) to the next; `usual_s` is the median of those ahead."""
+
+    def __init__(self, stamps_ns: array[int]) -> None:
+        self.stamps_ns: IntArray = np.array(stamps_ns, dtype=np.int64)
+        self.steps_ns: IntArray = np.diff(self.stamps_ns)
+        ahead = self.steps_ns[self.steps_ns > 0]
+        self.usual_s = float(np.median(ahead / NS_PER_S)) if len(ahead) else math.inf
+
+    def longer_than(self, seconds: float) -> list[int]:
+        """The numbers of the steps that take longer."""
+        return [int(n) for n in np.flatnonzero(self.steps_ns / NS_PER_S > seconds)]
+
+    def length_s(self, number: int) -> float:
+        """How long a step takes."""
+        return round(float(self.steps_ns[number] / NS_PER_S), 6)
+
+    def begins_s(self, number: int) -> float:
+        """The stamp at which a step begins."""
+        return round(float(self.stamps_ns[number]) / NS_PER_S, 6)
+
+
+def _spacing(steps: _Steps, places: FloatArray) -> Spacing:
+    """The rate by the median interval, 0 without any, and the median step that is motion."""
+    ahead = steps.steps_ns[steps.steps_ns > 0]
+    rate = round(NS_PER_S / float(np.median(ahead)), 6) if len(ahead) else 0.0
+    lengths = step_lengths(places)
+    moving = lengths[lengths > _STANDING_M]  # false for NaN as well
+    if not len(moving):
+        return Spacing(rate)
+    step = round(float(np.median(moving)), 6)
+    return Spacing(rate, step, step >= _SPARSE_STEP_M)
+
+
+@dataclass(slots=True)
+class _Heard:
+    """What was read of a topic: the stamp of each message, and how many cannot be decoded."""
+
+    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
+    unusable: int = 0
+
+
+class _Reading:
+    """The stamps of messages: of all topics by name and type, and header stamps of those chosen.
+
+    Stamps are those of the headers of scans and odometry, otherwise the recorder's times.
+    """
+
+    def __init__(self, chosen: Selection | None) -> None:
+        self.heard: dict[tuple[str, str], _Heard] = {}
+        self._frame = chosen.odom_frame if chosen else None
+        self._scan_topic = chosen.topic.name if chosen else None
+        topics = (chosen.topic.name, *chosen.odom_topics) if chosen else ()
+        self.headers_ns = {topic: array("q") for topic in topics}
+
+    def take(self, message: Message) -> None:
+        """Remember a message."""
+        heard = self.heard.setdefault((message.topic, message.type), _Heard())
+        try:
+            stamp = self._header_ns(message)
+        except BadMessageError:
+            heard.unusable += 1
+            stamp = None
+        is_scan = message.type in SCAN_TYPES
+        if stamp is not None and is_scan == (message.topic == self._scan_topic):
+            self.headers_ns.get(message.topic, array("q")).append(stamp)
+        stamp = None if message.type == TF_MESSAGE else stamp
+        heard.stamps_ns.append(_clipped(stamp or message.time_ns))
+
+    def _header_ns(self, message: Message) -> int | None:
+        """The stamp of a scan or of odometry, None in other messages; raises BadMessageError."""
+        if message.type in SCAN_TYPES:
+            return decode_scan(message).stamp_ns
+        if message.type in (ODOMETRY, TF_MESSAGE):
+            pose = odometry_of(message, self._frame)
+            return None if pose is None else pose[0]
+        return None
+
+
+def _read(log: Log, look: _Look, progress: Progress | None, *, complete: bool) -> _Reading:
+    """The stamps of all messages, or of the first ones on the topics that build would read."""
+    reading = _Reading(look.chosen if look.met is not None else None)
+    if complete:
+        told = Silent() if progress is None else progress
+        told.start("reading", log.contents.messages)
+        for message in log.messages():
+            reading.take(message)
+            told.advance()
+    elif look.chosen is not None and look.met is not None:
+        scans = reading.headers_ns[look.chosen.topic.name]
+        for message in islice(log.messages(list(reading.headers_ns)), _MOST_MESSAGES):
+            reading.take(message)
+            if len(scans) >= _most_scans(look.chosen):
+                break
+    return reading
+
+
+def _checked(log: Log, reading: _Reading) -> tuple[TopicCheck, ...]:
+    """What came of reading all messages, in the order of `log.contents`."""
+    expected = {(topic.name, topic.type): topic.count for topic in log.contents.topics}
+    checks = []
+    for key in sorted(expected.keys() | reading.heard.keys()):
+        heard = reading.heard.get(key, _Heard())
+        steps = _Steps(heard.stamps_ns)
+        pauses = steps.longer_than(_PAUSE_INTERVALS * steps.usual_s)
+        longest = int(np.argmax(steps.steps_ns)) if pauses else 0
+        checks.append(
+            TopicCheck(
+                name=key[0],
+                type=key[1],
+                read=len(heard.stamps_ns),
+                expected=expected.get(key, 0),
+                unusable=heard.unusable,
+                pauses=Pauses(
+                    count=len(pauses),
+                    longest_s=steps.length_s(longest),
+                    longest_at_s=steps.begins_s(longest),
+                )
+                if pauses
+                else Pauses(),
+                steps_back=int((steps.steps_ns < 0).sum()),
+                repeats=int((steps.steps_ns == 0).sum()),
+            )
+        )
+    return tuple(checks)
+
+
+def _faults(reading: _Reading) -> Iterator[StampFaults]:
+    """What is wrong with the header stamps on the topics that build would read."""
+    latest_s = (datetime.now(UTC) + DAY).timestamp()
+    for topic, headers in reading.headers_ns.items():
+        stamps = np.array(headers, dtype=np.int64)
+        steps, is_set = np.diff(stamps), stamps != 0
+        seconds = stamps / NS_PER_S
+        elsewhen = is_set & ~((seconds >= EARLIEST_STAMP_S) & (seconds <= latest_s))
+        odd = np.flatnonzero(elsewhen)
+        yield StampFaults(
+            topic=topic,
+            messages=len(stamps),
+            zero=int((~is_set).sum()),
+            repeated=int(((steps == 0) & is_set[1:]).sum()),
+            backward=int(((steps < 0) & is_set[1:]).sum()),
+            elsewhen=len(odd),
+            example_s=round(headers[int(odd[0])] / NS_PER_S, 6) if len(odd) else None,
+        )
 
 
 def _extent(log: Log) -> Extent:
@@ -126,7 +336,7 @@ def _extent(log: Log) -> Extent:
     )
 
 
-def _topics(contents: Contents, duration_s: float) -> tuple[TopicSummary, ...]:
+def _topics(topics: Iterable[TopicInfo], duration_s: float) -> tuple[TopicSummary, ...]:
     return tuple(
         TopicSummary(
             name=topic.name,
@@ -134,7 +344,7 @@ def _topics(contents: Contents, duration_s: float) -> tuple[TopicSummary, ...]:
             count=topic.count,
             rate_hz=(topic.count - 1) / duration_s if topic.count > 1 and duration_s > 0 else 0.0,
         )
-        for topic in contents.topics
+        for topic in topics
     )
 
 
@@ -165,18 +375,18 @@ def _roll_pitch_yaw(matrix: FloatArray) -> tuple[float, float, float]:
     return roll, pitch, yaw
 
 
-def _describe(stream: SweepStream, sweep: Sweep) -> ScanSummary:
+def _describe(chosen: Selection, sweep: Sweep) -> ScanSummary:
     planar, times = sweep.planar, sweep.planar.beam_times_s
     bearings = planar.bearings
     step = float(bearings[1] - bearings[0]) if len(bearings) > 1 else 0.0
     view = 2.0 * math.pi if planar.full_circle else float(bearings[-1] - bearings[0])
-    if stream.selection.scan.sensor.is_cloud and not planar.full_circle:
+    if chosen.sensor.is_cloud and not planar.full_circle:
         view = step * int((~np.isnan(planar.ranges)).sum())
     if sweep.cloud is not None:
         times = sweep.cloud_times_s
     return ScanSummary(
-        topic=stream.selection.scan_topic,
-        frame=stream.selection.laser_frame,
+        topic=chosen.topic.name,
+        frame=chosen.sensor.frame,
         beams=len(bearings),
         field_of_view_deg=round(math.degrees(view), 2),
         full_circle=planar.full_circle,

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, rotation_from_quaternion
-from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.readers.typestore import (
+from specmap_cli.logs.readers.encoding import (
     MULTI_ECHO,
     NS_PER_S,
     ODOMETRY,
@@ -20,6 +19,7 @@ from specmap_cli.logs.readers.typestore import (
     UNFIT,
     typestore,
 )
+from specmap_cli.logs.readers.recording import Message
 
 # What no message of a robot reaches: these bounds are checked here, where values enter, and nowhere
 # else. A damaged or hostile message would otherwise cost gigabytes or overflow further down.

@@ -115,7 +115,7 @@ class OdometryListener:
         if self.last is None:
             return None
         same = (self.last.stamp_ns, self.last.time_ns) == (stamp_ns, time_ns)
-        by_order = self.selection.scan.clock.source == "order"
+        by_order = self.selection.clock.source == "order"
         return self.last.pose if same or by_order else None
 
     def _take_pose(self, message: Message) -> None:
@@ -129,7 +129,7 @@ class OdometryListener:
 
     def _take_transforms(self, message: Message) -> None:
         """Follow the chain from the odometry frame to the base; its first link sets the time."""
-        odom, base = self.selection.odometry_source.frame or "", self.selection.base_frame
+        odom, base = self.selection.odom_frame or "", self.selection.base_frame
         transforms = decode_transforms(message)
         for record in transforms.records:
             if record.child not in self._chain:
@@ -147,7 +147,7 @@ class OdometryListener:
             return
         self.heard += 1
         self.last = Heard(stamp_ns, time_ns, Pose2.from_matrix(odom_from_base))
-        clock = self.selection.scan.clock
+        clock = self.selection.clock
         self.poses.add(clock.odometry_ns(stamp_ns, time_ns), self.last.pose)
 
 

@@ -2,19 +2,221 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+import stat
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
 
 from specmap_cli.core.arguments import Paths, instance_of, paths_of
-from specmap_cli.core.errors import LOG_DAMAGED, LogError
+from specmap_cli.core.errors import LOG_DAMAGED, LOG_MISSING, PACKAGE, LogError, UsageError
+from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.log import Log
-from specmap_cli.logs.readers.compression import compression_of
-from specmap_cli.logs.readers.recording import Recording, unreadable
-from specmap_cli.logs.readers.sniffing import head_of, is_directory, is_text
-from specmap_cli.logs.readers.table import format_names, known_readers, reader_for
-from specmap_cli.logs.readers.unpacking import unpacked
+from specmap_cli.core.text import legible
+from specmap_cli.logs.readers.carmen import CarmenFile
+from specmap_cli.logs.readers.compression import compression_of, unpacked
+from specmap_cli.logs.readers.mcap import McapFile
+from specmap_cli.logs.readers.recording import (
+    Contents,
+    Message,
+    Recording,
+    TopicInfo,
+    contents_of,
+    is_text,
+    merge_in_time,
+    refused,
+    unreadable,
+)
+from specmap_cli.logs.readers.rosbag1 import Rosbag1File
+from specmap_cli.logs.readers.rosbag2 import Rosbag2File
+
+
+class Log:
+    """Recordings joined in time: what `open_log` returns. Use it in a `with` block.
+
+    `given` are the paths the user named, files or directories. `held` is what must be released
+    with the log, by default the recordings.
+    """
+
+    def __init__(
+        self,
+        recordings: Sequence[Recording],
+        given: Sequence[Path],
+        held: ExitStack | None = None,
+    ) -> None:
+        self.given = tuple(given)
+        self._recordings = sorted(recordings, key=lambda r: (r.contents.start_ns, str(r.path)))
+        self._held = held if held is not None else ExitStack()
+        if held is None:
+            for recording in recordings:
+                self._held.callback(recording.close)
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files, earliest first."""
+        return [recording.path for recording in self._recordings]
+
+    @property
+    def name(self) -> str:
+        """What to call the log in messages."""
+        more = len(self.given) - 1
+        return f"{self.given[0]}" + (f" and {more} more" if more else "")
+
+    @property
+    def format(self) -> str:
+        """The name of the format; several are joined by ` + `."""
+        return " + ".join(sorted({recording.format for recording in self._recordings}))
+
+    @property
+    def damage(self) -> list[str]:
+        """One line for each loss met so far: file, byte or message, time."""
+        return [line for recording in self._recordings for line in recording.damage]
+
+    @property
+    def missing(self) -> Counter[str]:
+        """How many messages of each topic are known to be lost so far."""
+        return sum((recording.missing for recording in self._recordings), Counter())
+
+    @cached_property
+    def contents(self) -> Contents:
+        """Topics and times of all files together."""
+        parts = [r.contents for r in self._recordings]
+        timed = [part for part in parts if part.messages]
+        return contents_of(
+            ((topic.name, topic.type, topic.count) for part in parts for topic in part.topics),
+            start_ns=min((part.start_ns for part in timed), default=0),
+            end_ns=max((part.end_ns for part in timed), default=0),
+        )
+
+    def side_by_side(self, topic: str) -> Iterator[tuple[Path, Path, int]]:
+        """Files that hold one topic at the same time, and for how many nanoseconds.
+
+        Each is given with the one of those before it that lasts longest. A file begins with its
+        first message on the topic: transforms may be repeated from the file before it.
+        """
+        longest: Recording | None = None
+        for recording in self._recordings:
+            first = next(iter(recording.messages([topic])), None)
+            if first is None:
+                continue
+            if longest is not None:
+                shared = min(longest.contents.end_ns, recording.contents.end_ns) - first.time_ns
+                if shared > 0:
+                    yield longest.path, recording.path, shared
+            if longest is None or recording.contents.end_ns > longest.contents.end_ns:
+                longest = recording
+
+    def topics(self) -> list[TopicInfo]:
+        """The topics by name; a name with two types is listed once for each."""
+        return list(self.contents.topics)
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """The messages on `topics` (None: all), one in memory at a time, in log time."""
+        return merge_in_time(
+            [(r.contents.start_ns, partial(r.messages, topics)) for r in self._recordings],
+        )
+
+    def close(self) -> None:
+        """Release the files."""
+        self._held.close()
+
+    def __enter__(self) -> Log:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+GROUP = "specmap.readers"
+BUILT_IN: Mapping[str, type[Recording]] = MappingProxyType(
+    {"mcap": McapFile, "rosbag2": Rosbag2File, "rosbag1": Rosbag1File, "carmen": CarmenFile}
+)
+
+
+def known_readers() -> dict[str, type[Recording]]:
+    """The readers by name, those of other packages first, as they are asked first.
+
+    So a package can read a dialect of a format that a built-in reader would take. Raises
+    UsageError for an entry point that cannot be loaded or that is no whole `Recording`.
+    """
+    table = with_plugins(GROUP, BUILT_IN)
+    added = {name: _checked(name, table[name]) for name in table if name not in BUILT_IN}
+    return {**added, **BUILT_IN}
+
+
+def reader_for(
+    head: bytes, file: Path, readers: Mapping[str, type[Recording]]
+) -> type[Recording] | None:
+    """The first reader that knows the file, None when none does."""
+    return next((reader for reader in readers.values() if reader.sniff(head, file)), None)
+
+
+def format_names(readers: Iterable[type[Recording]]) -> str:
+    """The formats in a phrase: `MCAP, ROS 1 bag or CARMEN log`."""
+    *others, last = [reader.format for reader in readers]
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+def _checked(name: str, reader: object) -> type[Recording]:
+    """What an entry point names, if it is a reader; raises UsageError saying what it lacks."""
+    if not isinstance(reader, type) or not issubclass(reader, Recording):
+        raise _unfit(name, "is no class derived from specmap_cli.logs.readers.Recording")
+    missing = sorted(reader.__abstractmethods__)
+    if not isinstance(getattr(reader, "format", None), str):
+        missing.append("format")
+    own_sniff = any("sniff" in vars(base) for base in reader.__mro__ if base is not Recording)
+    if not reader.magic and not own_sniff:
+        missing.append("magic or sniff")
+    if missing:
+        raise _unfit(name, f"lacks {', '.join(missing)}")
+    return reader
+
+
+def _unfit(name: str, fault: str) -> UsageError:
+    hint = "mend or remove its package"
+    return UsageError(f"the reader {name!r} of {GROUP} {fault}; {hint}", code=PACKAGE, hint=hint)
+
+
+HEAD_BYTES = 4096  # one page: longer than the magic of any format, short enough to read of any file
+_KINDS = (
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def is_directory(path: Path) -> bool:
+    """Whether a path is a directory; raises LogError when it is neither that nor a regular file.
+
+    A pipe, a socket or a device would keep a reader waiting, perhaps for ever.
+    """
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
+    except OSError as error:
+        raise unreadable(path, error) from None
+    if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
+        kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "no file")
+        found = f"is {kind}; a log must be a file or a directory: "
+        hint = "copy it to one"
+        raise LogError(f"{path}: {found}{hint}", where=str(path), hint=hint)
+    return stat.S_ISDIR(mode)
+
+
+def head_of(path: Path) -> bytes:
+    """The first bytes of a file; raises LogError when there is none or it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(HEAD_BYTES)
+    except FileNotFoundError:
+        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
+    except OSError as error:
+        raise unreadable(path, error) from None
+
 
 _Readers = Mapping[str, type[Recording]]
 
@@ -23,14 +225,15 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
     """Open one recording, or several files of it, as one log in time order.
 
     A path is a file, or a directory whose recordings are taken together. The readers are those of
-    `logs.readers.table`; `config` bounds what they unpack. Raises LogError for a path that is
-    missing, empty, no recording or given twice, and when nothing in it can be read; TypeError for
-    what is no path or no `LogConfig`.
+    `known_readers`; `config` bounds what they unpack. Raises LogError for a path that is missing,
+    empty, no recording or given twice, and when nothing in it can be read; TypeError for what is
+    no path or no `LogConfig`.
     """
     given = paths_of(paths, "paths")
     settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
     if not given:
-        raise LogError("no log given; name a file or a directory")
+        hint = "name a file or a directory"
+        raise LogError(f"no log given; {hint}", hint=hint)
     readers = known_readers()
     with ExitStack() as held:
         recordings: list[Recording] = []
@@ -48,16 +251,19 @@ def _refuse_repetition(recordings: Sequence[Recording]) -> None:
     for recording in recordings:
         place = recording.path.resolve()
         if place in seen:
-            raise LogError(f"{recording.path}: given twice; name each file of a recording once")
+            hint = "name each file of a recording once"
+            raise refused(recording.path, "given twice", hint)
         seen.add(place)
 
 
 def _refuse_rubble(recordings: Sequence[Recording]) -> None:
     """A damaged log of which no message is left cannot be used."""
     messages = sum(recording.contents.messages for recording in recordings)
-    damage = [line for recording in recordings for line in recording.damage]
-    if damage and not messages:
-        raise LogError(f"{damage[0]}; no message can be read", code=LOG_DAMAGED)
+    damaged = next((recording for recording in recordings if recording.damage), None)
+    if damaged is not None and not messages:
+        where = legible(str(damaged.path))
+        fault = f"{damaged.damage[0]}; no message can be read"
+        raise LogError(fault, code=LOG_DAMAGED, where=where)
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
@@ -72,8 +278,8 @@ def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
         raise unreadable(path, error) from None
     found = [file for file in visible if looks_like_a_log(file, readers)]
     if not found:
-        expected = format_names(readers.values())
-        raise LogError(f"{path}: no recording in this directory; expected {expected}")
+        expected = f"expected {format_names(readers.values())}"
+        raise refused(path, "no recording in this directory", expected)
     yield from found
 
 
@@ -89,25 +295,31 @@ def _opened(path: Path, readers: _Readers, config: LogConfig, held: ExitStack) -
     if compression is None:
         return _read(path, path, readers, config, held)
 
-    inside = f"(inside {compression} compression)"
-
     def look(file: Path) -> None:
         if compression_of(head_of(file)) is not None:
-            raise LogError(f"{path}: compressed twice; unpack it first")
-        try:
+            raise refused(path, "compressed twice", "unpack it first")
+        with _told_of(compression):
             _reader_of(file, path, readers)
-        except LogError as error:
-            raise LogError(f"{error} {inside}", code=error.code) from None
 
     copy = unpacked(path, compression, config, look, held)
     look(copy.file)
-    try:
+    with _told_of(compression):
         recording = _read(copy.file, path, readers, config, held)
-    except LogError as error:
-        raise LogError(f"{error} {inside}", code=error.code) from None
     if copy.lost is not None:
         recording.report(copy.lost)
     return recording
+
+
+@contextmanager
+def _told_of(compression: str) -> Iterator[None]:
+    """Errors say that they are about what is inside a compressed file."""
+    inside = f"(inside {compression} compression)"
+    try:
+        yield
+    except LogError as error:
+        hint = error.hint and f"{error.hint} {inside}"
+        where = error.where
+        raise LogError(f"{error} {inside}", code=error.code, where=where, hint=hint) from None
 
 
 def _read(
@@ -125,16 +337,15 @@ def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
     if reader is not None:
         return reader
     if any(known.magic.startswith(head) for known in readers.values()):
-        raise LogError(
-            f"{path}: cut off after {len(head)} bytes; no message can be read", code=LOG_DAMAGED
-        )
+        cut = f"cut off after {len(head)} bytes; no message can be read"
+        raise refused(path, cut, code=LOG_DAMAGED)
     kind = "a text file" if b"\x00" not in head and is_text(head) else "of an unknown format"
-    expected = format_names(readers.values())
-    raise LogError(f"{path}: {kind}, not a recording; expected {expected}")
+    expected = f"expected {format_names(readers.values())}"
+    raise refused(path, f"{kind}, not a recording", expected)
 
 
 def _head(file: Path, path: Path) -> bytes:
     head = head_of(file)
     if not head:
-        raise LogError(f"{path}: the file is empty", code=LOG_DAMAGED)
+        raise refused(path, "the file is empty", code=LOG_DAMAGED)
     return head

@@ -9,27 +9,182 @@ Readings of the robot itself, which `OwnBody` finds, are invalid.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, yaw_of
-from specmap_cli.core.records import BoolArray, PlanarScan
-from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.ceiling import Ceiling
-from specmap_cli.logs.clouds import CLOUD_RANGE_MAX_M
-from specmap_cli.logs.levelling import FLOOR_RADIUS_M
+from specmap_cli.core.geometry import FloatArray, Pose2, moved, yaw_of
+from specmap_cli.core.records import BoolArray, IntArray, PlanarScan, Sweep
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
-from specmap_cli.logs.own_body import OwnBody
+
+
+def changed_share(ranges: FloatArray, before: FloatArray, least_m: float) -> float:
+    """The share of readings (B,) that differ from those before (B,) by more than `least_m`.
+
+    A return where there was none is a difference, an invalid reading (NaN) is not.
+    """
+    with np.errstate(invalid="ignore"):  # inf - inf: no return then and now
+        changed = np.abs(ranges - before) > least_m
+    return float(changed.mean()) if len(changed) else 0.0
+
+
+_BEAMS = 3  # of a scan that share its longest distance; of walls one does, or two
+_PLACES = 4  # from which it was read: a robot that stands may see one wall again and again
+_ELSEWHERE_M, _ELSEWHERE_SHARE = 0.1, 0.3  # readings that change so, and how many, when it drives
+
+
+class Ceiling:
+    """Finds such distances among the scans of one laser; call `clear` for each of them in turn.
+
+    `values_m` are those found so far; of the readings of a scan, `cleared` were one of them.
+    """
+
+    def __init__(self, values_m: Iterable[float] = ()) -> None:
+        self.values_m = tuple(values_m)
+        self.cleared = 0
+        self._longest = max(self.values_m, default=0.0)
+        self._places = 0
+        self._there: FloatArray = np.zeros(0)  # the scan at the last of these places
+
+    def clear(self, ranges: FloatArray) -> None:
+        """Set the readings (B,) that are one of these distances to +inf, in place."""
+        self._look(ranges)
+        for value in self.values_m:
+            alike = ranges == value
+            self.cleared += int(np.count_nonzero(alike))
+            ranges[alike] = np.inf
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know of it: nothing where no reading was taken for no return."""
+        if not self.cleared:
+            return []
+        values = " m, ".join(f"{value:g}" for value in self.values_m)
+        return [
+            f"readings of exactly {values} m, the longest distance of all, are taken for no "
+            f"return, as several beams of one scan have it again and again: {self.cleared:,}"
+        ]
+
+    def _look(self, ranges: FloatArray) -> None:
+        """Count the places from which several beams read the longest distance of all."""
+        longest = float(ranges[np.isfinite(ranges)].max(initial=0.0))
+        if longest > self._longest:
+            self._longest, self._places = longest, 0
+        if longest < self._longest or longest in self.values_m:
+            return
+        if np.count_nonzero(ranges == longest) >= _BEAMS and self._is_elsewhere(ranges):
+            self._places += 1
+            self._there = ranges.copy()
+        if self._places >= _PLACES:
+            self.values_m = (*self.values_m, longest)
+
+    def _is_elsewhere(self, ranges: FloatArray) -> bool:
+        """Whether the robot has moved since the last place, by what the laser reads."""
+        if not self._places or len(ranges) != len(self._there):
+            return True
+        return changed_share(ranges, self._there, _ELSEWHERE_M) >= _ELSEWHERE_SHARE
+
+
+_NEAR_M = 0.8  # as far as a robot reaches from its laser
+_SAME_M = 0.1  # what readings of the body differ by, noise of a few centimetres included
+_MARGIN_M = 0.05  # beyond the readings so far: those to come differ a little more
+_OWN_PLACES = 25  # at which a beam read the same
+_MOVED_M, _MOVED_SHARE = 0.2, 0.5  # other beams that change so, and how many of them
+
+
+class OwnBody:
+    """Finds the beams of one laser that see its robot; call `clear` for successive scans."""
+
+    def __init__(self) -> None:
+        self._there: FloatArray = np.zeros(0)  # the scan at the last place
+        self._low: FloatArray = np.zeros(0)  # the shortest and the longest reading of each beam
+        self._high: FloatArray = np.zeros(0)
+        self._counts: IntArray = np.zeros(0, dtype=np.int64)  # places at which it read anything
+        self._near: BoolArray = np.zeros(0, dtype=bool)  # beams that read nothing else so far
+        self._seen: BoolArray = np.zeros(0, dtype=bool)  # those that read so at many places
+        self._is_ruled_out = False  # every beam has read something else
+
+    def clear(self, ranges: FloatArray) -> None:
+        """Set the readings (B,) that are of the robot to NaN, in place."""
+        if len(ranges) != len(self._there):
+            self._low, self._high = np.full((2, len(ranges)), np.nan)
+            self._counts = np.zeros(len(ranges), dtype=np.int64)
+            self._learn(ranges)
+        elif not self._is_ruled_out and self._is_elsewhere(ranges):
+            self._learn(ranges)
+        if self._seen.any():
+            ranges[self._is_own(ranges)] = np.nan
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know of it: nothing while no beam sees the robot."""
+        if not self._seen.any():
+            return []
+        low, high = float(self._low[self._seen].min()), float(self._high[self._seen].max())
+        return [
+            f"beams that read the same {low:.2f} to {high:.2f} m wherever the robot goes, which is "
+            f"the robot itself: {np.count_nonzero(self._seen):,}; these readings are left out"
+        ]
+
+    def _learn(self, ranges: FloatArray) -> None:
+        """Take in a scan at another place."""
+        self._there = ranges.copy()
+        read = np.where(np.isfinite(ranges), ranges, np.nan)
+        self._low, self._high = np.fmin(self._low, read), np.fmax(self._high, read)
+        self._counts += np.isfinite(ranges)
+        self._near = (self._high < _NEAR_M) & (self._high - self._low <= _SAME_M)
+        self._seen = self._near & (self._counts >= _OWN_PLACES)
+        self._is_ruled_out = not (self._near | np.isnan(self._low)).any()
+
+    def _is_elsewhere(self, ranges: FloatArray) -> bool:
+        """Whether most beams that see no robot read other distances than at the last place."""
+        others = ~self._near & ~(np.isnan(ranges) | np.isnan(self._there))
+        changed = changed_share(ranges[others], self._there[others], _MOVED_M)
+        return changed >= _MOVED_SHARE
+
+    def _is_own(self, ranges: FloatArray) -> BoolArray:
+        """Readings (B,) near those of the robot, on its beams and those beside: edges flicker."""
+        low = _beside(np.where(self._seen, self._low, np.inf), np.minimum)
+        high = _beside(np.where(self._seen, self._high, -np.inf), np.maximum)
+        return (ranges >= low - _MARGIN_M) & (ranges <= high + _MARGIN_M)
+
+
+def _beside(values: FloatArray, least: np.ufunc) -> FloatArray:
+    """Each value (B,) or the ones beside it, by their minimum or maximum."""
+    spread = values.copy()
+    spread[1:] = least(spread[1:], values[:-1])
+    spread[:-1] = least(spread[:-1], values[1:])
+    return spread
+
+
+# Odometry of a robot that stands still may tremble by this. Where it does, what repeats the scan
+# before says nothing new either.
+_STILL_M, _STILL_RAD = 0.02, math.radians(1.0)
+
+
+class Repeats:
+    """Finds scans that repeat the one before them although odometry says that the robot moved."""
+
+    def __init__(self) -> None:
+        self._ranges: FloatArray = np.zeros(0)
+        self._from: Pose2 | None = None  # where odometry had the robot at the first of those alike
+
+    def stale(self, sweep: Sweep) -> bool:
+        """Whether a scan is one that hangs; call for successive scans. Blank ones never are."""
+        ranges, pose = sweep.planar.ranges, sweep.odom_from_base
+        alike = np.array_equal(ranges, self._ranges, equal_nan=True)
+        if not alike or not np.isfinite(ranges).any():
+            self._ranges, self._from = ranges, pose
+            return False
+        if pose is None or self._from is None:
+            return False
+        return moved(self._from, pose, _STILL_M, _STILL_RAD)
+
 
 SCAN_TIME_MAX_S = 1.0  # a planar sweep that takes longer has its times in another unit
-_FLOOR_PERCENTILE = 2.0  # of the heights of returns is the floor: a few stray ones lie below it
-_CLOUD_BEAMS = 720  # bearings of the planar scan of a 3D cloud
-_CLOUD_FILLED_SHARE = 0.9  # share of the bearings that must have returns, or they are halved
 _FULL_CIRCLE = 2.0 * math.pi
 _MISSING_BEAMS = 1.5  # of a full circle: its last beam stops one short of the first, and rounding
-_MAX_HALVINGS = 2  # a planar scan has no fewer bearings than a quarter of those asked for
 
 
 class Mount(NamedTuple):
@@ -148,127 +303,3 @@ def increment(layout: ScanLayout) -> float:
     if count > 1 and abs(step) > _FULL_CIRCLE:
         raise BadMessageError("a scan whose beams are more than a circle apart")
     return step
-
-
-class CloudFlattener:
-    """Turns clouds in the base frame into planar scans: the nearest return per bearing in a band.
-
-    The band lies between two heights above the floor. A bearing with nothing in the band is +inf
-    where the lidar has had a return at any height in this or an earlier cloud, so that it looked
-    there, and NaN where it never had one, outside its field of view. The number of bearings is
-    `_CLOUD_BEAMS`, halved until the lidar's resolution fills them. A floor of unknown height
-    (None) is taken to be where the lowest returns of the first cloud are. The clouds of a `planar`
-    laser have one height, whichever it is, and their scans keep the times of the beams.
-    """
-
-    def __init__(
-        self,
-        base_from_laser: FloatArray,
-        floor_m: float | None,
-        config: LogConfig,
-        *,
-        planar: bool = False,
-    ) -> None:
-        self.mount = Pose2(float(base_from_laser[0, 3]), float(base_from_laser[1, 3]), 0.0)
-        self.config = config
-        self._floor = floor_m
-        self._planar, self._shift = planar, 0.0
-        self._bearings: FloatArray = np.zeros(0)
-        self._seen = np.zeros(0, dtype=bool)
-
-    def flatten(
-        self,
-        cloud: FloatArray,
-        stamp_ns: int,
-        floor_m: float | None = None,
-        times_s: FloatArray | None = None,
-    ) -> PlanarScan:
-        """The planar scan, seen from the lidar's place, of points (N, 3) in the base frame.
-
-        `floor_m` is the height of the floor in this cloud, if it was found, `times_s` (N,) seconds
-        after the stamp.
-        """
-        dx, dy = cloud[:, 0] - self.mount.x, cloud[:, 1] - self.mount.y
-        distance = np.hypot(dx, dy)
-        turn = np.arctan2(dy, dx) / _FULL_CIRCLE + 0.5  # [0, 1] from -pi to pi
-        if not len(self._bearings):
-            self._choose_bearings(turn[distance > 0.0])
-        beams = len(self._seen)
-        bins = _bins(turn, beams, self._shift)
-        self._seen[bins[distance > 0.0]] = True
-        inside = self._in_band(cloud, distance, floor_m)
-        inside &= (distance > 0.0) & (distance <= CLOUD_RANGE_MAX_M)
-        ranges = np.where(self._seen, np.inf, np.nan)
-        nearest = np.full(beams, np.inf)
-        np.minimum.at(nearest, bins[inside], distance[inside])
-        ranges[np.isfinite(nearest)] = nearest[np.isfinite(nearest)]
-        return PlanarScan(
-            stamp_ns=stamp_ns,
-            bearings=self._bearings,
-            ranges=ranges,
-            range_max=CLOUD_RANGE_MAX_M,
-            full_circle=bool(self._seen.mean() >= _CLOUD_FILLED_SHARE),
-            beam_times_s=_beam_times(bins, times_s, beams) if self._planar else None,
-        )
-
-    def _in_band(self, cloud: FloatArray, distance: FloatArray, floor_m: float | None) -> BoolArray:
-        """Which points (N, 3) are of the heights that count."""
-        if self._planar:
-            return np.ones(len(cloud), dtype=bool)
-        height = cloud[:, 2] - (self._first_floor(cloud, distance) if floor_m is None else floor_m)
-        return (height >= self.config.band_min_m) & (height <= self.config.band_max_m)
-
-    def _first_floor(self, cloud: FloatArray, distance: FloatArray) -> float:
-        """The floor's height where it is known once for all, or taken from the first cloud."""
-        if self._floor is None:
-            near = cloud[distance <= FLOOR_RADIUS_M]
-            self._floor = lowest_returns(near, _FLOOR_PERCENTILE)
-        return self._floor
-
-    def _choose_bearings(self, turn: FloatArray) -> None:
-        """Settle on the bearings from the first cloud's returns at any height."""
-        for halvings in range(_MAX_HALVINGS + 1):
-            beams = _CLOUD_BEAMS >> halvings
-            self._shift = _phase(turn * beams) if self._planar else 0.0
-            filled = np.unique(_bins(turn, beams, self._shift))
-            share = _CLOUD_FILLED_SHARE
-            if len(filled) and len(filled) >= share * (filled[-1] - filled[0] + 1):
-                break
-        bearings: FloatArray = (np.arange(beams, dtype=np.float64) + 0.5 + self._shift) * (
-            _FULL_CIRCLE / beams
-        ) - math.pi
-        bearings.setflags(write=False)
-        self._bearings, self._seen = bearings, np.zeros(beams, dtype=bool)
-
-
-def _bins(turn: FloatArray, beams: int, shift: float) -> NDArray[np.intp]:
-    """Of directions (N,) in [0, 1] of a turn, the numbers of the bearings nearest to them."""
-    if shift:
-        return np.floor(turn * beams - shift).astype(np.intp) % beams
-    return np.minimum((turn * beams).astype(np.intp), beams - 1)
-
-
-def _phase(steps: FloatArray) -> float:
-    """Where directions (N,), in steps of the bearings, lie between two of these: -0.5 to 0.5.
-
-    Beams as far apart as the bearings would otherwise lie on their borders, two in the one bin and
-    none in the next.
-    """
-    angles = _FULL_CIRCLE * (steps - 0.5)
-    return math.atan2(float(np.sin(angles).sum()), float(np.cos(angles).sum())) / _FULL_CIRCLE
-
-
-def _beam_times(
-    bins: NDArray[np.intp], times_s: FloatArray | None, beams: int
-) -> FloatArray | None:
-    """Times (beams,) of all beams by those (N,) of points in the bins (N,), None without any."""
-    if times_s is None or not len(bins):
-        return None
-    order = np.argsort(bins, kind="stable")
-    times: FloatArray = np.interp(np.arange(beams), bins[order], times_s[order])
-    return times
-
-
-def lowest_returns(cloud: FloatArray, percentile: float) -> float:
-    """Height below which a `percentile` of a cloud (N, 3) lies; 0 when it is empty."""
-    return float(np.percentile(cloud[:, 2], percentile)) if len(cloud) else 0.0

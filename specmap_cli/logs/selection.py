@@ -1,10 +1,11 @@
-"""Choosing what to read: the topics of scans and odometry, the frames, the clock."""
+"""Choosing what to read, by a survey of the first messages: scans, odometry, frames, clock."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import islice
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import islice, pairwise
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LogConfig
@@ -12,112 +13,80 @@ from specmap_cli.core.text import legible, seconds
 from specmap_cli.logs.clocks import (
     Clock,
     OdometryKind,
-    OdometrySource,
     choose_clock,
     clock_warnings,
     odometry_beside,
 )
-from specmap_cli.logs.first_scans import TRIED_MESSAGES, ceilings_m, first_scans, is_flat
 from specmap_cli.logs.frames import (
     USUAL_BASES,
     Frames,
     Placement,
+    TransformTree,
     place_laser,
     read_frames,
 )
-from specmap_cli.logs.log import Log
 from specmap_cli.logs.messages import BadMessageError, decode_odometry
-from specmap_cli.logs.readers.recording import Message, TopicInfo
-from specmap_cli.logs.sensors import Glimpse, ScanSensor, choose_sensor, sensors_of
-from specmap_cli.logs.topics import choose_odometry_topic, choose_scan_topic, dynamic_topics
-from specmap_cli.logs.transforms import TransformTree
+from specmap_cli.logs.opening import Log
+from specmap_cli.logs.readers.recording import TopicInfo
+from specmap_cli.logs.sensors import (
+    TRIED_MESSAGES,
+    ScanSensor,
+    ceilings_m,
+    choose_odometry_topic,
+    choose_scan_topic,
+    choose_sensor,
+    dynamic_topics,
+    first_scans,
+    is_flat,
+    sensors_of,
+)
 
 _ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
 _PARTS_OVERLAP_NS = 2_000_000_000  # parts of one recording may share a moment, not more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ScanSource:
-    """Where the scans come from: which of the `sensors` on the topic, and what stamps them.
+class Selection:
+    """What is read of a log: build, previews and `info` all go by it.
 
-    `band_m` is the height band of a 3D cloud in metres above the floor, None for planar scans and
-    for clouds of planar lasers.
-    `ceilings_m` are distances that stand for no return, as far as the first scans show.
+    `topic` is that of the scans, `sensor` the one of the `sensors` on it that is read, `clock` what
+    stamps its scans. `band_m` is the height band of a 3D cloud in metres above the floor, None for
+    planar scans and for clouds of planar lasers. `ceilings_m` are distances that stand for no
+    return, as far as the first scans show. `base_from_laser` (4, 4) is the mounting, `floor_m` the
+    height of the floor in the base frame, None when it is unknown. `odometry` says whether poses
+    come from a topic, from transforms `odom_frame` -> `base_frame`, or not at all. `tree` are the
+    transforms known beforehand.
     """
 
     topic: TopicInfo
     sensor: ScanSensor
     sensors: tuple[ScanSensor, ...]
+    base_frame: str
+    base_from_laser: FloatArray
+    floor_m: float | None
+    tree: TransformTree
+    odometry: OdometryKind | None = None
+    odom_topics: tuple[str, ...] = ()
+    odom_frame: str | None = None
     clock: Clock = field(default_factory=Clock)
     band_m: tuple[float, float] | None = None
     ceilings_m: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Selection:
-    """What a stream of sweeps is read from; `tree` are the transforms known beforehand."""
-
-    scan: ScanSource
-    placement: Placement
-    odometry_source: OdometrySource
-    tree: TransformTree
     warnings: tuple[str, ...] = ()
-
-    @property
-    def scan_topic(self) -> str:
-        """The topic of the scans."""
-        return self.scan.topic.name
-
-    @property
-    def scan_type(self) -> str:
-        """The ROS 2 type of the scans."""
-        return self.scan.topic.type
-
-    @property
-    def laser_frame(self) -> str:
-        """The frame of the scans."""
-        return self.scan.sensor.frame
-
-    @property
-    def band_m(self) -> tuple[float, float] | None:
-        """The height band of a 3D cloud, metres above the floor."""
-        return self.scan.band_m
-
-    @property
-    def base_frame(self) -> str:
-        """The frame whose poses are estimated."""
-        return self.placement.base_frame
-
-    @property
-    def base_from_laser(self) -> FloatArray:
-        """The mounting of the laser, (4, 4)."""
-        return self.placement.base_from_laser
-
-    @property
-    def odometry(self) -> OdometryKind | None:
-        """Whether odometry comes from a topic, from transforms, or not at all."""
-        return self.odometry_source.kind
-
-    @property
-    def odom_topics(self) -> tuple[str, ...]:
-        """The topics read for odometry."""
-        return self.odometry_source.topics
 
     @property
     def note(self) -> str:
         """One line on what was chosen."""
-        kind = self.scan_type.rpartition("/")[2]
-        parts = [f"scans from {self.scan_topic} ({kind}, {self.scan.topic.count:,})"]
-        if len(self.scan.sensors) > 1:
-            parts[0] += f" of sensor {self.scan.sensor.name}"
+        kind = self.topic.type.rpartition("/")[2]
+        parts = [f"scans from {self.topic.name} ({kind}, {self.topic.count:,})"]
+        if len(self.sensors) > 1:
+            parts[0] += f" of sensor {self.sensor.name}"
         if self.band_m is not None:
             low, high = self.band_m
             parts.append(f"height band {low:g} to {high:g} m above the floor")
         if self.odometry == "topic":
             parts.append(f"odometry from {self.odom_topics[0]}")
         elif self.odometry == "tf":
-            source = self.odometry_source.frame
-            parts.append(f"odometry from transforms {source} -> {self.base_frame}")
+            parts.append(f"odometry from transforms {self.odom_frame} -> {self.base_frame}")
         else:
             parts.append("no odometry")
         parts.append(f"base frame {self.base_frame}")
@@ -130,25 +99,43 @@ def select(log: Log, config: LogConfig) -> Selection:
     Raises LogError for a log without usable scans, and UsageError, with the choices ready to
     paste, when a topic or frame must be chosen or the chosen one is not there.
     """
-    scan, glimpses = _scan_source(log, choose_scan_topic(log, config.scan_topic), config)
-    topic = choose_odometry_topic(log, config.odom_topic) if config.use_odometry else None
-    child = _odometry_child(log, topic)
+    topic = choose_scan_topic(log, config.scan_topic)
+    scans = first_scans(log, topic)
+    sensors = tuple(sensors_of(scans))
+    sensor = choose_sensor(log.name, topic.name, sensors, config)
+    scans = [scan for scan in scans if sensor.made(scan)]
+    in_space = sensor.is_cloud and not is_flat(log, topic, sensor)
+    odometry_topic = choose_odometry_topic(log, config.odom_topic) if config.use_odometry else None
+    child = _odometry_child(log, odometry_topic)
     usual = [frame for frame in (child, *USUAL_BASES) if frame]
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
-    frames = read_frames(log, scan.sensor.frame, bases, config)
-    placement = place_laser(frames.tree, scan.sensor.frame, child, config)
-    odometry = _odometry_source(log, topic, frames.tree, placement, config)
-    clock = _clock(log, scan, odometry, glimpses)
-    scan = replace(scan, clock=clock, ceilings_m=ceilings_m(log, scan.topic, scan.sensor))
+    frames = read_frames(log, sensor.frame, bases, config)
+    placement = place_laser(frames.tree, sensor.frame, child, config)
+    odometry, topics, odom_frame = _odometry_source(
+        log, odometry_topic, frames.tree, placement.base_frame, config
+    )
+    besides = odometry_beside(log, topic.name, sensor, topics, odom_frame)
+    clock = choose_clock([(scan.stamp_ns, scan.time_ns) for scan in scans], besides)
     return Selection(
-        scan=scan,
-        placement=placement,
-        odometry_source=odometry,
+        topic=topic,
+        sensor=sensor,
+        sensors=sensors,
+        base_frame=placement.base_frame,
+        base_from_laser=placement.base_from_laser,
+        floor_m=placement.floor_m,
         tree=frames.tree,
+        odometry=odometry,
+        odom_topics=topics,
+        odom_frame=odom_frame,
+        clock=clock,
+        band_m=(config.band_min_m, config.band_max_m) if in_space else None,
+        ceilings_m=ceilings_m(log, topic, sensor),
         warnings=(
-            *_doubled(log, scan.topic.name),
+            *_doubled(log, topic.name),
             *placement.warnings,
-            *_assumptions(scan, placement, frames, child, config),
+            *_frame_warnings(placement, frames, child, config),
+            *clock_warnings(clock, topic.name),
+            *_unknown_floor(placement, in_space),
         ),
     )
 
@@ -166,14 +153,10 @@ def _doubled(log: Log, topic: str) -> Iterator[str]:
             )
 
 
-def _assumptions(
-    scan: ScanSource,
-    placement: Placement,
-    frames: Frames,
-    odometry_child: str | None,
-    config: LogConfig,
+def _frame_warnings(
+    placement: Placement, frames: Frames, odometry_child: str | None, config: LogConfig
 ) -> Iterator[str]:
-    """What is taken for granted as the log does not say it."""
+    """What is taken for granted of the frames as the log does not say it."""
     base = placement.base_frame
     for parent, child in frames.absurd[:_ABSURD_NAMED]:
         yield f"the transform {parent!r} -> {child!r} is not finite or absurd, and was left out"
@@ -189,86 +172,39 @@ def _assumptions(
             f"the odometry moves {odometry_child!r}, which no transform joins to {base!r}: "
             "the two are taken to be the same"
         )
-    yield from clock_warnings(scan.clock, scan.topic.name)
-    if scan.band_m is not None and placement.floor_m is None:
+
+
+def _unknown_floor(placement: Placement, in_space: bool) -> Iterator[str]:
+    if in_space and placement.floor_m is None:
         yield (
             "the lidar's tilt and height above the floor are unknown, as there is no transform "
             "from a base frame: each cloud is levelled by the floor that it shows"
         )
 
 
-def _scan_source(log: Log, topic: TopicInfo, config: LogConfig) -> tuple[ScanSource, list[Glimpse]]:
-    """The sensor to read, and its first scans."""
-    glimpses = first_scans(log, topic)
-    sensors = tuple(sensors_of(glimpses))
-    sensor = choose_sensor(f"{log.name}: {topic.name}", sensors, config)
-    source = ScanSource(
-        topic=topic,
-        sensor=sensor,
-        sensors=sensors,
-        band_m=_band_m(log, topic, sensor, config),
-    )
-    return source, [glimpse for glimpse in glimpses if sensor.made(glimpse)]
-
-
-def _band_m(
-    log: Log, topic: TopicInfo, sensor: ScanSensor, config: LogConfig
-) -> tuple[float, float] | None:
-    """The heights of a 3D cloud that count as walls; None for all that planar lasers give."""
-    if not sensor.is_cloud or is_flat(log, topic, sensor):
-        return None
-    return config.band_min_m, config.band_max_m
-
-
-def _clock(
-    log: Log,
-    scan: ScanSource,
-    odometry: OdometrySource,
-    glimpses: Sequence[Glimpse],
-) -> Clock:
-    """What stamps the scans, by the first of them and the odometry beside these."""
-    besides = odometry_beside(log, scan.topic.name, scan.sensor, odometry)
-    return choose_clock(glimpses, besides)
-
-
 def _odometry_child(log: Log, topic: TopicInfo | None) -> str | None:
-    """The frame that moves in an Odometry topic."""
-    if topic is None:
-        return None
-    for message in _first_messages(log, topic):
-        try:
-            return decode_odometry(message).child or None
-        except BadMessageError:
-            continue
+    """The frame that moves in an Odometry topic, by the first message that can be read."""
+    if topic is not None:
+        for message in islice(log.messages([topic.name]), TRIED_MESSAGES):
+            with suppress(BadMessageError):
+                return decode_odometry(message).child or None
     return None
 
 
-def _first_messages(log: Log, topic: TopicInfo) -> Iterator[Message]:
-    return islice(log.messages([topic.name]), TRIED_MESSAGES)
-
-
 def _odometry_source(
-    log: Log,
-    topic: TopicInfo | None,
-    tree: TransformTree,
-    placement: Placement,
-    config: LogConfig,
-) -> OdometrySource:
+    log: Log, topic: TopicInfo | None, tree: TransformTree, base_frame: str, config: LogConfig
+) -> tuple[OdometryKind | None, tuple[str, ...], str | None]:
+    """What odometry is read from: its kind, its topics, and the frame above the base in `tf`."""
     if topic is not None:
-        return OdometrySource(kind="topic", topics=(topic.name,))
-    frame = odometry_ancestor(tree, placement.base_frame) if config.use_odometry else None
-    if frame is None:
-        return OdometrySource()
-    return OdometrySource(kind="tf", topics=tuple(dynamic_topics(log.topics())), frame=frame)
+        return "topic", (topic.name,), None
+    frame = odometry_ancestor(tree, base_frame) if config.use_odometry else None
+    return (None, (), None) if frame is None else ("tf", tuple(dynamic_topics(log.topics())), frame)
 
 
 def odometry_ancestor(tree: TransformTree, base_frame: str) -> str | None:
     """The frame of odometry above the base in the tree, None without a moving one."""
     moving = {child for _, child, _, dynamic in tree.edges() if dynamic}
-    chain: Iterator[str] = tree.ancestors(base_frame)
-    below = next(chain)
-    for frame in chain:
+    for below, frame in pairwise(tree.ancestors(base_frame)):
         if "odom" in frame.lower() and below in moving:
             return frame
-        below = frame
     return None

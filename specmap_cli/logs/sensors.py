@@ -10,16 +10,88 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import NamedTuple
+
+import numpy as np
 
 from specmap_cli.core.errors import CHOICE, UsageError
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.text import legible
-from specmap_cli.logs.messages import BadMessageError, CloudRecord, ScanLayout, ScanRecord
-from specmap_cli.logs.planar import covers_circle, increment
+from specmap_cli.core.text import counted, legible
+from specmap_cli.logs.clouds import cloud_points
+from specmap_cli.logs.messages import (
+    BadMessageError,
+    CloudRecord,
+    ScanLayout,
+    ScanRecord,
+    decode_scan,
+)
+from specmap_cli.logs.opening import Log
+from specmap_cli.logs.planar import LEVEL, ScanLeveller, covers_circle, increment
+from specmap_cli.logs.readers.encoding import ODOMETRY, SCAN_TYPES, TF_MESSAGE
+from specmap_cli.logs.readers.recording import TopicInfo, refused
+
+
+def static_topics(topics: Iterable[TopicInfo]) -> list[str]:
+    """Topics of transforms that never change."""
+    return [t.name for t in topics if t.type == TF_MESSAGE and t.name.endswith("tf_static")]
+
+
+def dynamic_topics(topics: Iterable[TopicInfo]) -> list[str]:
+    """Topics of transforms that may change."""
+    return [t.name for t in topics if t.type == TF_MESSAGE and not t.name.endswith("tf_static")]
+
+
+def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
+    """The topic of scans: the asked one, or the only one."""
+    found = [t for t in log.topics() if t.type in SCAN_TYPES and t.count]
+    if asked is not None:
+        return _asked(log, found, asked, "--scan-topic", "scans")
+    if not found:
+        there = ", ".join(f"{t.name} ({t.type})" for t in log.topics()) or "no messages at all"
+        none = f"no LaserScan, MultiEchoLaserScan or PointCloud2 in it; it has {there}"
+        raise refused(legible(log.name), legible(none))
+    return _only(log, found, "--scan-topic", "scans")
+
+
+def choose_odometry_topic(log: Log, asked: str | None) -> TopicInfo | None:
+    """The Odometry topic: the asked one, the only one, or None when there is none."""
+    found = [t for t in log.topics() if t.type == ODOMETRY and t.count]
+    if asked is not None:
+        return _asked(log, found, asked, "--odom-topic", "odometry")
+    return _only(log, found, "--odom-topic", "odometry") if found else None
+
+
+def _only(log: Log, found: list[TopicInfo], option: str, what: str) -> TopicInfo:
+    if len(found) > 1:
+        choices = " or ".join(f"`{option} {t.name}` ({_describe(t)})" for t in found)
+        several, hint = f"{len(found)} topics carry {what}", f"choose {choices}"
+        raise _unclear(log.name, several, hint, code=CHOICE)
+    return found[0]
+
+
+def _asked(log: Log, found: list[TopicInfo], asked: str, option: str, what: str) -> TopicInfo:
+    for topic in found:
+        if topic.name.lstrip("/") == asked.lstrip("/"):
+            return topic
+    choices = ", ".join(f"{t.name} ({_describe(t)})" for t in found) or "none"
+    none = f"{option} {asked}: no {what} on such a topic"
+    raise _unclear(log.name, f"{none}; topics with {what}: {choices}")
+
+
+def _unclear(log: str, found: str, hint: str = "", code: str | None = None) -> UsageError:
+    """The error of options that choose nothing in a log, or too little."""
+    where, said = legible(log), legible(f"{log}: {found}: {hint}" if hint else f"{log}: {found}")
+    return UsageError(said, code=code, where=where, hint=legible(hint) or None)
+
+
+def _describe(topic: TopicInfo) -> str:
+    return f"{topic.type.rpartition('/')[2]}, {counted(topic.count, 'message')}"
+
 
 _SENSOR_SHARE = 0.1  # share of the first scans; a rarer sensor is left out without a question
 # Scans of one frame that begin or end this much apart by turns: two lasers.
@@ -33,17 +105,18 @@ class View(NamedTuple):
     low: float
     high: float
 
-    def near(self, other: View, angle: float) -> bool:
-        """Whether both ends lie within an angle of each other."""
-        return max(abs(self.low - other.low), abs(self.high - other.high)) <= angle
+    def near(self, other: View) -> bool:
+        """Whether both ends lie within `_SENSOR_ANGLE_RAD` of each other."""
+        off = max(abs(self.low - other.low), abs(self.high - other.high))
+        return off <= _SENSOR_ANGLE_RAD
 
-    def overlaps(self, other: View, angle: float) -> bool:
-        """Whether the two share more than an angle."""
-        return min(self.high, other.high) - max(self.low, other.low) > angle
+    def overlaps(self, other: View) -> bool:
+        """Whether the two share more than `_SENSOR_ANGLE_RAD`."""
+        return min(self.high, other.high) - max(self.low, other.low) > _SENSOR_ANGLE_RAD
 
 
-class Glimpse(NamedTuple):
-    """What is kept of a scan that was looked at: its times, frame and layout (None: a cloud)."""
+class FirstScan(NamedTuple):
+    """What is kept of a scan at the beginning of a log: times, frame, layout (None: a cloud)."""
 
     stamp_ns: int
     time_ns: int
@@ -56,7 +129,7 @@ class ScanSensor:
     """A sensor of a topic. `name` is what `--scan-frame` calls it: its frame, or `frame#number`.
 
     `count` is how many of the scans looked at are its own. `view` is set where the frame has
-    several sensors; a scan is of this one when both ends of its view are within `angle`.
+    several sensors; a scan is of this one when its own view is near.
     """
 
     name: str
@@ -64,9 +137,8 @@ class ScanSensor:
     count: int
     is_cloud: bool
     view: View | None = None
-    angle: float = 0.0
 
-    def made(self, record: ScanRecord | CloudRecord | Glimpse) -> bool:
+    def made(self, record: ScanRecord | CloudRecord | FirstScan) -> bool:
         """Whether a scan is of this sensor."""
         layout = None if isinstance(record, CloudRecord) else record.layout
         if record.frame != self.frame or (layout is None) != self.is_cloud:
@@ -74,7 +146,7 @@ class ScanSensor:
         if self.view is None or layout is None:
             return True
         view = view_of(layout)
-        return view is not None and self.view.near(view, self.angle)
+        return view is not None and self.view.near(view)
 
 
 class SeveralSensorsError(UsageError):
@@ -82,8 +154,8 @@ class SeveralSensorsError(UsageError):
 
     code = CHOICE
 
-    def __init__(self, message: str, best: str) -> None:
-        super().__init__(message)
+    def __init__(self, found: str, hint: str, where: str, best: str) -> None:
+        super().__init__(f"{found}: {hint}", where=where, hint=hint)
         self.best = best
 
 
@@ -99,59 +171,48 @@ def view_of(layout: ScanLayout) -> View | None:
     return View(min(layout.angle_min, last), max(layout.angle_min, last))
 
 
-def sensors_of(glimpses: Sequence[Glimpse]) -> list[ScanSensor]:
+def sensors_of(scans: Iterable[FirstScan]) -> list[ScanSensor]:
     """The sensors among the scans that were looked at, in the order in which they appear."""
-    groups: dict[tuple[str, bool], list[Glimpse]] = {}
-    for glimpse in glimpses:
-        groups.setdefault((glimpse.frame, glimpse.layout is None), []).append(glimpse)
+    groups: dict[tuple[str, bool], list[FirstScan]] = {}
+    for scan in scans:
+        groups.setdefault((scan.frame, scan.layout is None), []).append(scan)
     found = []
     for (frame, is_cloud), group in groups.items():
-        kinds = [] if is_cloud else _kinds(group)
+        kinds = _kinds([scan.layout for scan in group if scan.layout is not None])
         if len(kinds) < 2:
-            alone = ScanSensor(name=frame, frame=frame, count=len(group), is_cloud=is_cloud)
-            found.append(alone)
+            count = len(group)
+            found.append(ScanSensor(name=frame, frame=frame, count=count, is_cloud=is_cloud))
             continue
         for number, (view, count) in enumerate(kinds, start=1):
-            found.append(
-                ScanSensor(
-                    name=f"{frame}#{number}",
-                    frame=frame,
-                    count=count,
-                    is_cloud=False,
-                    view=view,
-                    angle=_SENSOR_ANGLE_RAD,
-                )
-            )
+            name = f"{frame}#{number}"
+            found.append(ScanSensor(name=name, frame=frame, count=count, is_cloud=False, view=view))
     return found
 
 
-def _kinds(group: Sequence[Glimpse]) -> list[tuple[View, int]]:
+def _kinds(layouts: Sequence[ScanLayout]) -> list[tuple[View, int]]:
     """The fields of view that take turns in one frame, and how often each is met."""
-    angle = _SENSOR_ANGLE_RAD
     views: list[View] = []
     turns: list[int] = []  # the number of the view of each scan
-    for glimpse in group:
-        view = None if glimpse.layout is None else view_of(glimpse.layout)
+    for layout in layouts:
+        view = view_of(layout)
         if view is None:
             continue
-        near = (n for n, known in enumerate(views) if known.near(view, angle))
-        number = next(near, len(views))
+        number = next((n for n, other in enumerate(views) if other.near(view)), len(views))
         if number == len(views):
             views.append(view)
         turns.append(number)
-    counts = [turns.count(number) for number in range(len(views))]
-    least = max(_BY_TURNS, _SENSOR_SHARE * len(group))
-    often = [n for n, count in enumerate(counts) if count >= least]
-    kept = [n for n in often if _rival(n, often, views, turns, angle)]
-    return [(views[n], counts[n]) for n in kept]
+    counts = Counter(turns)
+    least = max(_BY_TURNS, _SENSOR_SHARE * len(layouts))
+    often = [n for n in range(len(views)) if counts[n] >= least]
+    return [(views[n], counts[n]) for n in often if _has_rival(n, often, views, turns)]
 
 
-def _rival(
-    number: int, often: Sequence[int], views: Sequence[View], turns: Sequence[int], angle: float
+def _has_rival(
+    number: int, often: Sequence[int], views: Sequence[View], turns: Sequence[int]
 ) -> bool:
     """Whether another view overlaps with this one and takes turns with it."""
     for other in often:
-        if other == number or not views[number].overlaps(views[other], angle):
+        if other == number or not views[number].overlaps(views[other]):
             continue
         both = [turn for turn in turns if turn in (number, other)]
         changes = sum(a != b for a, b in pairwise(both))
@@ -160,10 +221,12 @@ def _rival(
     return False
 
 
-def choose_sensor(where: str, sensors: Sequence[ScanSensor], config: LogConfig) -> ScanSensor:
+def choose_sensor(
+    log: str, topic: str, sensors: Sequence[ScanSensor], config: LogConfig
+) -> ScanSensor:
     """The sensor that the settings name, or the only one with more than a small share of the scans.
 
-    `where` names log and topic. Raises UsageError with the sensors ready to paste.
+    `log` and `topic` are names. Raises UsageError with the sensors ready to paste.
     """
     total, asked = sum(sensor.count for sensor in sensors), config.scan_frame
     if asked is not None:
@@ -172,16 +235,16 @@ def choose_sensor(where: str, sensors: Sequence[ScanSensor], config: LogConfig) 
         if chosen is not None:
             return chosen
         known = ", ".join(_told(sensor, total) for sensor in sensors)
-        nothing = f"{where}: --scan-frame {asked}: no scans of such a sensor; there are {known}"
-        raise UsageError(legible(nothing))
+        nothing = f"--scan-frame {asked}: no scans of such a sensor; there are {known}"
+        raise _unclear(log, f"{topic}: {nothing}")
     often = [s for s in sensors if s.count >= _SENSOR_SHARE * total]
     candidates = often or list(sensors)
     if len(candidates) == 1:
         return candidates[0]
     best = max(candidates, key=lambda sensor: sensor.count)
     choices = " or ".join(f"`--scan-frame {_told(s, total, '`')}" for s in candidates)
-    several = f"{where}: {len(candidates)} sensors on one topic: choose {choices}"
-    raise SeveralSensorsError(legible(several), best.name)
+    several = legible(f"{log}: {topic}: {len(candidates)} sensors on one topic")
+    raise SeveralSensorsError(several, legible(f"choose {choices}"), legible(log), best.name)
 
 
 def _told(sensor: ScanSensor, total: int, end: str = "") -> str:
@@ -191,3 +254,67 @@ def _told(sensor: ScanSensor, total: int, end: str = "") -> str:
         low, high = (math.degrees(bearing) for bearing in sensor.view)
         view = f"{low:.0f} to {high:.0f} degrees, "
     return f"{shlex.quote(sensor.name)}{end} ({view}{sensor.count:,} of the first {total:,} scans)"
+
+
+TRIED_MESSAGES = 50  # messages of a topic tried in search of one that can be read
+LOOK_SCANS = 100  # first scans looked at: which sensors share the topic, what stamps are worth
+_FLAT_M = 0.02  # heights of a planar laser's points, which a driver may round
+_FLAT_POINTS = 30  # fewer tell nothing of a lidar
+_LOOK_BYTES = 32_000_000  # of messages that are looked at: some twenty clouds
+
+
+def first_scans(log: Log, topic: TopicInfo) -> list[FirstScan]:
+    """The first scans that can be decoded; raises LogError where none of the first can be."""
+    found: list[FirstScan] = []
+    reason, size = "it holds no message", 0
+    for tried, message in enumerate(log.messages([topic.name]), start=1):
+        size += len(message.data)
+        try:
+            record = decode_scan(message)
+            layout = None if isinstance(record, CloudRecord) else record.layout
+            found.append(FirstScan(record.stamp_ns, message.time_ns, record.frame, layout))
+        except BadMessageError as error:
+            reason = f"{error}; tried {counted(tried, 'message')}"
+        if found and (tried >= LOOK_SCANS or size >= _LOOK_BYTES):
+            break
+        if not found and tried >= TRIED_MESSAGES:
+            break
+    if not found:
+        none = f"{topic.name}: no usable scan: {reason}"
+        raise refused(legible(log.name), legible(none))
+    return found
+
+
+def _first_of(log: Log, topic: TopicInfo, sensor: ScanSensor) -> Iterator[ScanRecord | CloudRecord]:
+    """The first scans of one sensor, one in memory at a time."""
+    size = 0
+    for message in islice(log.messages([topic.name]), LOOK_SCANS):
+        size += len(message.data)
+        with suppress(BadMessageError):
+            record = decode_scan(message)
+            if sensor.made(record):
+                yield record
+        if size >= _LOOK_BYTES:
+            return
+
+
+def is_flat(log: Log, topic: TopicInfo, sensor: ScanSensor) -> bool:
+    """Whether the first clouds have all their points at one height: those of a planar laser."""
+    points = 0
+    for record in _first_of(log, topic, sensor):
+        if isinstance(record, CloudRecord):
+            heights = cloud_points(record, record.stamp_ns).points[:, 2]
+            points += len(heights)
+            if len(heights) and float(np.ptp(heights)) > _FLAT_M:
+                return False
+    return points >= _FLAT_POINTS
+
+
+def ceilings_m(log: Log, topic: TopicInfo, sensor: ScanSensor) -> tuple[float, ...]:
+    """The distances that stand for no return in the first planar scans."""
+    leveller = ScanLeveller(LEVEL)
+    for record in () if sensor.is_cloud else _first_of(log, topic, sensor):
+        if isinstance(record, ScanRecord):
+            with suppress(BadMessageError):
+                leveller.level(record, record.stamp_ns)
+    return leveller.ceiling.values_m

@@ -17,14 +17,18 @@ from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible, nanoseconds
-from specmap_cli.logs.ceiling import Ceiling
-from specmap_cli.logs.clouds import PointClock, cloud_points
-from specmap_cli.logs.levelling import CloudLeveller, Level
-from specmap_cli.logs.log import Log
+from specmap_cli.logs.clouds import CloudFlattener, CloudLeveller, Level, PointClock, cloud_points
 from specmap_cli.logs.messages import BadMessageError, CloudRecord, ScanRecord, decode_scan
 from specmap_cli.logs.odometry import OdometryBuffer, OdometryListener
-from specmap_cli.logs.own_body import OwnBody
-from specmap_cli.logs.planar import SCAN_TIME_MAX_S, CloudFlattener, Mount, ScanLeveller, duration_s
+from specmap_cli.logs.opening import Log
+from specmap_cli.logs.planar import (
+    SCAN_TIME_MAX_S,
+    Ceiling,
+    Mount,
+    OwnBody,
+    ScanLeveller,
+    duration_s,
+)
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.selection import Selection, select
 
@@ -73,7 +77,7 @@ class SweepStream:
     @property
     def expected(self) -> int:
         """How many scans the topic holds, usable or not."""
-        return self.selection.scan.topic.count
+        return self.selection.topic.count
 
     @property
     def warnings(self) -> list[str]:
@@ -90,12 +94,12 @@ class SweepStream:
         """The sweeps in the order of the log."""
         self.counts = _no_counts()
         odometry = OdometryListener(self.selection)
-        self.ceiling, self.own_body = Ceiling(self.selection.scan.ceilings_m), OwnBody()
+        self.ceiling, self.own_body = Ceiling(self.selection.ceilings_m), OwnBody()
         leveller = self._leveller()
         sweeps = _SweepMaker(self.selection, self.config, self.counts, leveller)
         waiting: deque[_Waiting] = deque()
-        for message in self.log.messages([self.selection.scan_topic, *self.selection.odom_topics]):
-            if message.topic == self.selection.scan_topic:
+        for message in self.log.messages([self.selection.topic.name, *self.selection.odom_topics]):
+            if message.topic == self.selection.topic.name:
                 waiting.extend(sweeps.decoded(message, odometry))
             else:
                 self._hear(odometry, message)
@@ -153,7 +157,7 @@ class _SweepMaker:
         self.config = config
         self.counts = counts
         self.leveller = leveller
-        floor = selection.placement.floor_m
+        floor = selection.floor_m
         self.flattener = CloudFlattener(
             selection.base_from_laser, floor, config, planar=selection.band_m is None
         )
@@ -170,12 +174,12 @@ class _SweepMaker:
         except BadMessageError:
             self.counts["unusable_scans"] += 1
             return
-        scan = self.selection.scan
-        if not scan.sensor.made(record):
+        chosen = self.selection
+        if not chosen.sensor.made(record):
             self.counts["other_sensor"] += 1
             return
-        self.counts["unstamped_scans"] += scan.clock.unset(record.stamp_ns)
-        stamp = scan.clock.scan_ns(self._number, record.stamp_ns, message.time_ns)
+        self.counts["unstamped_scans"] += chosen.clock.unset(record.stamp_ns)
+        stamp = chosen.clock.scan_ns(self._number, record.stamp_ns, message.time_ns)
         self._number += 1
         own = odometry.own(record.stamp_ns, message.time_ns)
         yield _Waiting(record, stamp, message.time_ns, own)

@@ -3,18 +3,170 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from specmap_cli.core.text import counted, legible
-from specmap_cli.logs.checking import TopicCheck
-from specmap_cli.logs.preview import DAY, Preview
+from specmap_cli.core.text import counted, decimal, legible
 
+DAY = timedelta(days=1)  # clocks of robot and reader may be in different time zones
+EARLIEST_STAMP_S = 631_152_000  # 1990: no robot's log is older
 _EARLIEST_DATE_S = 315_532_800  # 1980: smaller stamps count from somewhere else
 _NAMED_FILES = 3  # of a split recording, in the summary's first line
+_NAMED_GAPS = 3  # in the words for people; all of them are in the JSON
 _LEAST_RATE_HZ = 0.05  # a lower one would be shown as 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pauses:
+    """Pauses between the messages of a topic: how many, and the longest with its beginning."""
+
+    count: int = 0
+    longest_s: float = 0.0
+    longest_at_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopicCheck:
+    """What came of reading a topic to its end.
+
+    `expected` is the number that the file counts, `read` how many were read, `unusable` how many of
+    these cannot be decoded. `steps_back` counts messages whose stamp is earlier than that of the
+    message before, `repeats` those with the same stamp.
+    """
+
+    name: str
+    type: str
+    read: int
+    expected: int
+    unusable: int = 0
+    pauses: Pauses = field(default_factory=Pauses)
+    steps_back: int = 0
+    repeats: int = 0
+
+    def text(self) -> str:
+        """The result in words, without the name."""
+        told = [f"{self.read:,} of {counted(self.expected, 'message')} read"]
+        if self.unusable:
+            told.append(f"{self.unusable:,} unusable")
+        if self.pauses.count:
+            told.append(
+                f"{counted(self.pauses.count, 'pause')}, the longest {self.pauses.longest_s:.2f} s "
+                f"from {self.pauses.longest_at_s:.3f} s on"
+            )
+        if self.steps_back:
+            told.append(f"stamps earlier than the stamp before: {self.steps_back:,}")
+        if self.repeats:
+            told.append(f"stamps equal to the stamp before: {self.repeats:,}")
+        return "; ".join(told)
+
+
+@dataclass(frozen=True, slots=True)
+class Spacing:
+    """How scans follow one another: scans a second, metres between, whether these are many.
+
+    The median step while the robot moves, by odometry; None where nothing is known of it.
+    """
+
+    rate_hz: float
+    step_m: float | None = None
+    is_sparse: bool = False
+
+    def text(self) -> str:
+        """The spacing in words."""
+        if self.step_m is None:
+            return f"{self.rate_hz:.1f} scans a second"
+        sparse = ": sparse, so that much depends on the odometry" if self.is_sparse else ""
+        step = f"{self.step_m:.2f} m from one to the next while the robot moves"
+        return f"{self.rate_hz:.1f} scans a second, {step}{sparse}"
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A gap between two scans: its length, and the stamp at which it begins, seconds."""
+
+    length_s: float
+    at_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StampFaults:
+    """What is wrong with the header stamps on a topic, among the `messages` that were read.
+
+    `elsewhen` counts stamps before 1990 or in the future that are not zero, `example_s` is one.
+    """
+
+    topic: str
+    messages: int = 0
+    zero: int = 0
+    repeated: int = 0
+    backward: int = 0
+    elsewhen: int = 0
+    example_s: float | None = None
+
+    def text(self) -> str:
+        """The faults in words; empty without any."""
+        told = [
+            f"{what}: {count:,}"
+            for what, count in (
+                ("zero", self.zero),
+                ("equal to the stamp before", self.repeated),
+                ("earlier than the stamp before", self.backward),
+            )
+            if count
+        ]
+        if self.example_s is not None:
+            shown = f"such as {decimal(self.example_s, 3)} s{_date(self.example_s)}"
+            told.append(f"before 1990 or in the future: {self.elsewhen:,}, {shown}")
+        if not told:
+            return ""
+        return f"stamps on {self.topic}, of {counted(self.messages, 'message')}: {'; '.join(told)}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Preview:
+    """What `build` will meet, by the first `scans` of the chosen sensor, or by all of them.
+
+    `stale_scans` only repeat others, see `Repeats`. `invalid_share` is that of readings which say
+    nothing, None for clouds. `sensors` are the sensors of the topic with their numbers among the
+    scans that were looked at.
+    """
+
+    scans: int
+    blank_scans: int
+    stale_scans: int
+    invalid_share: float | None
+    spacing: Spacing
+    gaps: tuple[Gap, ...] = ()
+    sensors: tuple[tuple[str, int], ...] = ()
+    stamps: tuple[StampFaults, ...] = ()
+
+    def lines(self, of: int) -> list[str]:
+        """The preview in words for people; `of` is the number of scans on the topic."""
+        part = f"the first {self.scans:,} of {of:,}" if self.scans < of else f"{self.scans:,}"
+        told = [self.spacing.text()]
+        if self.blank_scans:
+            told.append(f"blank scans, without any return: {self.blank_scans:,}")
+        if self.stale_scans:
+            repeating = "scans that repeat the one before while the robot moves"
+            told.append(f"{repeating}: {self.stale_scans:,}")
+        if self.invalid_share:
+            told.append(f"readings that are invalid: {100 * self.invalid_share:.1f} %")
+        told += self._gap_lines()
+        if len(self.sensors) > 1:
+            names = ", ".join(f"{name} ({count:,} scans)" for name, count in self.sensors)
+            told.append(f"several sensors on the topic: {names}")
+        told += [faults.text() for faults in self.stamps if faults.text()]
+        return [f"build would meet, in {part} scans:", *(f"  {line}" for line in told)]
+
+    def _gap_lines(self) -> Iterator[str]:
+        if not self.gaps:
+            return
+        longest = sorted(self.gaps, key=lambda gap: (-gap.length_s, gap.at_s))[:_NAMED_GAPS]
+        shown = ", ".join(f"{gap.length_s:.2f} s from {gap.at_s:.3f} s on" for gap in longest)
+        which = "the longest " if len(self.gaps) > len(longest) else ""
+        yield f"{counted(len(self.gaps), 'gap')} between scans: {which}{shown}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,3 +337,13 @@ def _scan_text(scan: ScanSummary) -> str:
     reach = f"up to {scan.range_max_m:g} m" if math.isfinite(scan.range_max_m) else "of any range"
     view = f"over {scan.field_of_view_deg:g} degrees"
     return f"{what} {view} in frame {scan.frame}, {reach}, {times}"
+
+
+def _date(seconds: float) -> str:
+    """A day for stamps that are one, such as those of the year 2106."""
+    if seconds <= EARLIEST_STAMP_S:
+        return ""
+    try:
+        return f" ({datetime.fromtimestamp(seconds, UTC):%Y-%m-%d})"
+    except (ValueError, OverflowError, OSError):  # beyond the year 9999
+        return ""

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import os
 import weakref
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO
@@ -18,11 +20,20 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
-from specmap_cli.core.arguments import path_of
-from specmap_cli.core.errors import OUTPUT, UsageError, reason
+from specmap_cli.core.arguments import Paths, path_of, paths_of
+from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError, reason
 from specmap_cli.core.files import lock, partial_of, remove_leftovers
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.progress import Progress, Silent
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.text import counted, legible
+from specmap_cli.logs.opening import Log, open_log
 from specmap_cli.logs.readers.encoding import (
+    LASER_SCAN,
+    ODOMETRY,
+    POINT_CLOUD,
+    SUPPORTED_TYPES,
+    TF_MESSAGE,
     cloud_cdr,
     in_space,
     message_definition,
@@ -30,7 +41,7 @@ from specmap_cli.logs.readers.encoding import (
     scan_cdr,
     transform_cdr,
 )
-from specmap_cli.logs.readers.typestore import LASER_SCAN, ODOMETRY, POINT_CLOUD, TF_MESSAGE
+from specmap_cli.logs.readers.recording import TopicInfo, refused
 
 CHUNK_BYTES = 512 * 1024  # what a reader holds in memory at once; compresses well from here on
 TF_STATIC = "/tf_static"
@@ -58,7 +69,8 @@ class LogWriter:
     def __init__(self, path: Path | str) -> None:
         self.path = path_of(path, "path")
         if self.path.is_dir():
-            raise UsageError(f"{self.path}: is a directory; name the MCAP file to write")
+            place, hint = str(self.path), "name the MCAP file to write"
+            raise UsageError(f"{place}: is a directory; {hint}", where=place, hint=hint)
         self._part = partial_of(self.path)
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
@@ -190,9 +202,8 @@ class LogWriter:
         return file
 
     def _unwritable(self, error: OSError) -> UsageError:
-        return UsageError(
-            f"{self.path}: cannot write: {reason(error, 'choose another place')}", code=OUTPUT
-        )
+        place, why = str(self.path), reason(error, "choose another place")
+        return UsageError(f"{place}: cannot write: {why}", code=OUTPUT, where=place)
 
     def _channel(self, topic: str, msgtype: str) -> int:
         key = (topic, msgtype)
@@ -211,3 +222,81 @@ class LogWriter:
 
 def _unlink(path: Path) -> None:
     path.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conversion:
+    """What was written, what was left out as no stage reads it, and what was lost to damage."""
+
+    path: Path
+    written: tuple[TopicInfo, ...]
+    skipped: tuple[TopicInfo, ...]
+    damage: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """The result as lines for people."""
+        total = sum(t.count for t in self.written)
+        told = [f"wrote {self.path}: {counted(total, 'message')}"]
+        told += [f"  {t.name}  {t.count:,}  {t.type}" for t in self.written]
+        told += [
+            f"left out {t.name}: {counted(t.count, 'message')} of {t.type}" for t in self.skipped
+        ]
+        return [legible(line) for line in told + [f"damage: {line}" for line in self.damage]]
+
+
+def convert(
+    paths: Paths,
+    out: Path | str,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    config: LogConfig | None = None,
+) -> Conversion:
+    """Write the scans, odometry and transforms of a log to the MCAP file `out`.
+
+    `config` bounds what is unpacked, as in `open_log`. Messages keep their order, their topics and
+    their header stamps; log times that step back become that of the message ahead. Raises
+    UsageError when `out` exists (unless `overwrite`) or cannot be written, LogError when the log
+    holds nothing to convert, TypeError for what is no path.
+    """
+    given, target = paths_of(paths, "paths"), path_of(out, "out")
+    if target.exists() and not overwrite:
+        place, hint = str(target), "use --overwrite to replace it"
+        message = f"{place}: exists already; {hint}"
+        raise UsageError(message, code=OUTPUT_EXISTS, where=place, hint=hint)
+    with open_log(given, config) as log:
+        topics = log.topics()
+        if not any(_is_wanted(topic) for topic in topics):
+            there = ", ".join(f"{t.name} ({t.type})" for t in topics) or "no messages at all"
+            nothing = f"no scans, odometry or transforms; it has {there}"
+            raise refused(legible(log.name), legible(nothing))
+        return Conversion(
+            path=target,
+            written=_written(log, target, progress or Silent()),
+            skipped=tuple(t for t in topics if t.type not in SUPPORTED_TYPES and t.count),
+            damage=tuple(log.damage),
+        )
+
+
+def _is_wanted(topic: TopicInfo) -> bool:
+    return topic.type in SUPPORTED_TYPES and topic.count > 0
+
+
+def _written(log: Log, target: Path, progress: Progress) -> tuple[TopicInfo, ...]:
+    """Write what specmap reads of a log; the topics written and how much of each.
+
+    Readers of MCAP sort by log time: one that steps back, as in a CARMEN log whose clock was set,
+    would take its message away from its place.
+    """
+    wanted = [topic for topic in log.topics() if _is_wanted(topic)]
+    counts: Counter[tuple[str, str]] = Counter()
+    progress.start("converting", sum(topic.count for topic in wanted))
+    latest_ns = 0
+    with LogWriter(target) as writer:
+        for message in log.messages({topic.name for topic in wanted}):
+            if message.type in SUPPORTED_TYPES:
+                latest_ns = max(latest_ns, message.time_ns)
+                writer.raw(message.topic, message.type, message.data, latest_ns)
+                counts[message.topic, message.type] += 1
+                progress.advance()
+    return tuple(TopicInfo(*key, counts[key]) for key in sorted(counts))

@@ -28,11 +28,17 @@ from specmap_cli.logs.messages import (
     decode_transforms,
 )
 from specmap_cli.logs.planar import covers_circle, increment
-from specmap_cli.logs.readers.alike_transforms import AlikeTransforms
-from specmap_cli.logs.readers.encoding import Transform, in_space, scan_cdr, transforms_cdr
+from specmap_cli.logs.readers.encoding import (
+    LASER_SCAN,
+    TF_MESSAGE,
+    AlikeTransforms,
+    Transform,
+    in_space,
+    scan_cdr,
+    transforms_cdr,
+)
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.readers.typestore import LASER_SCAN, TF_MESSAGE
 from specmap_cli.logs.writer import TF_STATIC, LogWriter
 from specmap_cli.maps.even_bearings import EvenSpacing
 

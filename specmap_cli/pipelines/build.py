@@ -8,6 +8,7 @@ refute, divide, assess, learn, write.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,17 +24,18 @@ from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.filenames import EDITS
-from specmap_cli.pipelines.stopwatch import Stopwatch
-from specmap_cli.pipelines.tracking import Tracking, track
-from specmap_cli.pipelines.trajectory import TrajectoryRecorder
+from specmap_cli.pipelines.session import Session
+from specmap_cli.pipelines.tracking import Tracking, TrajectoryRecorder, track
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import check_feature_sets
 
 if TYPE_CHECKING:  # slow to load: it is, while the other process reads and registers
-    from specmap_cli.pipelines.exploration import Exploration, Explored
-    from specmap_cli.pipelines.finished_map import FinishedMap
-    from specmap_cli.pipelines.run_record import BuildReport
-    from specmap_cli.segmentation.online import Observer
+    from specmap_cli.pipelines.exploration import Exploration
+    from specmap_cli.pipelines.learning import Prior
+    from specmap_cli.pipelines.map_in_making import Explored, FinishedMap, LaidOut
+    from specmap_cli.pipelines.reports import BuildReport
+    from specmap_cli.segmentation.online import Observer, Occasion
+    from specmap_cli.segmentation.splitting import SplitTest
 
 Accepts = Callable[[PosedScan], bool]
 
@@ -65,19 +67,20 @@ def build_map(
         OutputDirectory(target, overwrite, progress) as partial,
         KeyframeStore() as store,
     ):
+        session = Session(config, store, progress)
         observer = None if pictures is None else _pictures(pictures, config, overwrite=overwrite)
         stream = SweepStream(log, config.log)
-        finished = map_log(stream, config, store, progress, observer=observer)
-        from specmap_cli.maps.writing import write_map
-        from specmap_cli.pipelines.assessment import tell
-        from specmap_cli.pipelines.finished_map import recording
-        from specmap_cli.pipelines.run_record import BuildReport, run_record
+        finished = map_log(session, stream, observer=observer)
+        from specmap_cli.pipelines.finishing import tell, write_finished
+        from specmap_cli.pipelines.reports import BuildReport, run_record
 
-        logs_read = (recording(log.name, finished.trajectory, len(store)),)
-        overview = finished.overview(logs_read)
-        run = run_record(log.given, stream.selection, config, finished)
-        tell(finished.quality, progress)
-        write_map(partial, finished.result(logs_read, run, overview), store)
+        tell(session, finished)
+        run = write_finished(
+            session,
+            partial,
+            finished,
+            lambda: run_record(session, finished, log.given, stream.selection),
+        )
     return BuildReport(out=target, run=run, quality=finished.quality)
 
 
@@ -90,80 +93,72 @@ def _refuse_edited(target: Path) -> None:
         )
 
 
-def _pictures(directory: Path, config: Config, *, overwrite: bool) -> Observer:
-    """An observer that draws every test that may split a submap."""
-    from specmap_cli.pipelines.split_test_pictures import split_test_pictures
-
-    return split_test_pictures(directory, config.segmentation, overwrite=overwrite)
-
-
 @one_blas_thread()
 def map_log(
+    session: Session,
     stream: SweepStream,
-    config: Config,
-    store: KeyframeStore,
-    progress: Progress,
     *,
     accepts: Accepts | None = None,
     observer: Observer | None = None,
 ) -> FinishedMap:
-    """The map of a log, its keyframes in `store`.
+    """The map of a log, its keyframes in the store of the session.
 
     `accepts` says of each scan, in turn, whether it is a keyframe; by default the settings say it.
     `observer` is told of every test that may split a submap. Raises NoResultError when the log
     left no keyframe, or none that fits the grid.
     """
-    check_feature_sets(config)
-    clock = Stopwatch()
-    accepts = accepts or KeyframeSelector(config.keyframes).accepts
-
-    def begin() -> Exploration:
-        from specmap_cli.pipelines.exploration import Exploration
-
-        return Exploration(config, store, clock, observer)
-
-    # what only the exploration knew is gone after it
-    explored, tracking = explore_log(stream, config, begin, accepts, progress)
-    refuse_empty(store, stream, tracking)
+    laid, prior = survey(session, stream, accepts=accepts, observer=observer)
     from specmap_cli.pipelines.finishing import finish
 
-    return finish(explored, tracking, config, store, progress, clock)
+    return finish(session, laid, prior)
 
 
-def refuse_empty(store: KeyframeStore, stream: SweepStream, tracking: Tracking) -> None:
-    """Raise NoResultError when a log left no keyframe."""
-    if not len(store):
+def survey(
+    session: Session,
+    stream: SweepStream,
+    *,
+    accepts: Accepts | None = None,
+    observer: Observer | None = None,
+) -> tuple[LaidOut, Prior]:
+    """A log explored and laid out by itself, and what is known before it is learned.
+
+    The arguments, and what it raises, are those of `map_log`.
+    """
+    check_feature_sets(session.config)
+    explored, tracking = _explored(session, stream, accepts, observer)
+    if not len(session.store):
         found = "; ".join(tracking.warnings) or "too few returns in them"
         raise NoResultError(
             f"{stream.log.name}: none of {counted(stream.expected, 'scan')} could be registered "
             f"({found}): look at them with `specmap info`"
         )
+    from specmap_cli.pipelines.laying_out import lay_out
+    from specmap_cli.pipelines.learning import Prior
+
+    return lay_out(session, explored, tracking, stream.log.name), Prior(explored.features)
 
 
-def explore_log(
-    stream: SweepStream,
-    config: Config,
-    begin: Callable[[], Exploration],
-    accepts: Accepts,
-    progress: Progress,
+def _explored(
+    session: Session, stream: SweepStream, accepts: Accepts | None, observer: Observer | None
 ) -> tuple[Explored, Tracking]:
     """Track and explore a log: registration runs ahead where there is a second processor.
 
-    What `begin` takes to load is loaded meanwhile.
+    What only the exploration knows is gone afterwards.
     """
-    progress.note(stream.selection.note)
-    progress.start("mapping", stream.expected)
+    config = session.config
+    session.progress.note(stream.selection.note)
+    session.progress.start("mapping", stream.expected)
     with ahead(lambda: track(stream, config.registration)) as scans:
-        exploration = begin()
-        explored = explore(scans, exploration, accepts, progress)
+        from specmap_cli.pipelines.exploration import Exploration  # loaded meanwhile
+
+        accepts = accepts or KeyframeSelector(config.keyframes).accepts
+        explored = explore(scans, Exploration(session, observer), accepts)
         tracking = scans.result
-    exploration.clock.seconds["registration"] = tracking.seconds
+    session.clock.seconds["registration"] = tracking.seconds
     return explored, tracking
 
 
-def explore(
-    scans: Iterable[PosedScan], exploration: Exploration, accepts: Accepts, progress: Progress
-) -> Explored:
+def explore(scans: Iterable[PosedScan], exploration: Exploration, accepts: Accepts) -> Explored:
     """Algorithm 1, while the log lasts. Scans come registered: "scan match new observations"."""
     trajectory = TrajectoryRecorder()
     for scan in scans:  # "move forward and gather a new set of laser scan observations"
@@ -176,7 +171,45 @@ def explore(
             # "use learned classifiers to determine if the new submap is an existing submap"; if so
             # "merge [...] and close loop", if not "add submap to graph and train new classifier"
             exploration.recognise(left)
-        progress.advance()
+        exploration.session.progress.advance()
     exploration.recognise(exploration.end_submap())
     exploration.recognise_leftovers()
     return exploration.explored(trajectory.trajectory())
+
+
+def _pictures(folder: Path, config: Config, *, overwrite: bool) -> Observer:
+    """An observer that draws every test that may split a submap: test_0001.png, test_0002.png, ...
+
+    Raises UsageError when the directory cannot be made, or holds pictures of an earlier run that
+    are not to be overwritten.
+    """
+    from specmap_cli.drawing.split_tests import draw_test
+    from specmap_cli.grids.map_server import write_png
+
+    _make_room(folder, overwrite)
+    numbers = count(1)
+
+    def draw(test: SplitTest, split: bool, occasion: Occasion) -> None:
+        if test.grid.cells.size:  # one outside the grid has nothing to show
+            picture = draw_test(test, config.segmentation.split_eigenvalue, split, occasion)
+            write_png(folder / f"test_{next(numbers):04d}.png", picture)
+
+    return draw
+
+
+def _make_room(folder: Path, overwrite: bool) -> None:
+    """Make the directory, without pictures of an earlier run."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        old = sorted(folder.glob("test_*.png"))
+        if old and not overwrite:
+            raise UsageError(
+                f"{folder}: holds pictures of an earlier run: use --overwrite to replace them, "
+                "or another directory"
+            )
+        for picture in old:
+            picture.unlink()
+    except OSError as error:
+        raise UsageError(
+            f"{folder}: cannot write pictures there: {error.strerror}; choose another directory"
+        ) from None

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from specmap_cli.checking.figures import FINDINGS, figures_against, figures_of
-from specmap_cli.checking.record import CheckRecord
-from specmap_cli.checking.reports import lines_of
+from specmap_cli.checking.record import CheckRecord, lines_of
 from specmap_cli.checking.rules import VERDICT, Rules, judged, read_rules
 from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.errors import NoResultError

@@ -7,109 +7,80 @@ it is made anew from its keyframes: grids, classifiers, regions and links; its l
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import shutil
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
-from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.errors import MapError, UsageError, reason
+from specmap_cli.core.json_values import Record
 from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.core.settings import Config
-from specmap_cli.core.text import counted
+from specmap_cli.drawing.canvas import Image
+from specmap_cli.drawing.overview import render_overview, render_segmentation
+from specmap_cli.grids.gridmap import UNKNOWN, GridMap
+from specmap_cli.grids.map_server import write_png
+from specmap_cli.grids.pictures import read_picture
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words
 from specmap_cli.maps.edits_text import written
+from specmap_cli.maps.schema import EditsRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.maps.writing import write_map
-from specmap_cli.pipelines.edited import (
+from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.pipelines.edits import (
     Drawn,
+    RequestedEdits,
     drawn,
     edits_of_stored,
     named,
     number_of,
     tell_unapplied,
+    with_requested,
 )
-from specmap_cli.pipelines.finished_map import FinishedMap
-from specmap_cli.pipelines.kept_map import kept_of_stored
-from specmap_cli.pipelines.learning import known_of
+from specmap_cli.pipelines.finishing import finish, write_finished
+from specmap_cli.pipelines.laying_out import with_grid
+from specmap_cli.pipelines.learning import Prior, lessons_left, lessons_of_stored
 from specmap_cli.pipelines.localize import settings_for
-from specmap_cli.pipelines.relabelling import carry_over, quality_of_stored, write_relabelled
-from specmap_cli.pipelines.remaking import divided_anew
-from specmap_cli.pipelines.stopwatch import Stopwatch
-from specmap_cli.pipelines.stored_lessons import lessons_left, lessons_of_stored
-from specmap_cli.pipelines.wishes import Wishes, with_wishes
-from specmap_cli.recognition.learning.lessons import Lessons
-from specmap_cli.topology.regions import Regions
+from specmap_cli.pipelines.map_in_making import FinishedMap, laid_out_of_stored, quality_of_stored
+from specmap_cli.pipelines.reports import EditReport
+from specmap_cli.pipelines.session import Session
+from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.shapes import kind_of
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
 
 # What no border changes: copied, so that nothing is rounded again.
 _OF_THE_LAYOUT = frozenset({filenames.KEYFRAMES, filenames.TRAJECTORY, filenames.POSE_GRAPH})
+_REWRITTEN = (filenames.TOPOLOGY, filenames.OVERVIEW, filenames.EDITS)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EditReport:
-    """What `edit` did: the map directory, its edits, which of them do not apply, and its submaps.
-
-    `remade` tells whether borders changed, so that grids and classifiers are new. `names` are those
-    of all submaps, `forbidden` the links that are.
-    """
-
-    out: Path
-    edits: Edits
-    unapplied: tuple[str, ...]
-    names: Mapping[int, str]
-    forbidden: tuple[tuple[int, int], ...]
-    remade: bool
-
-    def as_dict(self) -> dict[str, Any]:
-        """The same for a machine."""
-        return {
-            "out": str(self.out),
-            "remade": self.remade,
-            "submaps": [{"id": id_, "name": name} for id_, name in sorted(self.names.items())],
-            "forbidden": [list(pair) for pair in self.forbidden],
-            "edits": self.edits.model_dump(mode="json", exclude_none=True),
-            "unapplied": list(self.unapplied),
-        }
-
-    def lines(self) -> list[str]:
-        """A summary: what was decided, a line each."""
-        how = "made anew" if self.remade else "edited"
-        told = [f"{self.out}: {how}: {counted(len(self.names), 'submap')}"]
-        for id_, edit in sorted(self.edits.submaps.items()):
-            said = [edit.name or "", edit.kind or ""]
-            said += [f"{key}={value}" for key, value in edit.properties.items()]
-            told.append(f"  submap {id_}: {', '.join(word for word in said if word)}")
-        for number, change in enumerate(self.edits.changes, start=1):
-            told.append(f"  change {number}: {in_words(change)}")
-        told += [f"  not applied: {line}" for line in self.unapplied]
-        return [*told, f"look at {self.out / filenames.OVERVIEW}"]
+AnyRecord = TypeVar("AnyRecord", bound=Record)
+Edited = tuple[TopologicalMap, tuple[str, ...]]  # as it was written, and what does not apply to it
 
 
 @one_blas_thread()
 def edit_map(
     map_: StoredMap | Path | str,
-    wishes: Wishes | None = None,
+    requested: RequestedEdits | None = None,
     out: Path | str | None = None,
     config: Config | None = None,
     *,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> EditReport:
-    """Make edits hold in a map: those of its edits.toml, and what is wished beside them.
+    """Make edits hold in a map: those of its edits.toml, and what is requested beside them.
 
     Without `out` the map itself is replaced, complete or not at all. Where it must be made anew, it
     is with `config`, by default with the settings that it was built with. Raises UsageError for a
-    wish that does not apply; MapError for a damaged map or edits.toml, and for a merge or a split
-    in a map without keyframes.
+    request that does not apply; MapError for a damaged map or edits.toml, and for a merge or a
+    split in a map without keyframes.
     """
-    progress, wishes = progress or Silent(), wishes or Wishes()
+    progress, requested = progress or Silent(), requested or RequestedEdits()
     limits = None if config is None else config.limits
     stored = opened_map(map_, "map_", limits)
     if config is not None:
@@ -118,34 +89,26 @@ def edit_map(
         progress.note(stored.note)
     target = stored.path if out is None else path_of(out, "out")
     in_place = os.path.realpath(target) == os.path.realpath(stored.path)
-    found = _drawn(stored, with_wishes(edits_of_stored(stored), wishes))
-    _refuse_absent(found.submaps, wishes)
-    _refuse_unapplied(_skipped(found), found, wishes)
+    found = _drawn(stored, with_requested(edits_of_stored(stored), requested))
+    _refuse_absent(found.submaps, requested)
+    _refuse_unapplied(_skipped(found), found, requested)
     anew = found.borders != stored.record.graph.edits.borders
     with OutputDirectory(target, overwrite or in_place, progress) as partial:
         if anew:
-            edited = _made_anew(stored, found, config, progress, partial)
+            topology, unapplied = _made_anew(stored, found, config, progress, partial)
         else:
-            edited = _relabelled(stored, found, partial)
-        _refuse_unapplied(edited.unapplied, found, wishes)
-    tell_unapplied(edited.unapplied, progress)
-    submaps, edges = edited.topology.submaps, edited.topology.edges
+            topology, unapplied = _relabelled(stored, found, partial)
+        _refuse_unapplied(unapplied, found, requested)
+    tell_unapplied(unapplied, progress)
+    submaps, edges = topology.submaps, topology.edges
     return EditReport(
         out=target,
         edits=found.edits,
-        unapplied=edited.unapplied,
+        unapplied=unapplied,
         names={id_: submap.name or default_name(id_) for id_, submap in submaps.items()},
         forbidden=tuple(pair for pair, edge in sorted(edges.items()) if edge.forbidden),
         remade=anew,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Edited:
-    """A map that was written, and which edits do not apply to it."""
-
-    topology: TopologicalMap
-    unapplied: tuple[str, ...]
 
 
 def _drawn(stored: StoredMap, edits: Edits) -> Drawn:
@@ -162,10 +125,10 @@ def _drawn(stored: StoredMap, edits: Edits) -> Drawn:
     return drawn(whole, labels, graph.edits.borders, edits, graph.next_id)
 
 
-def _refuse_absent(submaps: IntArray, wishes: Wishes) -> None:
+def _refuse_absent(submaps: IntArray, requested: RequestedEdits) -> None:
     """Refuse to say something of submaps that are none."""
     known = sorted(set(submaps.tolist()) - {NO_SUBMAP})
-    for id_ in wishes.submaps:
+    for id_ in requested.submaps:
         if id_ not in known:
             there = ", ".join(str(each) for each in known)
             raise UsageError(
@@ -178,63 +141,135 @@ def _skipped(found: Drawn) -> list[str]:
     return [f"{number_of(place)}: {why}" for place, why in sorted(found.skipped.items())]
 
 
-def _refuse_unapplied(unapplied: Sequence[str], found: Drawn, wishes: Wishes) -> None:
-    """Refuse a wish that does not apply; what stands in edits.toml for longer may."""
+def _refuse_unapplied(unapplied: Sequence[str], found: Drawn, requested: RequestedEdits) -> None:
+    """Refuse a request that does not apply; what stands in edits.toml for longer may."""
     count = len(found.edits.changes)
-    for place in range(count - len(wishes.changes), count):
+    for place in range(count - len(requested.changes), count):
         for line in unapplied:
             if line.startswith(f"{number_of(place)}: "):
                 why = line.removeprefix(f"{number_of(place)}: ")
                 raise UsageError(f"cannot {in_words(found.edits.changes[place])}: {why}")
 
 
-def _relabelled(stored: StoredMap, found: Drawn, directory: Path) -> _Edited:
+def _relabelled(stored: StoredMap, found: Drawn, directory: Path) -> Edited:
     """The map with its borders as they are."""
     bordered = replace(stored.topology, borders=found.borders, next_id=found.next_id)
-    topology, unapplied = named(bordered, _regions(stored), found.edits, found.skipped)
+    of_recording = (stored.path / filenames.LABELS).exists()
+    regions = stored.regions if of_recording else None  # a finished grid keeps none of the whole
+    topology, unapplied = named(bordered, regions, found.edits, found.skipped)
     edits = written(found.edits, edits_text(stored.path, stored.limits))
-    write_relabelled(directory, stored, topology, edits)
-    return _Edited(topology, unapplied)
-
-
-def _regions(stored: StoredMap) -> Regions | None:
-    """The division of a map; None for one of a finished grid, which keeps none of the whole."""
-    return stored.regions if (stored.path / filenames.LABELS).exists() else None
+    _carry_over(stored.path, directory, _REWRITTEN)
+    record = _record_with(stored.record, topology)
+    (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
+    write_png(directory / filenames.OVERVIEW, _overview(stored, topology))
+    if edits:
+        (directory / filenames.EDITS).write_text(edits, encoding="utf-8")
+    return topology, unapplied
 
 
 def _made_anew(
     stored: StoredMap, found: Drawn, config: Config | None, progress: Progress, directory: Path
-) -> _Edited:
+) -> Edited:
     """The map with other borders, made of its keyframes; what is thought of its layout stays."""
-    clock, before = Stopwatch(), kept_of_stored(stored)
     config = settings_for(stored, {}) if config is None else config
-    kept = replace(before, edits=found.edits)
+    laid, labels = laid_out_of_stored(stored), stored.labels
+    lessons = lessons_left(
+        lessons_of_stored(stored, config),
+        labels,
+        replace(labels, submaps=found.submaps),
+        np.arange(len(laid)),
+        config.grid.resolution_m,
+    )
     with stored.keyframes() as store:
-        finished = divided_anew(
-            store,
-            kept,
-            lambda _: quality_of_stored(stored),
-            config,
-            progress,
-            clock,
-            stored.counts,
-            known_of(store, _lessons(stored, found, config), kept.starts, config),
-        )
-        overview = finished.overview(kept.logs)
-        write_map(directory, finished.result(kept.logs, _run(stored, finished), overview), store)
-    carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
-    return _Edited(finished.topology, finished.unapplied)
+        session = Session(config, store, progress)
+        laid = with_grid(session, replace(laid, edits=found.edits))
+        prior = Prior.of(session, lessons)
+        finished = finish(session, laid, prior, quality_of_stored(stored))
+        write_finished(session, directory, finished, lambda: _run(stored, finished))
+    _carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
+    return finished.topology, finished.unapplied
 
 
-def _lessons(stored: StoredMap, found: Drawn, config: Config) -> Lessons:
-    """What the classifiers learned from that holds with other borders."""
-    labels = stored.labels
-    now, everything = replace(labels, submaps=found.submaps), np.arange(len(labels.stamps_ns))
-    lessons = lessons_of_stored(stored, config)
-    return lessons_left(lessons, labels, now, everything, config.grid.resolution_m)
-
-
-def _run(stored: StoredMap, finished: FinishedMap) -> dict[str, Any]:
+def _run(stored: StoredMap, finished: FinishedMap) -> Mapping[str, Any]:
     """run.json of a map that was divided anew, by this version."""
     made = {"submaps": len(finished.topology.submaps), "edges": len(finished.topology.edges)}
     return {**stored.run, "versions": versions(), "counts": {**stored.counts, **made}}
+
+
+def _record_with(record: TopologyRecord, topology: TopologicalMap) -> TopologyRecord:
+    """The contents of topology.json with the names and the like of an edited map."""
+    nodes = []
+    for node in record.nodes:
+        submap = topology.submaps[node.id]
+        shape = np.array(node.polygon, dtype=np.float64).reshape(-1, 2)
+        nodes.append(
+            _with(
+                node,
+                name=submap.name or default_name(node.id),
+                kind=submap.kind or kind_of(shape),
+                properties=dict(submap.properties),
+            )
+        )
+    edges = tuple(
+        replace(edge, forbidden=topology.edges[edge.source, edge.target].forbidden)
+        for edge in record.edges
+    )
+    graph = _with(
+        record.graph,
+        edits=EditsRecord(submaps=topology.said, borders=topology.borders),
+        next_id=topology.next_id,
+        doors=topology.doors,
+    )
+    return _with(record, graph=graph, nodes=tuple(nodes), edges=edges)
+
+
+def _with(record: AnyRecord, **values: Any) -> AnyRecord:
+    """A record with some other values, checked as any."""
+    return type(record)(**{**dict(record), **values})
+
+
+def _carry_over(source: Path, target: Path, without: Collection[str]) -> None:
+    """Copy what a directory holds, but for some names. Raises MapError for what cannot be read."""
+    try:
+        for path in sorted(source.iterdir()):
+            if path.name in without:
+                continue
+            if path.is_dir():
+                shutil.copytree(path, target / path.name)
+            elif path.is_file():
+                shutil.copyfile(path, target / path.name)
+    except OSError as error:
+        raise MapError(f"{source}: cannot be copied: {reason(error)}") from None
+
+
+def _overview(stored: StoredMap, topology: TopologicalMap) -> Image:
+    """The picture of a map, of a recording or of a finished grid."""
+    graph = stored.record.graph
+    if not (stored.path / filenames.LABELS).exists():
+        return render_segmentation(topology, _segmented(stored), graph.logs[0])
+    trajectory = read_trajectory(stored.path / filenames.TRAJECTORY, stored.limits)
+    return render_overview(
+        topology, stored.regions, trajectory, stored.labels, graph.logs, quality_of_stored(stored)
+    )
+
+
+def _segmented(stored: StoredMap) -> Regions:
+    """The regions of a finished grid, from labels.png and the grids of the submaps."""
+    path = stored.path / filenames.LABELS_IMAGE
+    owner = read_picture(path, stored.limits)[..., 0].astype(np.int64) - 1
+    if not set(np.unique(owner).tolist()) <= {NOBODY, *stored.ids}:
+        raise MapError(f"{path}: not the labels of {filenames.TOPOLOGY}: make the map again")
+    cells, corner, resolution = np.full(owner.shape, UNKNOWN, dtype=np.uint8), (0.0, 0.0), 1.0
+    for id_, grid in stored.grids.items():
+        own = np.argwhere(owner == id_)
+        if not len(own) or not grid.free.any():
+            continue
+        row, column = (own.min(axis=0) - np.argwhere(grid.free).min(axis=0)).tolist()
+        window = cells[row : row + grid.cells.shape[0], column : column + grid.cells.shape[1]]
+        if window.shape != grid.cells.shape:
+            raise MapError(f"{path}: does not fit to the grid of submap {id_}: make the map again")
+        np.copyto(window, grid.cells, where=grid.cells != UNKNOWN)
+        resolution = grid.resolution
+        x, y = grid.origin
+        corner = (x - column * resolution, y - row * resolution)
+    return Regions.of(GridMap(cells, resolution, corner), owner)

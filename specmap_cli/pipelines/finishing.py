@@ -1,60 +1,130 @@
-"""What follows Algorithm 1: from what was explored to a finished map."""
+"""The tail of every pipeline: from a map that is laid out to a map directory.
+
+The borders that a person asked for are made, classifiers learn the submaps, the submaps are linked,
+ways lead through their doors, and a person's names hold. Then all of it is written.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
-from specmap_cli.core.progress import Progress
-from specmap_cli.core.records import Labels
-from specmap_cli.core.settings import Config
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.pipelines.assessment import assess
-from specmap_cli.pipelines.exploration import Explored
-from specmap_cli.pipelines.finished_map import FinishedMap
-from specmap_cli.pipelines.laying_out import lay_out
-from specmap_cli.pipelines.learning import Known, divide, learn, linked, whole_grid
-from specmap_cli.pipelines.stopwatch import Stopwatch
-from specmap_cli.pipelines.tracking import Tracking
+from specmap_cli.core.findings import Quality, summary
+from specmap_cli.drawing.overview import render_overview
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.layout.g2o import write_g2o
+from specmap_cli.maps.edits_text import written
+from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.pipelines.edits import drawn, named, tell_unapplied
+from specmap_cli.pipelines.learning import Prior, arrays_of, learn
+from specmap_cli.pipelines.map_in_making import FinishedMap, LaidOut
+from specmap_cli.pipelines.session import Session
+from specmap_cli.topology.graph import build_topology, stays_of
 from specmap_cli.topology.navigation import with_ways
-from specmap_cli.topology.regions import divide as divide_cells
+from specmap_cli.topology.topological_map import Break, TopologicalMap
 
 
 def finish(
-    explored: Explored,
-    tracking: Tracking,
-    config: Config,
-    store: KeyframeStore,
-    progress: Progress,
-    clock: Stopwatch,
+    session: Session, laid: LaidOut, prior: Prior, quality: Quality | None = None
 ) -> FinishedMap:
-    """Relax the layout, turn it, heal it, refute, divide, assess, learn, find the ways."""
-    laid = lay_out(explored, config, store, progress, clock)
-    layout, closures = laid.layout, laid.closures
-    with clock.stage("grids"):
-        whole, beyond = whole_grid(store, layout, config)
-    with clock.stage("segmentation"):
-        submaps = divide(whole, layout, explored.regions, closures, config)
-    with clock.stage("audit"):
-        quality = assess(store, explored, laid, beyond, tracking.warnings)
-    known = Known(explored.features)
-    learned = learn(store, known, submaps, layout.poses, config, progress, clock)
-    stamps = np.array(store.stamps_ns, dtype=np.int64)
-    labels = Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps)
-    with clock.stage("ways"):
-        regions = divide_cells(whole, labels)
-        joined = linked(labels, explored.regions, explored.breaks, closures, learned.grids)
-        topology = with_ways(joined, regions, config.ways, layout.poses)
+    """Make the edits of a map hold, learn, find the ways, judge.
+
+    `prior` is what there is to learn from, `quality` what is thought of the map, where that is
+    known from before.
+    """
+    laid, skipped = with_borders(laid)
+    labels = laid.labels
+    learned = learn(session, labels.submaps, labels.poses, prior, laid.starts)
+    with session.stage("ways"):
+        linked = replace(_linked(laid, learned.grids), borders=laid.borders, next_id=laid.next_id)
+        linked = with_ways(linked, laid.regions, session.config.ways, labels.poses)
+    topology, unapplied = named(linked, laid.regions, laid.edits, skipped)
     return FinishedMap(
+        laid=laid,
         topology=topology,
-        labels=labels,
-        trajectory=laid.trajectory,
-        regions=regions,
         classifiers=learned.classifiers,
         lessons=learned.lessons,
-        layout=layout,
-        counts=tracking.counts,
-        limits={**layout.limits, "max_extent_m": beyond},
-        quality=quality,
-        seconds=dict(clock.seconds),
-        wall_s=clock.elapsed_s,
+        quality=laid.quality if quality is None else quality,
+        unapplied=(*unapplied, *laid.lost),
     )
+
+
+def with_borders(laid: LaidOut) -> tuple[LaidOut, Mapping[int, str]]:
+    """A map with the borders that its edits ask for.
+
+    Also why a change could not be made, by its place in the list.
+    """
+    found = drawn(laid.whole, laid.labels, laid.borders, laid.edits, laid.next_id)
+    bordered = replace(
+        laid,
+        labels=replace(laid.labels, submaps=found.submaps),
+        borders=found.borders,
+        edits=found.edits,
+        next_id=found.next_id,
+    )
+    return bordered, found.skipped
+
+
+def _linked(laid: LaidOut, grids: Mapping[int, GridMap]) -> TopologicalMap:
+    """The submaps linked where the robot drove across and where closures show that they meet."""
+    labels, starts = laid.labels, laid.starts
+    stamps_ns = labels.stamps_ns.tolist()
+    return build_topology(
+        labels=labels.submaps,
+        poses=labels.poses,
+        stamps_ns=stamps_ns,
+        breaks=[
+            Break(keyframe, *((bridge.position_m, bridge.heading_rad) if bridge else ()))
+            for keyframe, bridge in sorted(laid.breaks.items())
+            if keyframe < len(stamps_ns)  # none came after the last of them
+            and keyframe not in starts
+        ],
+        closures=laid.closures,
+        stays=stays_of(laid.stays, labels.submaps, stamps_ns),
+        grids=grids,
+        starts=starts,
+    )
+
+
+def tell(session: Session, finished: FinishedMap) -> None:
+    """Tell which edits do not apply to a map, what is grave, and what is worth knowing of it."""
+    tell_unapplied(finished.unapplied, session.progress)
+    for warning in summary(finished.quality.warnings):
+        session.progress.warn(warning)
+    for note in summary(finished.quality.notes):
+        session.progress.note(note)
+
+
+def write_finished(
+    session: Session,
+    directory: Path,
+    finished: FinishedMap,
+    run_of: Callable[[], Mapping[str, Any]],
+) -> Mapping[str, Any]:
+    """Write a map into an empty directory; returns its run.json, which `run_of` makes.
+
+    The picture is drawn before that is asked: it takes memory, which run.json counts.
+    """
+    laid = finished.laid
+    overview = render_overview(
+        finished.topology, laid.regions, laid.trajectory, laid.labels, laid.logs, finished.quality
+    )
+    run = run_of()
+    result = MapResult(
+        topology=finished.topology,
+        regions=laid.regions,
+        trajectory=laid.trajectory,
+        labels=laid.labels,
+        classifiers=finished.classifiers.to_json(),
+        features=arrays_of(finished.lessons),
+        logs=laid.logs,
+        run=run,
+        quality=finished.quality,
+        pose_graph=write_g2o(laid.layout),
+        edits=written(laid.edits, laid.edits_text),
+        overview=overview,
+    )
+    write_map(directory, result, session.store)
+    return run

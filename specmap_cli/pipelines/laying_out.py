@@ -1,46 +1,223 @@
-"""The layout of what was explored: relaxed, turned, healed, and the closures that it refutes."""
+"""The layout of what was explored: relaxed, turned, healed; and the closures that it refutes.
+
+Then the map is drawn in it and divided: the regions of the finished map say where submaps end.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
-from specmap_cli.core.progress import Progress
-from specmap_cli.core.records import Closure, Trajectory
+import numpy as np
+
+from specmap_cli.core.arrays import order_of_appearance
+from specmap_cli.core.errors import NoResultError
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
+from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.core.settings import Config
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.healing import Audited, healed
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.layout.carrying import keyframe_rows
+from specmap_cli.layout.closure_matching import place_around, sharpened
+from specmap_cli.layout.healing import healed
 from specmap_cli.layout.main_direction import along_walls
-from specmap_cli.layout.relaxation import Layout, corrected, relax
-from specmap_cli.pipelines.exploration import Explored
-from specmap_cli.pipelines.refutation import constraints_of, refute
-from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.layout.nearby_passes import METRES_A_RADIAN
+from specmap_cli.layout.relaxation import Constraint, Layout, corrected, relax
+from specmap_cli.pipelines.exploration import Regions, in_own_frame, online_labels
+from specmap_cli.pipelines.map_in_making import Explored, LaidOut, recording
+from specmap_cli.pipelines.session import Session
+from specmap_cli.pipelines.tracking import Tracking
+from specmap_cli.quality.evidence import Evidence
+from specmap_cli.quality.holes import holes_of
+from specmap_cli.quality.verdict import of_recording
+from specmap_cli.segmentation.refinement import regions_of
+from specmap_cli.topology.graph import settle_labels
+
+_CLOSURE_SIGMA_M = 0.04  # spread of matched grids' transforms about the truth, x and y
+_CLOSURE_SIGMA_RAD = 0.0087  # spread of their heading
+
+Pair = tuple[int, int]
+
+REFUTED = "contradicts the layout"
 
 
-@dataclass(frozen=True, slots=True)
-class LaidOut:
-    """A layout with its audit, the trajectory of all scans in it, and the closures it leaves."""
+def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str) -> LaidOut:
+    """The map of what was explored in the recording of a file `name`.
 
-    audited: Audited
-    trajectory: Trajectory
-    closures: tuple[Closure, ...]
-
-    @property
-    def layout(self) -> Layout:
-        """The poses of all keyframes and their pose graph."""
-        return self.audited.layout
-
-
-def lay_out(
-    explored: Explored, config: Config, store: KeyframeStore, progress: Progress, clock: Stopwatch
-) -> LaidOut:
-    """Relax what was tracked by the closures, turn it along the walls, heal, refute the rest."""
-    progress.start("layout", None)
-    with clock.stage("layout"):
+    Relaxed by the closures, turned along the walls, healed; closures that contradict it refuted;
+    drawn and divided. Raises NoResultError when no keyframe fits into the largest grid allowed.
+    """
+    store, config = session.store, session.config
+    session.progress.start("layout", None)
+    with session.stage("layout"):
         constraints = constraints_of(explored.closures, explored.regions, store)
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
         layout = along_walls(layout, store, config.relaxation)
-    with clock.stage("audit"):
+    with session.stage("audit"):
         audited = healed(store, layout, explored.breaks)
-        trajectory = corrected(explored.trajectory, store, audited.layout)
-    closures = refute(explored.closures, constraints, audited.layout)
-    return LaidOut(audited, trajectory, closures)
+        layout = audited.layout
+        trajectory = corrected(explored.trajectory, store, layout)
+    closures = refute(explored.closures, constraints, layout)
+    with session.stage("grids"):
+        whole, beyond = _whole_grid(store, layout, config)
+    with session.stage("segmentation"):
+        submaps = _divided(whole, layout, explored.regions, closures, config)
+    with session.stage("audit"):
+        rows, breaks = keyframe_rows(explored.trajectory, store), tuple(explored.breaks)
+        evidence = Evidence(
+            trajectory=trajectory,
+            keyframes_ns=store.stamps_ns,
+            breaks=breaks,
+            layout=layout,
+            audit=audited.audit,
+            beyond=beyond,
+            warnings=tracking.warnings,
+            holes=holes_of(store, rows, trajectory, layout, breaks),
+        )
+        findings = tuple(of_recording(evidence))
+    stamps = np.array(store.stamps_ns, dtype=np.int64)
+    return LaidOut(
+        layout=layout,
+        labels=Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps),
+        trajectory=trajectory,
+        stays=explored.regions,
+        closures=closures,
+        breaks=explored.breaks,
+        logs=(recording(name, trajectory, len(submaps)),),
+        findings=findings,
+        next_id=1 + int(submaps.max()),
+        drawn=whole,
+        beyond=beyond,
+        audit=audited.audit,
+        counts=tracking.counts,
+    )
+
+
+def with_grid(session: Session, laid: LaidOut) -> LaidOut:
+    """A map with the grid of all keyframes, which the session's store has. Raises as `lay_out`."""
+    with session.stage("grids"):
+        whole, beyond = _whole_grid(session.store, laid.layout, session.config)
+    return replace(laid, drawn=whole, beyond=beyond)
+
+
+def _whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[GridMap, int]:
+    """The grid of all keyframes at their poses in the layout, and how many were beyond its limits.
+
+    Raises NoResultError when no keyframe fits into the largest grid allowed.
+    """
+    counts = integrate_keyframes(store, range(len(store)), layout.poses, config.grid)
+    whole = counts.snapshot()
+    if not whole.cells.size:
+        raise NoResultError(
+            "no scan fits into the largest grid allowed: nothing to map; raise grid.max_extent_m "
+            "or grid.max_area_m2, or lower grid.max_range_m"
+        )
+    return whole, counts.refused
+
+
+def divides_whole(layout: Layout, config: Config) -> bool:
+    """Whether the finished map says where submaps end."""
+    consistent = config.relaxation.enabled and not layout.loose
+    return consistent and config.segmentation.final_regions
+
+
+def _divided(
+    whole: GridMap, layout: Layout, regions: Regions, closures: Sequence[Closure], config: Config
+) -> IntArray:
+    """The submap id (n,) of each keyframe, in order of first visit.
+
+    The regions of the finished map say where submaps end, if one place of the building is one place
+    of the layout. Otherwise the regions that were left on the way, and their merges, say it.
+    """
+    if divides_whole(layout, config):
+        labels = regions_of(whole, layout.poses, config.segmentation)
+    else:
+        labels = online_labels(regions, closures, len(layout.poses))
+    settled = settle_labels(labels, layout.poses, config.segmentation.region_min_m)
+    order = order_of_appearance(settled.tolist())
+    return np.array([order[int(label)] for label in settled], dtype=np.int64)
+
+
+def constraints_of(
+    closures: Sequence[Closure], regions: Regions, store: KeyframeStore
+) -> dict[Pair, Constraint]:
+    """For each pair of merged regions, (old, new): where a keyframe lies, seen from another.
+
+    Grids that match while the robot's tracks do not overlap are no evidence for the layout: that is
+    what look-alike rooms do, too.
+    """
+    sigma = np.array([_CLOSURE_SIGMA_M, _CLOSURE_SIGMA_M, _CLOSURE_SIGMA_RAD])
+    information = np.diag(1.0 / sigma**2)
+    return {
+        (closure.old, closure.new): _constraint(
+            regions[closure.old],
+            regions[closure.new],
+            closure.old_from_new,
+            store,
+            information,
+        )
+        for closure in closures
+        if closure.merged and closure.old_from_new is not None
+    }
+
+
+def refute(
+    closures: Sequence[Closure], constraints: Mapping[Pair, Constraint], layout: Layout
+) -> tuple[Closure, ...]:
+    """The closures, without the merges whose constraint the layout dropped."""
+    dropped = {(link.source, link.target) for link in layout.dropped if link.kind == "closure"}
+    refuted = {
+        pair
+        for pair, constraint in constraints.items()
+        if (constraint.source, constraint.target) in dropped
+    }
+    return tuple(
+        _taken_back(closure) if (closure.old, closure.new) in refuted else closure
+        for closure in closures
+    )
+
+
+def _constraint(
+    old: Sequence[int],
+    new: Sequence[int],
+    old_from_new: Pose2,
+    store: KeyframeStore,
+    information: FloatArray,
+) -> Constraint:
+    """The keyframes of two regions that saw most alike, tied by the walls around them.
+
+    Under the transform they are the nearest to each other, turned as little as may be.
+    """
+    old_track = in_own_frame(store, old)
+    new_track = compose(np.array(old_from_new), in_own_frame(store, new))
+    i, j = nearest_pair(old_track, new_track)
+    guess = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
+    places = place_around(store, old, i), place_around(store, new, j)
+    return Constraint(
+        source=old[i],
+        target=new[j],
+        source_from_target=sharpened(*places, guess),
+        information=information,
+    )
+
+
+def nearest_pair(old: FloatArray, new: FloatArray) -> Pair:
+    """Which poses of two tracks (n, 3) and (m, 3) are nearest: a turn is as bad as a way.
+
+    Only those are turned that are no farther apart than that, which are few of the n times m.
+    """
+    away = np.hypot(old[:, 0, None] - new[:, 0], old[:, 1, None] - new[:, 1])
+
+    def apart(i: IntArray, j: IntArray) -> FloatArray:
+        turns = np.abs(wrap_angles(old[i, 2] - new[j, 2]))
+        return np.asarray(away[i, j] + METRES_A_RADIAN * turns)
+
+    first = np.array([np.unravel_index(int(away.argmin()), away.shape)]).T
+    i, j = np.nonzero(away <= apart(*first))
+    best = int(apart(i, j).argmin())
+    return int(i[best]), int(j[best])
+
+
+def _taken_back(closure: Closure) -> Closure:
+    """A merge that is none any more."""
+    return replace(closure, merged=False, verified=False, reason=REFUTED, old_from_new=None)

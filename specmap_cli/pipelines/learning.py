@@ -1,119 +1,47 @@
-"""From a layout to what is known of each submap: whose keyframes, its grid, its classifiers."""
+"""What the classifiers of a map learn from, and what of that a map directory keeps."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from specmap_cli.core.arrays import order_of_appearance
-from specmap_cli.core.errors import NoResultError
-from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.core.progress import Progress
-from specmap_cli.core.records import Closure, IntArray, Labels
+from specmap_cli import __version__
+from specmap_cli.core.geometry import FloatArray, compose, invert, nearest_motion
+from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.motion_edges import Bridge
-from specmap_cli.layout.relaxation import Layout
-from specmap_cli.pipelines.exploration import Regions, online_labels
-from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.grids.keyframes import integrate_keyframes
+from specmap_cli.maps.features_file import KEYFRAMES_OF, KINDS
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.pipelines.map_in_making import submaps_of
+from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.worker import ahead
-from specmap_cli.recognition.features.sets import KeyframeFeatures
-from specmap_cli.recognition.learning.beside import beside_samples
+from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
 from specmap_cli.recognition.learning.calibration import Calibration, HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
-from specmap_cli.recognition.learning.holding_out import Samples
-from specmap_cli.recognition.learning.lessons import NO_LESSONS, Lessons
 from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M, HeldOutMisfit, held_out_misfit
-from specmap_cli.recognition.learning.revisits import Revisits
-from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
-from specmap_cli.recognition.learning.training import sensor_of, train_raw, train_virtual
-from specmap_cli.segmentation.division import regions_of
-from specmap_cli.topology.graph import build_topology, settle_labels, stays_of
-from specmap_cli.topology.topological_map import Break, TopologicalMap
+from specmap_cli.recognition.learning.sampling import (
+    augmented_samples,
+    cast_samples,
+    raw_samples,
+    track_samples,
+)
+from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_raw, train_virtual
+from specmap_cli.recognition.learning.training_data import (
+    NO_SAMPLES,
+    NO_TRAINING_DATA,
+    Samples,
+    TrainingData,
+)
+
+_MOST = float(np.finfo(np.float16).max)
 
 Submaps = Mapping[int, Sequence[int]]
 OfSubmaps = Mapping[int, Samples]
-
-
-def whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[GridMap, int]:
-    """The grid of all keyframes at their poses in the layout, and how many were beyond its limits.
-
-    Raises NoResultError when no keyframe fits into the largest grid allowed.
-    """
-    counts = integrate_keyframes(store, range(len(store)), layout.poses, config.grid)
-    whole = counts.snapshot()
-    if not whole.cells.size:
-        raise NoResultError(
-            "no scan fits into the largest grid allowed: nothing to map; raise grid.max_extent_m "
-            "or grid.max_area_m2, or lower grid.max_range_m"
-        )
-    return whole, counts.refused
-
-
-def divide(
-    whole: GridMap,
-    layout: Layout,
-    regions: Regions,
-    closures: Sequence[Closure],
-    config: Config,
-) -> IntArray:
-    """The submap id (n,) of each keyframe, in order of first visit.
-
-    The regions of the finished map say where submaps end, if one place of the building is one place
-    of the layout. Otherwise the regions that were left on the way, and their merges, say it.
-    """
-    if divides_whole(layout, config):
-        labels = regions_of(whole, layout.poses, config.segmentation)
-    else:
-        labels = online_labels(regions, closures, len(layout.poses))
-    settled = settle_labels(labels, layout.poses, config.segmentation.region_min_m)
-    order = order_of_appearance(settled.tolist())
-    return np.array([order[int(label)] for label in settled], dtype=np.int64)
-
-
-def divides_whole(layout: Layout, config: Config) -> bool:
-    """Whether the finished map says where submaps end."""
-    consistent = config.relaxation.enabled and not layout.loose
-    return consistent and config.segmentation.final_regions
-
-
-def submaps_of(labels: IntArray) -> dict[int, list[int]]:
-    """The keyframes of each submap, ascending, from the submap (n,) of each keyframe."""
-    return {int(id_): np.flatnonzero(labels == id_).tolist() for id_ in np.unique(labels)}
-
-
-def linked(
-    labels: Labels,
-    regions: Regions,
-    breaks: Mapping[int, Bridge | None],
-    closures: Sequence[Closure],
-    grids: Mapping[int, GridMap],
-    starts: Collection[int] = (),
-) -> TopologicalMap:
-    """The submaps linked where the robot drove across and where closures show that they meet.
-
-    `starts` are the keyframes with which other recordings begin.
-    """
-    stamps_ns = labels.stamps_ns.tolist()
-    return build_topology(
-        labels=labels.submaps,
-        poses=labels.poses,
-        stamps_ns=stamps_ns,
-        breaks=[
-            Break(keyframe, *((bridge.position_m, bridge.heading_rad) if bridge else ()))
-            for keyframe, bridge in sorted(breaks.items())
-            if keyframe < len(stamps_ns)  # none came after the last of them
-            and keyframe not in starts
-        ],
-        closures=closures,
-        stays=stays_of(regions, labels.submaps, stamps_ns),
-        grids=grids,
-        starts=starts,
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,91 +53,86 @@ class Learned:
 
     grids: Mapping[int, GridMap]
     classifiers: ClassifierSet
-    lessons: Lessons
+    lessons: TrainingData
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
-    """What is known before a map is learned.
+class Prior:
+    """What there is before a map is learned: features of keyframes, and lessons that still hold.
 
-    `features` of its keyframes, and the `lessons` that hold for it still. Its recordings after the
-    first one begin at `starts`. `before` are the classifiers that it had before the last of them.
+    `classifiers` are those that the map had before its last recording was added.
     """
 
     features: KeyframeFeatures
-    lessons: Lessons = NO_LESSONS
-    starts: tuple[int, ...] = ()
-    before: ClassifierSet | None = None
+    lessons: TrainingData = NO_TRAINING_DATA
+    classifiers: ClassifierSet | None = None
 
-    def revisits(self, labels: IntArray, poses: FloatArray) -> Revisits | None:
-        """How the classifiers before the last recording tell its scans, where there are any."""
-        if self.before is None:
-            return None
-        return Revisits(self.before, self.starts[-1], poses, labels, HELD_OUT_REACH_M)
-
-
-def known_of(
-    store: KeyframeStore, lessons: Lessons, starts: tuple[int, ...], config: Config
-) -> Known:
-    """What is known of a map's keyframes by the lessons that hold for them, and nothing else."""
-    features = KeyframeFeatures(store, config.recognition.feature_set)
-    raw = lessons.raw
-    return Known(features.knowing(raw.keyframes, raw.features), lessons, starts)
+    @classmethod
+    def of(cls, session: Session, lessons: TrainingData = NO_TRAINING_DATA) -> Prior:
+        """What the lessons that hold for the keyframes of a session tell, and nothing else."""
+        features = KeyframeFeatures(session.store, session.config.recognition.feature_set)
+        return cls(features.knowing(lessons.raw.keyframes, lessons.raw.features), lessons)
 
 
 def learn(
-    store: KeyframeStore,
-    known: Known,
+    session: Session,
     labels: IntArray,
     poses: FloatArray,
-    config: Config,
-    progress: Progress,
-    clock: Stopwatch,
+    prior: Prior,
+    starts: tuple[int, ...] = (),
 ) -> Learned:
     """What can be learned of the submaps (n,) of keyframes at `poses` (n, 3).
 
-    What needs no grids is done beside the drawing of these, and beside what needs them.
+    Recordings after the first one begin with the keyframes `starts`. What needs no grids is done
+    beside the drawing of these, and beside what needs them.
     """
-    submaps, revisits = submaps_of(labels), known.revisits(labels, poses)
+    config, submaps = session.config, submaps_of(labels)
+    revisits = None
+    if prior.classifiers is not None:  # they tell the scans of the last recording
+        revisits = Revisits(prior.classifiers, starts[-1], poses, labels, HELD_OUT_REACH_M)
     raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
+    along: OfSubmaps = {}
+    cast: OfSubmaps = {}
+    virtual, of_virtual = None, None
     with ahead(
-        lambda: _without_grids(store, known, submaps, poses, config, raw_rng, revisits)
+        lambda: _without_grids(session, submaps, poses, prior, starts, raw_rng, revisits)
     ) as meanwhile:
-        progress.start("grids", len(store))
-        with clock.stage("grids"):
-            grids = submap_grids(store, submaps, poses, config, progress)
-        progress.start("training", None)
-        with clock.stage("training"):
-            virtual = _NO_VIRTUAL
+        session.progress.start("grids", len(session.store))
+        with session.stage("grids"):
+            grids = submap_grids(session, submaps, poses)
+        session.progress.start("training", None)
+        with session.stage("training"):
             if config.localization.virtual:
                 cast = cast_samples(
-                    submaps, poses, grids, config.localization, virtual_rng, known.lessons.cast
+                    submaps, poses, grids, config.localization, virtual_rng, prior.lessons.cast
                 )
                 along = next(meanwhile)
-                learned = train_virtual(along, cast, poses, config, virtual_rng, revisits)
-                virtual = _Virtual(along, cast, *learned)
+                virtual, of_virtual = train_virtual(
+                    along, cast, poses, config, virtual_rng, revisits
+                )
             taught = meanwhile.result
             classifiers = ClassifierSet(
-                sensor=sensor_of(store, submaps),
+                sensor=sensor_of(session.store, submaps),
                 raw=taught.raw,
-                virtual=virtual.learned,
+                virtual=virtual,
                 misfit=taught.misfit,
-                calibration=_calibrated(taught.held_out, virtual.held_out, known.before),
+                calibration=_calibrated(taught.held_out, of_virtual, prior.classifiers),
             )
-    lessons = Lessons.of(taught.samples, taught.beside, virtual.along, virtual.cast)
-    return Learned(grids, classifiers, lessons)
+    return Learned(grids, classifiers, TrainingData.of(taught.samples, taught.beside, along, cast))
 
 
-class _Virtual(NamedTuple):
-    """The virtual scans of submaps, what they taught, and how held-out ones are told."""
-
-    along: OfSubmaps
-    cast: OfSubmaps
-    learned: Recogniser | None
-    held_out: HeldOutMargins | None
-
-
-_NO_VIRTUAL = _Virtual({}, {}, None, None)
+def submap_grids(
+    session: Session, submaps: Submaps, poses: FloatArray, *, silent: bool = False
+) -> dict[int, GridMap]:
+    """The grid of each submap from all its keyframes, in the frame of its first."""
+    grids = {}
+    for id_, keyframes in submaps.items():
+        track = compose(invert(poses[keyframes[0]]), poses[keyframes])
+        counts = integrate_keyframes(session.store, keyframes, track, session.config.grid)
+        grids[id_] = counts.snapshot()
+        if not silent:
+            session.progress.advance(len(keyframes))
+    return grids
 
 
 def _calibrated(
@@ -235,23 +158,22 @@ class _Taught(NamedTuple):
 
 
 def _without_grids(
-    store: KeyframeStore,
-    known: Known,
+    session: Session,
     submaps: Submaps,
     poses: FloatArray,
-    config: Config,
+    prior: Prior,
+    starts: tuple[int, ...],
     rng: np.random.Generator,
     revisits: Revisits | None,
 ) -> Generator[OfSubmaps, None, _Taught]:
     """The virtual scans along the track, if wanted; then what raw scans teach."""
+    store, config, lessons = session.store, session.config, prior.lessons
     if config.localization.virtual:
         yield _single(
-            track_samples(
-                store, submaps, poses, config.localization, known.lessons.along, known.starts
-            )
+            track_samples(store, submaps, poses, config.localization, lessons.along, starts)
         )
-    samples = raw_samples(store, submaps, config, known.features, known.starts)
-    beside = beside_samples(store, submaps, poses, config, rng, known.lessons.beside)
+    samples = raw_samples(store, submaps, config, prior.features, starts)
+    beside = augmented_samples(store, submaps, poses, config, rng, lessons.beside)
     raw, held_out = train_raw(samples, beside, poses, config, rng, revisits)
     misfit = held_out_misfit(store, submaps, poses)
     return _Taught(raw, _single(samples), _single(beside), held_out, misfit)
@@ -264,18 +186,103 @@ def _single(samples: OfSubmaps) -> OfSubmaps:
     }
 
 
-def submap_grids(
-    store: KeyframeStore,
-    submaps: Submaps,
-    poses: FloatArray,
-    config: Config,
-    progress: Progress | None = None,
-) -> dict[int, GridMap]:
-    """The grid of each submap from all its keyframes, in the frame of its first."""
-    grids = {}
-    for id_, keyframes in submaps.items():
-        track = compose(invert(poses[keyframes[0]]), poses[keyframes])
-        grids[id_] = integrate_keyframes(store, keyframes, track, config.grid).snapshot()
-        if progress is not None:
-            progress.advance(len(keyframes))
-    return grids
+def arrays_of(lessons: TrainingData) -> dict[str, NDArray[Any]]:
+    """Lessons as the arrays of a file: in half precision, which moves few of them to another bin.
+
+    A column a scan: one feature of all scans after the other takes less room.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    for kind in KINDS:
+        samples: Samples = getattr(lessons, kind)
+        features = np.clip(samples.features.T, -_MOST, _MOST).astype(np.float16)
+        arrays[kind] = np.ascontiguousarray(features)
+        arrays[kind + KEYFRAMES_OF] = samples.keyframes.astype(np.int32)
+    return arrays
+
+
+def lessons_of_stored(stored: StoredMap, config: Config) -> TrainingData:
+    """The lessons of a map directory; none where they would not be the same by these settings.
+
+    Nor are there any of another version, which may find other features. Scans that were cast in
+    other grids are left out. Raises MapError for a damaged file.
+    """
+    arrays = stored.features
+    if arrays is None or _version(stored) != __version__ or stored.foreign_settings:
+        return NO_TRAINING_DATA
+    before = stored.config
+    same = before.recognition.feature_set == config.recognition.feature_set
+    if not same or before.localization != config.localization:
+        return NO_TRAINING_DATA
+    found = TrainingData(*(_samples(arrays, kind) for kind in KINDS))
+    sets = [config.recognition.feature_set] * 2 + [config.localization.feature_set] * 2
+    if not all(map(_are_of, found.kinds, sets)):
+        return NO_TRAINING_DATA
+    return found if before.grid == config.grid else replace(found, cast=NO_SAMPLES)
+
+
+def _are_of(samples: Samples, feature_set: str) -> bool:
+    """Whether samples, if there are any, have as many features as a set."""
+    columns = samples.features.shape[1]
+    return not len(samples.keyframes) or columns == len(feature_names(feature_set))
+
+
+def comparable(
+    classifiers: ClassifierSet | None, stored: StoredMap, config: Config
+) -> ClassifierSet | None:
+    """The classifiers of a map where they are of the kind that these settings make, else None.
+
+    Those of another version are not: it may have found other features.
+    """
+    if classifiers is None or _version(stored) != __version__:
+        return None
+    if stored.config.recognition != config.recognition:
+        return None
+    virtual = classifiers.virtual is not None
+    same = stored.config.localization.feature_set == config.localization.feature_set
+    return classifiers if same and virtual == config.localization.virtual else None
+
+
+def lessons_left(
+    lessons: TrainingData,
+    before: Labels,
+    now: Labels,
+    left: IntArray,
+    apart_m: float,
+    first: int = 0,
+) -> TrainingData:
+    """What of the lessons of a map holds for one that it became.
+
+    `left` (k,) are the keyframes of the map that are those from number `first` on of `now`. What
+    was cast in the grid of a submap holds where the submap has the keyframes that it had, and where
+    these lie to each other as they did, to `apart_m`.
+    """
+    own = slice(first, first + len(left))
+    unchanged = np.zeros(len(left), dtype=bool)
+    for submap in np.unique(now.submaps[own]).tolist():
+        rows = np.flatnonzero(now.submaps[own] == submap)
+        was, is_ = before.poses[left[rows]], now.poses[own][rows]
+        there = {np.count_nonzero(now.submaps == submap)}
+        there |= {
+            np.count_nonzero(before.submaps == id_) for id_ in set(before.submaps[left[rows]])
+        }
+        unchanged[rows] = there == {len(rows)} and _bent_m(was, is_) <= apart_m
+    return lessons.left(left).cast_near(unchanged).numbered_from(first)
+
+
+def _bent_m(was: FloatArray, is_: FloatArray) -> float:
+    """How far places (n, 3) moved besides a motion that they made together."""
+    motion = nearest_motion(was[:, :2], is_[:, :2])
+    away = compose(np.array(motion), was)[:, :2] - is_[:, :2]
+    return float(np.hypot(away[:, 0], away[:, 1]).max())
+
+
+def _samples(arrays: Mapping[str, NDArray[Any]], kind: str) -> Samples:
+    features = np.ascontiguousarray(arrays[kind].T, dtype=np.float32)
+    return Samples(features, arrays[kind + KEYFRAMES_OF].astype(np.intp))
+
+
+def _version(stored: StoredMap) -> str | None:
+    """The version of specmap that made the map, as far as it says so."""
+    versions = stored.run.get("versions")
+    version = versions.get("specmap") if isinstance(versions, dict) else None
+    return version if isinstance(version, str) else None

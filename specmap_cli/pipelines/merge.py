@@ -7,8 +7,8 @@ map on; what meets none of them stays apart. Maps are taken in the order of thei
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -22,29 +22,27 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.audit import Audit
-from specmap_cli.layout.healing import Audited
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.maps.writing import write_map
-from specmap_cli.pipelines.assessment import tell
-from specmap_cli.pipelines.edited import drawn
-from specmap_cli.pipelines.kept_map import KeptMap, Seen, seen_of_stored
-from specmap_cli.pipelines.learning import Known, known_of, whole_grid
+from specmap_cli.pipelines.finishing import finish, tell, with_borders, write_finished
+from specmap_cli.pipelines.joining import beside, closures_between, join
+from specmap_cli.pipelines.laying_out import with_grid
+from specmap_cli.pipelines.learning import Prior, lessons_left, lessons_of_stored
 from specmap_cli.pipelines.localize import settings_for
-from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
-from specmap_cli.pipelines.meetings import Meetings, Spread, meetings_of, parts_of, steps_of
-from specmap_cli.pipelines.merge_report import MergeReport
-from specmap_cli.pipelines.remaking import remade
-from specmap_cli.pipelines.run_record import OF_THE_MAP, run_record
-from specmap_cli.pipelines.stopwatch import Stopwatch
-from specmap_cli.pipelines.stored_lessons import lessons_left, lessons_of_stored
+from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
+from specmap_cli.pipelines.overlaps import (
+    Overlaps,
+    Spread,
+    known_map,
+    overlaps_of,
+    parts_of,
+    steps_of,
+)
+from specmap_cli.pipelines.reports import OF_THE_MAP, MergeReport, run_record
+from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import check_feature_sets
-from specmap_cli.recognition.learning.lessons import Lessons
-from specmap_cli.topology.regions import divide
-from specmap_cli.topology.topological_map import fences_of
+from specmap_cli.recognition.learning.training_data import TrainingData
 
 
 @one_blas_thread()
@@ -71,36 +69,35 @@ def merge_maps(
     config = settings_for(first, {}) if config is None else instance_of(config, Config, "config")
     ordered = sorted(given, key=_age)
     check_feature_sets(config)
-    clock = Stopwatch()
     with OutputDirectory(target, overwrite, progress) as partial, KeyframeStore() as store:
-        seen = [seen_of_stored(stored) for stored in ordered]
+        session = Session(config, store, progress)
+        parts = [laid_out_of_stored(stored) for stored in ordered]
+        known = [known_map(stored) for stored in ordered]
         _refuse_twice(ordered)
         lessons = [lessons_of_stored(stored, config) for stored in ordered]
         progress.start("aligning", None)
-        with clock.stage("alignment"):
-            meetings = meetings_of(ordered, seen, config, spread)
+        with session.stage("alignment"):
+            overlaps = overlaps_of(ordered, known, config, spread)
         progress.start("layout", None)
-        with clock.stage("layout"):
-            merging = _merged(ordered, seen, meetings, store, config)
-        counts = _counts(ordered)
-        known = _known(ordered, lessons, merging, store, config)
-        finished = remade(store, merging.joined, config, progress, clock, counts, known)
-        overview = finished.overview(merging.joined.kept.logs)
-        run = run_record([stored.path.resolve() for stored in ordered], None, config, finished)
-        tell(finished.quality, progress)
-        write_map(partial, finished.result(merging.joined.kept.logs, run, overview), store)
+        with session.stage("layout"):
+            merging = _Merging(session, ordered, parts, overlaps)
+        laid = replace(merging.joint, counts=_counts(ordered))
+        prior = Prior.of(session, merging.lessons(lessons))
+        finished = finish(session, laid, prior)
+        tell(session, finished)
+        paths = [stored.path.resolve() for stored in ordered]
+        run = write_finished(
+            session, partial, finished, lambda: run_record(session, finished, paths)
+        )
     names = _names(ordered)
     return MergeReport(
         out=target,
         run=run,
         quality=finished.quality,
         parts=tuple(
-            tuple(names[k] for k in sorted(part)) for part in parts_of(len(seen), meetings)
+            tuple(names[k] for k in sorted(part)) for part in parts_of(len(names), overlaps)
         ),
-        ids={
-            names[k]: merging.ids_of(k, seen[k].kept, finished.labels.submaps)
-            for k in range(len(seen))
-        },
+        ids={name: merging.ids_of(k, finished.labels.submaps) for k, name in enumerate(names)},
         unapplied=finished.unapplied,
     )
 
@@ -148,133 +145,89 @@ def _counts(maps: Sequence[StoredMap]) -> dict[str, int]:
     return dict(totals)
 
 
-@dataclass(frozen=True, slots=True)
 class _Merging:
-    """Maps joined so far; `firsts` are the first keyframe and the first stay of each, by number."""
+    """Maps joined along their alignments, from the first map on; the `joint` one in the end.
 
-    joined: Joined
-    whole: GridMap
-    firsts: Mapping[int, tuple[int, int]]
+    The store of the session takes their keyframes in the order of joining.
+    """
 
-    def ids_of(self, number: int, kept: KeptMap, submaps: IntArray) -> dict[int, int]:
+    def __init__(
+        self,
+        session: Session,
+        maps: Sequence[StoredMap],
+        parts: Sequence[LaidOut],
+        overlaps: Overlaps,
+    ) -> None:
+        self.session, self.maps, self.parts, self.overlaps = session, maps, parts, overlaps
+        self._firsts: dict[int, tuple[int, int]] = {}  # first keyframe and stay of each map
+        for parent, child in steps_of(len(parts), overlaps):
+            with maps[child].keyframes() as own:
+                session.store.extend(own)
+            if self._firsts:
+                joint = with_grid(session, self._joined(parent, child))
+            else:
+                joint, self._firsts[child] = parts[child], (0, 0)
+            # what of its edits cannot be made is told in the end
+            self.joint = with_borders(joint)[0]
+
+    def ids_of(self, number: int, submaps: IntArray) -> dict[int, int]:
         """The submap of the result that most keyframes of each submap of one map are in.
 
         `submaps` (n,) are those of all keyframes in the result.
         """
-        first, _ = self.firsts[number]
-        own = kept.labels.submaps
+        first, _ = self._firsts[number]
+        own = self.parts[number].labels.submaps
         now = submaps[first : first + len(own)]
         return {
             int(id_): int(np.bincount(now[own == id_]).argmax()) for id_ in np.unique(own[own >= 0])
         }
 
-    def pose_of(self, number: int, kept: KeptMap) -> Pose2:
+    def lessons(self, of_maps: Sequence[TrainingData]) -> TrainingData:
+        """What the classifiers of the maps learned from, as it holds for all of them."""
+        cell_m, now = self.session.config.grid.resolution_m, self.joint.labels
+        found = []
+        for number, (part, own) in enumerate(zip(self.parts, of_maps, strict=True)):
+            first, _ = self._firsts[number]
+            found.append(lessons_left(own, part.labels, now, np.arange(len(part)), cell_m, first))
+        return TrainingData.joined(found)
+
+    def _joined(self, parent: int | None, child: int) -> LaidOut:
+        """One map more, laid into `parent`, which is in already, or beside all."""
+        joint, new = self.joint, self.parts[child]
+        where = beside(joint.whole, new.whole)
+        if parent is not None:
+            where = self._pose_of(parent) @ self._motion(parent, child)
+        found = [
+            replace(closure, old=closure.old + stay)
+            for number, (_, stay) in self._firsts.items()
+            for closure in self._closures(number, child)
+        ]
+        self._firsts[child] = len(joint), 1 + max(joint.stays, default=-1)
+        return join(self.session, joint, new, where, found)
+
+    def _pose_of(self, number: int) -> Pose2:
         """The frame of one of the maps in the joint map, by the places of its keyframes."""
-        first, _ = self.firsts[number]
-        own = kept.labels.poses[:, :2]
-        return nearest_motion(own, self.joined.kept.layout.poses[first : first + len(own), :2])
+        first, _ = self._firsts[number]
+        own = self.parts[number].labels.poses[:, :2]
+        return nearest_motion(own, self.joint.layout.poses[first : first + len(own), :2])
 
+    def _motion(self, parent: int, child: int) -> Pose2:
+        """Where one map lies in another that it overlaps."""
+        alignment = self.overlaps[min(parent, child), max(parent, child)]
+        assert alignment.old_from_new is not None
+        return alignment.old_from_new if parent < child else alignment.old_from_new.inverse()
 
-def _known(
-    maps: Sequence[StoredMap],
-    lessons: Sequence[Lessons],
-    merging: _Merging,
-    store: KeyframeStore,
-    config: Config,
-) -> Known:
-    """What the maps keep of what their classifiers learned from, as it holds for all of them."""
-    joint, cell_m = merging.joined.kept, config.grid.resolution_m
-    parts = []
-    for number, (stored, own) in enumerate(zip(maps, lessons, strict=True)):
-        before, (first, _) = stored.labels, merging.firsts[number]
-        everything = np.arange(len(before.stamps_ns))
-        parts.append(lessons_left(own, before, joint.labels, everything, cell_m, first))
-    return known_of(store, Lessons.joined(parts), joint.starts, config)
+    def _closures(self, number: int, child: int) -> tuple[Closure, ...]:
+        """What the alignment of two maps says, `child` being the new one; nothing without one.
 
-
-def _merged(
-    maps: Sequence[StoredMap],
-    seen: Sequence[Seen],
-    meetings: Meetings,
-    store: KeyframeStore,
-    config: Config,
-) -> _Merging:
-    """All maps in one, their keyframes in `store` in the order of joining."""
-    (_, first), *steps = steps_of(len(seen), meetings)
-    _copy(maps[first], store)
-    whole = seen[first].known.whole
-    kept = _edited(seen[first].kept, whole)
-    nothing = Audited(kept.layout, Audit(compared=0, disagreements=()))
-    merging = _Merging(Joined(kept, nothing), whole, {first: (0, 0)})
-    for parent, child in steps:
-        _copy(maps[child], store)
-        merging = _with(merging, parent, child, seen, meetings, store, config)
-    return merging
-
-
-def _edited(kept: KeptMap, whole: GridMap) -> KeptMap:
-    """A map with the borders that its edits ask for; what cannot be made is told in the end."""
-    found = drawn(whole, kept.labels, kept.borders, kept.edits, kept.next_id)
-    labels = replace(kept.labels, submaps=found.submaps)
-    return replace(
-        kept, labels=labels, borders=found.borders, edits=found.edits, next_id=found.next_id
-    )
-
-
-def _copy(stored: StoredMap, store: KeyframeStore) -> None:
-    with stored.keyframes() as own:
-        store.extend(own)
-
-
-def _with(
-    merging: _Merging,
-    parent: int | None,
-    child: int,
-    seen: Sequence[Seen],
-    meetings: Meetings,
-    store: KeyframeStore,
-    config: Config,
-) -> _Merging:
-    """One map more, laid into `parent`, which is in already, or beside all."""
-    joint, new = merging.joined.kept, seen[child]
-    where = beside(merging.whole, new.known.whole)
-    if parent is not None:
-        where = merging.pose_of(parent, seen[parent].kept) @ _motion(meetings, parent, child)
-    found = [
-        replace(closure, old=closure.old + stay)
-        for number, (_, stay) in merging.firsts.items()
-        for closure in _closures(meetings, number, child, seen)
-    ]
-    firsts = {
-        **merging.firsts,
-        child: (len(joint.labels.stamps_ns), 1 + max(joint.stays, default=-1)),
-    }
-    regions = divide(merging.whole, joint.labels, fences_of(joint.borders))
-    joined = join(store, joint, regions, new, where, found, config)
-    whole = whole_grid(store, joined.kept.layout, config)[0]
-    edited = replace(joined, kept=_edited(joined.kept, whole))
-    return _Merging(edited, whole, firsts)
-
-
-def _motion(meetings: Meetings, parent: int, child: int) -> Pose2:
-    """Where one map lies in another that it meets."""
-    alignment = meetings[min(parent, child), max(parent, child)]
-    assert alignment.old_from_new is not None
-    return alignment.old_from_new if parent < child else alignment.old_from_new.inverse()
-
-
-def _closures(
-    meetings: Meetings, number: int, child: int, seen: Sequence[Seen]
-) -> tuple[Closure, ...]:
-    """What the alignment of two maps says, `child` being the new one; nothing if they do not meet.
-
-    Stays have the numbers of their own maps.
-    """
-    pair = min(number, child), max(number, child)
-    if pair not in meetings:
-        return ()
-    found = closures_between(seen[pair[0]].kept, seen[pair[1]].kept, meetings[pair].joints)
-    return found if number < child else tuple(_turned(closure) for closure in found)
+        Stays have the numbers of their own maps.
+        """
+        one, other = min(number, child), max(number, child)
+        if (one, other) not in self.overlaps:
+            return ()
+        joints = self.overlaps[one, other].joints
+        found = closures_between(self.parts[one], self.parts[other], joints)
+        return found if number < child else tuple(_turned(closure) for closure in found)
 
 
 def _turned(closure: Closure) -> Closure:

@@ -4,15 +4,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
+from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.maps import filenames
 from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.pipelines.compare import Comparison, compare_maps
-from specmap_cli.pipelines.comparison_report import lines_of
-from specmap_cli.pipelines.map_evidence import evidence_of
-from specmap_cli.report.evidence import Changes
+from specmap_cli.pipelines.compare import Comparison, compare_maps, lines_of
+from specmap_cli.pipelines.localize import classifiers_of
+from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
+from specmap_cli.recognition.learning.boosting import feature_shares
+from specmap_cli.recognition.learning.classifiers import Recogniser
+from specmap_cli.report.changes import Changes
+from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, TestedSplit
 from specmap_cli.report.page import render
+from specmap_cli.segmentation.online import Occasion, OnlineSegmenter
+from specmap_cli.segmentation.splitting import SplitTest
 
 
 @one_blas_thread()
@@ -40,14 +52,174 @@ def report_map(
 
 def _changes(found: Comparison) -> Changes:
     """A comparison as the report draws it: on the new map, both named without their folders."""
-    record = found.record
-    named = {
-        which: getattr(record, which).model_copy(update={"map": stored.path.resolve().name})
-        for which, stored in (("old", found.old), ("new", found.new))
-    }
+    called = found.old.path.resolve().name, found.new.path.resolve().name
     return Changes(
         old=found.old,
-        record=record,
-        lines=tuple(lines_of(record.model_copy(update=named))),
+        record=found.record,
+        lines=tuple(lines_of(found.record, called)),
         new_from_old=found.old_from_new.inverse(),
+    )
+
+
+_ASKED = 60  # scans of a submap whose likeness to others is looked at: a share good to some percent
+_NEAR_M, _NEAR_CELLS = 0.1, 1.5  # of a wall: a return that lies so near lies on it
+_LEAST_SPREAD = 1e-9  # of votes that are always the same
+_LEAST_SHARE = 0.01  # of the votes, or of the scans: less is not worth a word
+
+
+def evidence_of(stored: StoredMap, progress: Progress) -> Evidence:
+    """What a map's scans and classifiers tell, as far as it has them.
+
+    Raises MapError for a file that is damaged.
+    """
+    recogniser = _recogniser(stored)
+    if not (stored.path / filenames.KEYFRAMES).exists():
+        shares = {} if recogniser is None else _feature_shares(recogniser)
+        learned = {id_: Learned(features=found) for id_, found in shares.items()}
+        return Evidence(learned=learned, notes=_lacking(stored, recogniser))
+    with stored.keyframes() as store:
+        progress.start("looking at scans", len(store))
+        return Evidence(
+            learned={} if recogniser is None else _learned(stored, recogniser, store),
+            fit=_fit(stored, store),
+            tests=_tests(stored, store, progress),
+            threshold=stored.config.segmentation.split_eigenvalue,
+            notes=_lacking(stored, recogniser),
+        )
+
+
+def _recogniser(stored: StoredMap) -> Recogniser | None:
+    """The classifiers of single scans, if the map has some."""
+    if not (stored.path / filenames.CLASSIFIERS).exists():
+        return None
+    return classifiers_of(stored).raw
+
+
+def _lacking(stored: StoredMap, recogniser: Recogniser | None) -> tuple[str, ...]:
+    """What cannot be told of a map, and why."""
+    found = []
+    if recogniser is None:
+        found.append("No classifiers: the map was not made of a recording.")
+    if not (stored.path / filenames.KEYFRAMES).exists():
+        found.append(
+            "The map keeps no scans: what its submaps look like to each other, how well scans fit "
+            "its walls, and its split tests are not known."
+        )
+    return tuple(found)
+
+
+def _feature_shares(recogniser: Recogniser) -> dict[int, tuple[FeatureShare, ...]]:
+    """What each classifier looks at, what counts most first."""
+    names = feature_names(recogniser.feature_set)
+    found = {}
+    for id_, booster in recogniser.classifiers.boosters_.items():
+        shares = feature_shares(booster)
+        ranked = np.argsort(-shares, kind="stable")
+        found[id_] = tuple(
+            FeatureShare(names[k], float(shares[k]))
+            for k in ranked.tolist()
+            if shares[k] >= _LEAST_SHARE
+        )
+    return found
+
+
+def _learned(stored: StoredMap, recogniser: Recogniser, store: KeyframeStore) -> dict[int, Learned]:
+    """What each classifier looks at, and which submaps the scans of each submap fit next best."""
+    features = KeyframeFeatures(store, recogniser.feature_set, most=0)
+    shares, submaps = _feature_shares(recogniser), stored.labels.submaps
+    asked = [evenly(np.flatnonzero(submaps == id_), _ASKED) for id_ in recogniser.ids]
+    owner = np.repeat(np.arange(len(asked)), [len(own) for own in asked])
+    margins = recogniser.margins(features.of(np.concatenate(asked).tolist()))
+    stirred = _stirred(margins, owner)
+    return {
+        id_: _told(k, recogniser.ids, margins[owner == k], stirred[owner == k], shares[id_])
+        for k, id_ in enumerate(recogniser.ids)
+    }
+
+
+def _stirred(margins: FloatArray, owner: IntArray) -> FloatArray:
+    """(n, m) the votes of each classifier for each scan, against its votes for foreign scans.
+
+    Some classifiers give many votes to any scan. So of the `margins` (n, m) in a column the mean of
+    those for scans of other submaps, by `owner` (n,), is subtracted, and the rest is divided by
+    their standard deviation. Its own scans have -inf.
+    """
+    stirred = np.full(margins.shape, -np.inf)
+    for column in range(margins.shape[1]):
+        foreign = owner != column
+        values = margins[foreign, column]
+        if len(values):
+            spread = max(float(values.std()), _LEAST_SPREAD)
+            stirred[foreign, column] = (values - values.mean()) / spread
+    return stirred
+
+
+def _told(
+    own: int,
+    ids: tuple[int, ...],
+    margins: FloatArray,
+    stirred: FloatArray,
+    features: tuple[FeatureShare, ...],
+) -> Learned:
+    """What the margins (n, m) of a submap's own scans say of it; `own` is its column."""
+    if not len(margins):
+        return Learned(features=features)
+    right = float(np.mean(margins.argmax(axis=1) == own))
+    if len(ids) < 2:
+        return Learned(features=features, scans=len(margins), right=right)
+    shares = np.bincount(stirred.argmax(axis=1), minlength=len(ids)) / len(margins)
+    alike = tuple(
+        Likeness(ids[k], float(shares[k]))
+        for k in np.argsort(-shares, kind="stable").tolist()
+        if shares[k] >= _LEAST_SHARE
+    )
+    return Learned(features=features, scans=len(margins), right=right, alike=alike)
+
+
+def _fit(stored: StoredMap, store: KeyframeStore) -> FloatArray:
+    """(n,) share of the returns of each keyframe that lie on walls of the map; NaN without any."""
+    grid = stored.map_grid
+    near = grid.obstacle_distance() <= max(_NEAR_M, _NEAR_CELLS * grid.resolution)
+    fit = np.full(len(store), np.nan)
+    for number, pose in enumerate(stored.labels.poses):
+        cells = grid.cells_of(Pose2(*pose).apply(store.points(number)))
+        inside = grid.inside(cells)
+        if len(cells):
+            fit[number] = np.count_nonzero(near[tuple(cells[inside].T)]) / len(cells)
+    return fit
+
+
+def _tests(stored: StoredMap, store: KeyframeStore, progress: Progress) -> tuple[TestedSplit, ...]:
+    """The tests that the way of the map led to, made again with its settings."""
+    found: list[TestedSplit] = []
+
+    def observe(test: SplitTest, split: bool, when: Occasion) -> None:
+        found.append(_look(test, split, stored, store, when.latest))
+
+    breaks = {each.keyframe for each in stored.record.graph.breaks}
+    breaks |= {log.keyframes[0] for log in stored.logs[1:] if log.keyframes is not None}
+    config = stored.config
+    segmenter = OnlineSegmenter(config.segmentation, config.grid, store, observe)
+    for now in range(len(store)):
+        if now in breaks:
+            segmenter.flush()
+        segmenter.add(now)
+        progress.advance()
+    return tuple(found)
+
+
+def _look(
+    test: SplitTest, split: bool, stored: StoredMap, store: KeyframeStore, keyframe: int
+) -> TestedSplit:
+    """A test with its places in the map: it was made where registration had put the scans."""
+    map_from_registered = Pose2(*stored.labels.poses[keyframe]) @ store.pose(keyframe).inverse()
+    strength = np.abs(test.eigenvector)
+    share = strength / max(float(strength.max(initial=0.0)), 1e-12)
+    return TestedSplit(
+        keyframe=keyframe,
+        eigenvalues=test.eigenvalues,
+        chosen=test.chosen,
+        split=split,
+        nodes=map_from_registered.apply(test.nodes),
+        sides=np.where(test.near, share, -share),
     )

@@ -28,8 +28,8 @@ from specmap_cli.grids.keyframes import (
 )
 from specmap_cli.layout.carrying import carried_places
 from specmap_cli.layout.dropping import gaps_of, tracked_over_gaps, without_keyframes
-from specmap_cli.pipelines.finished_map import ways_m
-from specmap_cli.pipelines.kept_map import KeptMap, Seen, thinned_of
+from specmap_cli.pipelines.map_in_making import LaidOut, thinned_of
+from specmap_cli.pipelines.session import Session
 from specmap_cli.topology.topological_map import BorderEdit, LogInfo, Merge, heirs
 
 
@@ -38,82 +38,82 @@ class Thinned:
     """A map with fewer keyframes, of which `old` are of the recordings before the last one.
 
     `left` (k,) are the numbers that they had among all. `dropped` of the old ones are gone since
-    newer ones show the same; `witnesses` would be, too, but show walls that no other one does.
+    newer ones show the same; `kept_for_walls` would be, too, but show walls that no other one does.
     """
 
-    kept: KeptMap
+    laid: LaidOut
     left: IntArray
     old: int
     dropped: int = 0
-    witnesses: int = 0
+    kept_for_walls: int = 0
 
 
-def thinned(store: KeyframeStore, joint: KeptMap, old: Seen, new: Seen, config: Config) -> Thinned:
+def thinned(session: Session, joint: LaidOut, old: LaidOut, new: LaidOut) -> Thinned:
     """The map that `old` and `new` became, without older keyframes that newer ones repeat.
 
     `new` is one recording, laid out by itself. The store has only the keyframes that are left
     afterwards. Deterministic.
     """
-    count, everything = len(old.kept.labels.stamps_ns), np.arange(len(joint.labels.stamps_ns))
+    store, config = session.store, session.config
     if config.update.keep_all:
-        return Thinned(joint, everything, count)
+        return Thinned(joint, np.arange(len(joint)), len(old))
     of = joint.recordings
     gone = repeated(_recorded(store, joint, of, config), _named(joint, of))
-    unseen = _unseen(old, new, joint.layout.poses)
-    stay = sole_views(
+    kept_for_walls = sole_views(
         store,
-        gone[:count],
-        old.kept.labels.poses,
-        old.known.whole,
-        unseen,
+        gone[: len(old)],
+        old.labels.poses,
+        old.whole,
+        _unseen(old, new, joint.layout.poses),
         config.grid.max_range_m,
     )
-    gone[stay] = False
+    gone[kept_for_walls] = False
     if not gone.any():
-        return Thinned(joint, everything, count, 0, len(stay))
-    fewer, dropped = _without(store, joint, of, gone), int(gone.sum())
-    return Thinned(fewer, np.flatnonzero(~gone), count - dropped, dropped, len(stay))
+        return Thinned(joint, np.arange(len(joint)), len(old), 0, len(kept_for_walls))
+    dropped = int(gone.sum())
+    fewer = _without(store, joint, of, gone)
+    return Thinned(fewer, np.flatnonzero(~gone), len(old) - dropped, dropped, len(kept_for_walls))
 
 
-def _recorded(store: KeyframeStore, kept: KeptMap, of: IntArray, config: Config) -> Recorded:
+def _recorded(store: KeyframeStore, laid: LaidOut, of: IntArray, config: Config) -> Recorded:
     """Where the keyframes of all recordings look from; each has one laser."""
-    scans = [store.scan(first) for first in (0, *kept.starts)]
+    scans = [store.scan(first) for first in (0, *laid.starts)]
     return Recorded(
-        poses=kept.layout.poses,
+        poses=laid.layout.poses,
         of=of,
         enough=np.array([views_needed(scan, config.grid) for scan in scans]),
         all_round=np.array([scan.full_circle for scan in scans]),
     )
 
 
-def _named(kept: KeptMap, of: IntArray) -> BoolArray:
+def _named(laid: LaidOut, of: IntArray) -> BoolArray:
     """(n,) the keyframes that anything names."""
     named = np.zeros(len(of), dtype=bool)
-    submaps = kept.labels.submaps
+    submaps = laid.labels.submaps
     for start, end in runs(of * (1 + submaps.max()) + submaps):
         named[[start, end - 1]] = True
-    for own in kept.stays.values():
+    for own in laid.stays.values():
         named[[own[0], min(own), max(own)]] = True
-    named[list(kept.breaks)] = True
-    for place, border in enumerate(kept.borders):
+    named[list(laid.breaks)] = True
+    for place, border in enumerate(laid.borders):
         if isinstance(border, Merge):
-            became = list(heirs(border.kept, kept.borders[place + 1 :]))
+            became = list(heirs(border.kept, laid.borders[place + 1 :]))
             named[: border.known] |= np.isin(submaps[: border.known], became)
     return named
 
 
-def _unseen(old: Seen, new: Seen, poses: FloatArray) -> BoolArray:
+def _unseen(old: LaidOut, new: LaidOut, poses: FloatArray) -> BoolArray:
     """(H, W) the wall cells of the old map at which the new recording did not look.
 
     `poses` (n, 3) are those of the keyframes of both in the joint map.
     """
-    whole, count = old.known.whole, len(old.kept.labels.poses)
+    whole, count = old.whole, len(old.labels.poses)
     cells = np.argwhere(whole.occupied)
-    places = carried_places(whole.centres_of(cells), old.kept.labels.poses, poses[:count])
-    places = carried_places(places, poses[count:], new.kept.labels.poses)
-    known = cv2.dilate((new.known.whole.cells != UNKNOWN).astype(np.uint8), np.ones((3, 3)))
-    there = new.known.whole.cells_of(places)
-    inside = new.known.whole.inside(there)
+    places = carried_places(whole.centres_of(cells), old.labels.poses, poses[:count])
+    places = carried_places(places, poses[count:], new.labels.poses)
+    known = cv2.dilate((new.whole.cells != UNKNOWN).astype(np.uint8), np.ones((3, 3)))
+    there = new.whole.cells_of(places)
+    inside = new.whole.inside(there)
     looked = np.zeros(len(cells), dtype=bool)
     looked[inside] = known[there[inside, 0], there[inside, 1]] > 0
     unseen = np.zeros(whole.cells.shape, dtype=bool)
@@ -121,19 +121,18 @@ def _unseen(old: Seen, new: Seen, poses: FloatArray) -> BoolArray:
     return unseen
 
 
-def _without(store: KeyframeStore, kept: KeptMap, of: IntArray, gone: BoolArray) -> KeptMap:
+def _without(store: KeyframeStore, laid: LaidOut, of: IntArray, gone: BoolArray) -> LaidOut:
     """The map without some keyframes, and the store, too."""
     numbers = np.flatnonzero(~gone)
     row = {number: k for k, number in enumerate(numbers.tolist())}
-    breaks = {row[number]: bridge for number, bridge in kept.breaks.items()}
-    labels, placed = kept.labels, kept.layout.poses
-    ways = ways_m(kept.trajectory, labels.stamps_ns, kept.scan_starts)
-    logs = tuple(_renumbered(*each, row) for each in zip(kept.logs, ways, strict=True))
+    breaks = {row[number]: bridge for number, bridge in laid.breaks.items()}
+    labels, placed = laid.labels, laid.layout.poses
+    logs = tuple(_renumbered(*each, row) for each in zip(laid.logs, laid.ways_m, strict=True))
     gaps = gaps_of(placed[numbers], thinned_of(logs, of[numbers]))
     store.keep(numbers, tracked_over_gaps(store.poses, placed, numbers, gaps))
-    layout = without_keyframes(store, kept.layout, numbers, of, {**gaps, **breaks})
+    layout = without_keyframes(store, laid.layout, numbers, of, {**gaps, **breaks})
     return replace(
-        kept,
+        laid,
         layout=layout,
         labels=Labels(
             stamps_ns=labels.stamps_ns[numbers],
@@ -142,11 +141,11 @@ def _without(store: KeyframeStore, kept: KeptMap, of: IntArray, gone: BoolArray)
         ),
         stays={
             number: tuple(row[one] for one in own if one in row)
-            for number, own in kept.stays.items()
+            for number, own in laid.stays.items()
         },
         breaks=breaks,
         logs=logs,
-        borders=tuple(_left(border, row, gone) for border in kept.borders),
+        borders=tuple(_left(border, row, gone) for border in laid.borders),
     )
 
 

@@ -1,13 +1,15 @@
-"""Another recording of the building added to its map: the submaps that are known stay as they are.
+"""A recording laid into a map that is there: added to it by `update`, like it by `build --like`.
 
 The recording is registered and laid out by itself. Its submaps are recognised among those of the
-map; when several of them agree on where it lies, both are laid out as one. Only new space is
-divided afresh, and the classifiers learn the new visits.
+map; several of them must agree on where it lies. Then `update` lays out both as one, and `build
+--like` only moves the recording, of which it makes a fresh map. Submaps that are known keep ids and
+borders. Only new space is divided afresh.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,35 +17,42 @@ import numpy as np
 
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.errors import NOT_ALIGNED, InputError, NoResultError
+from specmap_cli.core.geometry import Pose2, compose
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.joining import placed
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.maps.writing import write_map
-from specmap_cli.pipelines.assessment import tell
-from specmap_cli.pipelines.edited import tell_unapplied
-from specmap_cli.pipelines.finished_map import FinishedMap
-from specmap_cli.pipelines.kept_map import KeptMap, Seen, seen_of_stored
-from specmap_cli.pipelines.learning import Known, whole_grid
+from specmap_cli.pipelines.build import survey
+from specmap_cli.pipelines.finishing import finish, tell, write_finished
+from specmap_cli.pipelines.joining import (
+    beside,
+    closures_between,
+    heritage_of,
+    inherit,
+    join,
+    moved_finding,
+)
+from specmap_cli.pipelines.laying_out import divides_whole, with_grid
+from specmap_cli.pipelines.learning import Prior, comparable, lessons_left, lessons_of_stored
 from specmap_cli.pipelines.localize import settings_for
-from specmap_cli.pipelines.map_joining import Joined, beside, closures_between, join
-from specmap_cli.pipelines.redivision import redivided
-from specmap_cli.pipelines.remaking import added, divided_anew, judge_of
-from specmap_cli.pipelines.run_record import run_record
-from specmap_cli.pipelines.stopwatch import Stopwatch
-from specmap_cli.pipelines.stored_lessons import comparable, lessons_left, lessons_of_stored
-from specmap_cli.pipelines.survey import survey
+from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
+from specmap_cli.pipelines.overlaps import known_map, known_map_of
+from specmap_cli.pipelines.reports import BuildReport, UpdateReport, run_record
+from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.thinning import Thinned, thinned
-from specmap_cli.pipelines.update_report import UpdateReport
 from specmap_cli.recognition.closure.alignment import Alignment, align
-from specmap_cli.recognition.features.sets import KeyframeFeatures, check_feature_sets
-from specmap_cli.recognition.learning.lessons import Lessons
+from specmap_cli.recognition.closure.prepared import MapToAlign
+from specmap_cli.recognition.features.sets import check_feature_sets
+from specmap_cli.segmentation.refinement import regions_of
+from specmap_cli.topology.graph import inherited
 from specmap_cli.topology.identity import border_changes
+from specmap_cli.topology.redrawing import carried
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
 _SAME_SHARE = 0.5  # of the readings; those of a scan in motion stand at other bearings
@@ -77,112 +86,201 @@ def update_map(
         OutputDirectory(target, overwrite, progress) as partial,
         stored.keyframes() as store,
     ):
+        session = Session(config, store, progress)
+        known, old = known_map(stored), laid_out_of_stored(stored)
+        lessons = lessons_of_stored(stored, config)
         stream = SweepStream(log, config.log)
-        updated = _updated(stored, stream, store, config, progress, allow_apart=allow_apart)
-        finished, fewer = updated.finished, updated.fewer
-        overview = finished.overview(fewer.kept.logs)
-        run = {
-            **run_record(log.given, stream.selection, config, finished),
-            "updates": [*_earlier(stored), _told(stored.path, updated)],
-        }
-        tell(finished.quality, progress)
-        write_map(partial, finished.result(fewer.kept.logs, run, overview), store)
+        with KeyframeStore() as own:
+            alone = replace(session, store=own)
+            new, prior = survey(alone, stream)
+            known_new = known_map_of(alone, new)
+            _refuse_known(old, new, store, own)
+            store.extend(own)
+        alignment = _aligned(session, known, known_new)
+        if alignment.old_from_new is None and not allow_apart:
+            raise NoResultError(
+                f"{log.name}: fits nowhere in {stored.path}: {alignment.reason}: build a map of "
+                "its own, or append it as a part of its own with --allow-apart",
+                code=NOT_ALIGNED,
+            )
+        fewer = _joined(session, old, new, alignment, log.name, allow_apart=allow_apart)
+        laid = replace(fewer.laid, counts=_added(stored.counts, new.counts))
+        features = prior.features.among(store, fewer.old)
+        left = fewer.left[: fewer.old]
+        lessons = lessons_left(lessons, stored.labels, laid.labels, left, config.grid.resolution_m)
+        prior = Prior(
+            features.knowing(lessons.raw.keyframes, lessons.raw.features),
+            lessons,
+            comparable(known.classifiers, stored, config),
+        )
+        finished = finish(session, laid, prior)
+        tell(session, finished)
+        run = write_finished(
+            session,
+            partial,
+            finished,
+            lambda: {
+                **run_record(session, finished, log.given, stream.selection),
+                "updates": [*_earlier(stored), _told(stored.path, alignment, fewer)],
+            },
+        )
     before, visits = np.split(finished.labels.submaps, [fewer.old])
-    known = set(before.tolist())
+    ids = set(before.tolist())
     return UpdateReport(
         out=target,
         run=run,
         quality=finished.quality,
-        alignment=updated.alignment,
-        visited=tuple(sorted(set(visits.tolist()) & known)),
-        new=tuple(sorted(set(visits.tolist()) - known)),
-        borders=border_changes(stored.regions, finished.regions),
+        alignment=alignment,
+        visited=tuple(sorted(set(visits.tolist()) & ids)),
+        new=tuple(sorted(set(visits.tolist()) - ids)),
+        borders=border_changes(old.regions, finished.regions),
         dropped=fewer.dropped,
         unapplied=finished.unapplied,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Updated:
-    """A map with a recording more, where that lies in it, and which keyframes are left."""
+@one_blas_thread()
+def build_like(
+    logs: Paths,
+    like: StoredMap | Path | str,
+    out: Path | str,
+    config: Config | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> BuildReport:
+    """Build the map of a recording in the frame of the map `like`, with its ids and borders.
 
-    finished: FinishedMap
-    fewer: Thinned
-    alignment: Alignment
+    It takes no data of that map. Only space that `like` does not have is divided afresh and gets
+    new ids. Raises NoResultError for a recording that fits nowhere in `like`, and else as
+    `build_map` and `read_map`.
+    """
+    config = instance_of(Config() if config is None else config, Config, "config")
+    given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
+    stored = opened_map(like, "like", config.limits)
+    check_feature_sets(config)
+    with (
+        open_log(given, config.log) as log,
+        OutputDirectory(target, overwrite, progress) as partial,
+        KeyframeStore() as store,
+    ):
+        session = Session(config, store, progress)
+        known, old = known_map(stored), laid_out_of_stored(stored)
+        stream = SweepStream(log, config.log)
+        new, prior = survey(session, stream)
+        alignment = _aligned(session, known, known_map_of(session, new))
+        if alignment.old_from_new is None:
+            raise NoResultError(
+                f"{log.name}: fits nowhere in {stored.path}: {alignment.reason}: build it without "
+                "--like",
+                code=NOT_ALIGNED,
+            )
+        laid = with_grid(session, _alike(old, new, alignment.old_from_new, config))
+        finished = finish(session, laid, prior)
+        tell(session, finished)
+        run = write_finished(
+            session,
+            partial,
+            finished,
+            lambda: {
+                **run_record(session, finished, log.given, stream.selection),
+                "like": stored.path.resolve().name,
+            },
+        )
+    return BuildReport(out=target, run=run, quality=finished.quality, unapplied=finished.unapplied)
 
 
-def _updated(
-    stored: StoredMap,
-    stream: SweepStream,
-    store: KeyframeStore,
-    config: Config,
-    progress: Progress,
+def _aligned(session: Session, old: MapToAlign, new: MapToAlign) -> Alignment:
+    """Where the recording lies in the map."""
+    session.progress.start("aligning", None)
+    with session.stage("alignment"):
+        return align(old, new, session.config)
+
+
+def _joined(
+    session: Session,
+    old: LaidOut,
+    new: LaidOut,
+    alignment: Alignment,
+    name: str,
     *,
     allow_apart: bool,
-) -> _Updated:
-    """The map with the recording; its keyframes are added to `store`, which holds the map's."""
-    clock, name = Stopwatch(), stream.log.name
-    old, lessons = seen_of_stored(stored), lessons_of_stored(stored, config)
-    with KeyframeStore() as own:
-        surveyed = survey(stream, config, own, progress, clock)
-        new = surveyed.seen
-        _refuse_known(old, new, store, own)
-        store.extend(own)
-    progress.start("aligning", None)
-    with clock.stage("alignment"):
-        alignment = align(old.known, new.known, config)
-    if alignment.old_from_new is None and not allow_apart:
-        raise _fits_nowhere(name, stored.path, alignment.reason)
-    progress.start("layout", None)
-    with clock.stage("layout"):
-        joined = _joined(store, old, new, alignment, config)
-    _refuse_loose(joined, old, name, allow=allow_apart)
-    with clock.stage("thinning"):
-        fewer = thinned(store, joined.kept, old, new, config)
-    with clock.stage("grids"):
-        whole, beyond = whole_grid(store, fewer.kept.layout, config)
-    with clock.stage("segmentation"):
-        kept = redivided(old, joined.kept, fewer, whole, config)
-    counts = added(stored.counts, surveyed.tracking.counts)
-    features = surveyed.features.among(store, fewer.old)
-    known = _known(stored, old, kept, fewer, features, lessons, config)
-    judge = judge_of(joined)
-    finished = divided_anew(
-        store, kept, judge, config, progress, clock, counts, known, (whole, beyond)
+) -> Thinned:
+    """The recording laid into the map where they are aligned, beside it otherwise.
+
+    Older keyframes that it repeats are let go, and the new space is divided. Raises NoResultError
+    for a recording that no wall ties to the map in the end.
+    """
+    session.progress.start("layout", None)
+    with session.stage("layout"):
+        where = alignment.old_from_new or beside(old.whole, new.whole)
+        found = closures_between(old, new, alignment.joints)
+        joint = join(session, old, new, where, found)
+    if len(old) in joint.layout.loose and not allow_apart:
+        raise NoResultError(
+            f"{name}: lies in the map, but no wall that both saw holds it there: build a map of "
+            "its own, or append it as a part of its own with --allow-apart",
+            code=NOT_ALIGNED,
+        )
+    with session.stage("thinning"):
+        fewer = thinned(session, joint, old, new)
+    drawn = replace(fewer, laid=with_grid(session, fewer.laid))
+    with session.stage("segmentation"):
+        return redivided(old, joint, drawn, session.config)
+
+
+def redivided(old: LaidOut, joint: LaidOut, fewer: Thinned, config: Config) -> Thinned:
+    """What is left of the `joint` map, its new space divided as a build of all would divide it.
+
+    The recording that is added saw some rooms only through their doors, and so did those before it.
+    By itself its map may give a room that it entered to what lies beyond the next door, and the old
+    map may have given parts of it to the corridor. The map of all of them shows the room as it is.
+    The keyframes of `old`, with which those of `joint` begin, stay in their submaps.
+    """
+    laid = fewer.laid
+    if not divides_whole(laid.layout, config):
+        return fewer
+    poses, settings = joint.layout.poses, config.segmentation
+    divided = regions_of(laid.whole, poses, settings)
+    submaps = inherited(heritage_of(old), poses, divided, settings.region_min_m)
+    labels = replace(laid.labels, submaps=submaps[fewer.left])
+    next_id = max(old.next_id, 1 + int(submaps.max()))
+    return replace(fewer, laid=replace(laid, labels=labels, next_id=next_id))
+
+
+def _alike(old: LaidOut, new: LaidOut, old_from_new: Pose2, config: Config) -> LaidOut:
+    """A recording in the frame of an old map, each keyframe in the submap whose territory it is."""
+    layout = placed(new.layout, old_from_new)
+    poses = np.concatenate([old.labels.poses, layout.poses])
+    submaps = inherit(old, new, poses, old_from_new, config)[len(old) :]
+    way = new.trajectory
+    return replace(
+        new,
+        layout=layout,
+        labels=replace(new.labels, poses=layout.poses, submaps=submaps),
+        trajectory=replace(way, poses=compose(np.array(old_from_new), way.poses)),
+        findings=tuple(moved_finding(one, old_from_new) for one in new.findings),
+        next_id=max(old.next_id, 1 + int(submaps.max())),
+        drawn=None,
+        edits=old.edits,
+        edits_text=old.edits_text,
+        borders=carried(old.borders, old.labels.poses, layout.poses),
     )
-    tell_unapplied(finished.unapplied, progress)
-    return _Updated(finished, fewer, alignment)
 
 
-def _known(
-    stored: StoredMap,
-    old: Seen,
-    kept: KeptMap,
-    fewer: Thinned,
-    own: KeyframeFeatures,
-    lessons: Lessons,
-    config: Config,
-) -> Known:
-    """What is known of the map: features of the recording's `own` scans, and the map's lessons."""
-    left = fewer.left[: fewer.old]
-    lessons = lessons_left(lessons, stored.labels, kept.labels, left, config.grid.resolution_m)
-    features = own.knowing(lessons.raw.keyframes, lessons.raw.features)
-    return Known(features, lessons, kept.starts, comparable(old.known.classifiers, stored, config))
-
-
-def _refuse_known(old: Seen, new: Seen, store: KeyframeStore, own: KeyframeStore) -> None:
+def _refuse_known(old: LaidOut, new: LaidOut, store: KeyframeStore, own: KeyframeStore) -> None:
     """Refuse a recording that the map was made of: its walls would count twice."""
-    (log,) = new.kept.logs
+    (log,) = new.logs
     scan = own.scan(0)
-    for known in old.kept.logs:
+    for known in old.logs:
         if known.keyframes is None or known.scans != log.scans:
             continue
         first = store.scan(known.keyframes[0])  # logs are known to the microsecond, scans exactly
-        if first.stamp_ns == scan.stamp_ns and _alike(first, scan):
+        if first.stamp_ns == scan.stamp_ns and _alike_scans(first, scan):
             raise InputError(f"{log.name}: is in the map already, as {known.name}: nothing to add")
 
 
-def _alike(one: PlanarScan, other: PlanarScan) -> bool:
+def _alike_scans(one: PlanarScan, other: PlanarScan) -> bool:
     """Whether two scans are one, of which a map keeps the readings at even bearings."""
     if one.ranges.shape != other.ranges.shape:
         return False
@@ -190,31 +288,9 @@ def _alike(one: PlanarScan, other: PlanarScan) -> bool:
     return float(same.mean()) > _SAME_SHARE
 
 
-def _fits_nowhere(name: str, path: Path, reason: str) -> NoResultError:
-    return NoResultError(
-        f"{name}: fits nowhere in {path}: {reason}: build a map of its own, or append it as a part "
-        "of its own with --allow-apart",
-        code=NOT_ALIGNED,
-    )
-
-
-def _joined(
-    store: KeyframeStore, old: Seen, new: Seen, alignment: Alignment, config: Config
-) -> Joined:
-    """The recording laid into the map where they are aligned, beside it otherwise."""
-    where = alignment.old_from_new or beside(old.known.whole, new.known.whole)
-    found = closures_between(old.kept, new.kept, alignment.joints)
-    return join(store, old.kept, old.regions, new, where, found, config)
-
-
-def _refuse_loose(joined: Joined, old: Seen, name: str, *, allow: bool) -> None:
-    """Refuse a recording that no wall ties to the map in the end."""
-    if len(old.kept.labels.stamps_ns) in joined.kept.layout.loose and not allow:
-        raise NoResultError(
-            f"{name}: lies in the map, but no wall that both saw holds it there: build a map of "
-            "its own, or append it as a part of its own with --allow-apart",
-            code=NOT_ALIGNED,
-        )
+def _added(before: Mapping[str, int], counts: Mapping[str, int]) -> dict[str, int]:
+    """What was counted for a map and for what is added to it, together."""
+    return {name: count + before.get(name, 0) for name, count in counts.items()}
 
 
 def _earlier(stored: StoredMap) -> list[Any]:
@@ -223,13 +299,13 @@ def _earlier(stored: StoredMap) -> list[Any]:
     return updates if isinstance(updates, list) else []
 
 
-def _told(path: Path, updated: _Updated) -> dict[str, Any]:
+def _told(path: Path, alignment: Alignment, fewer: Thinned) -> dict[str, Any]:
     """What run.json keeps of an update."""
-    motion, fewer = updated.alignment.old_from_new, updated.fewer
+    motion = alignment.old_from_new
     return {
         "map": path.resolve().name,
         "old_from_new": None if motion is None else np.round(motion, 6).tolist(),
-        "reason": updated.alignment.reason,
+        "reason": alignment.reason,
         "keyframes_dropped": fewer.dropped,
-        "keyframes_kept_for_walls": fewer.witnesses,
+        "keyframes_kept_for_walls": fewer.kept_for_walls,
     }

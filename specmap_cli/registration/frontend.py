@@ -11,38 +11,72 @@ Planar sweeps are points with z = 0; a 3D cloud is registered as a whole in spac
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import Pose2, moved, product
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, product
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.core.text import counted
 from specmap_cli.grids.matching import weakest_direction
-from specmap_cli.registration.aligner import SensorKind
-from specmap_cli.registration.expected_motion import ExpectedMotion, MotionModel
-from specmap_cli.registration.fixed_directions import fixed_directions
-from specmap_cli.registration.founding import Founding, looked_through
-from specmap_cli.registration.judgement import Verdict, judge
-from specmap_cli.registration.local_map import LocalMap
+from specmap_cli.registration.aligner import SensorKind, aligner_factory
+from specmap_cli.registration.guess import MotionGuess, best_guess
+from specmap_cli.registration.judgement import Founding, Judgement, judge, looked_through
+from specmap_cli.registration.local_map import Fit, LocalMap, Scene
 from specmap_cli.registration.locating import locate
-from specmap_cli.registration.methods import aligner_factory
-from specmap_cli.registration.prospect import (
-    Prospect,
-    best_guess,
-    reversed_guess,
-    unturned_guess,
+from specmap_cli.registration.motion import (
+    UNKNOWN,
+    ExpectedMotion,
+    MotionModel,
+    Reliance,
+    fixed_directions,
 )
-from specmap_cli.registration.reliance import Reliance
-from specmap_cli.registration.scene import Fit, Scene
 from specmap_cli.registration.sweep_view import SweepView, view_of
-from specmap_cli.registration.tally import COUNTS, warnings_of
-from specmap_cli.registration.track import Track
 
 _KEYFRAME_M = 0.3  # motion between keyframes of the local map
 _KEYFRAME_RAD = 0.25  # turn between keyframes of the local map
 _LOST_LIMIT = 5  # lost scans in a row that end a local map
 _REFUTING_SHARE = 0.5  # of a first sweep's walls that another one looks through: few can move
+_STEADY = 15  # latest motions that walls fixed: the last few before a bare corridor are too short
+
+COUNTS: Mapping[str, str] = {
+    "registered": "sweeps with a trusted pose",
+    "lost": "sweeps that kept the guess",
+    "searched": "sweeps that called for the correlative search",
+    "wide_searched": "sweeps that called for the wide search, too",
+    "breaks": "runs of lost sweeps that ended a map",
+    "odometry_jumps": "odometry increments too large to be a motion",
+    "shortened_motions": "sweeps whose guess or de-skewing was held to what may be carried on",
+    "few_points": "sweeps with fewer than min_points walls: lost, or placed by odometry alone",
+    "refused_alignments": "alignments that moved or tilted farther than allowed",
+    "walls_left_out": "sweeps scored on a field too small for all walls of the local map",
+}
+
+# Of a limit that something went beyond: what is counted, and what to say of so many.
+_SENTENCES: Mapping[str, tuple[str, str]] = {
+    "odometry_jumps": (
+        "jump",
+        "registration met {hits} of odometry beyond registration.odometry_jump_m and "
+        "odometry_jump_mps: the motion before was carried on instead",
+    ),
+    "shortened_motions": (
+        "scan",
+        "registration carried the motion before on to {hits} only in part: raise "
+        "registration.carried_forward_m, carried_sideways_m and carried_rad for a fast robot",
+    ),
+    "few_points": (
+        "scan",
+        "registration met {hits} with fewer than {limits.min_points} wall points "
+        "(registration.min_points): they are placed by odometry that is trusted, or lost",
+    ),
+    "refused_alignments": (
+        "alignment",
+        "registration refused {hits} that ended farther from the guess, or tilted more, than "
+        "registration.max_shift_m, max_shift_rad and max_tilt_rad allow",
+    ),
+}
 
 
 class FrontEnd:
@@ -87,28 +121,28 @@ class FrontEnd:
         view = view_of(sweep, expected, self.config)
         local = self._local_map(sweep)
         self._track = self._track.moved_on(expected.motion, measured=expected.measured)
-        verdict = self._founder(self._judged(view, expected, local), view, local)
+        judgement = self._founder(self._judged(view, expected, local), view, local)
         in_space = sweep.cloud is not None
-        if in_space and not verdict.lost:
-            verdict = verdict.levelled(self.config.level_share)
-        restarted = self._track.broken and not verdict.lost
+        if in_space and not judgement.lost:
+            judgement = judgement.levelled(self.config.level_share)
+        restarted = self._track.broken and not judgement.lost
         bridge = self._track.bridge if restarted else None
         blind = _is_blind(sweep, view)
-        self._conclude(verdict, view, local, blind=blind)
+        self._conclude(judgement, view, local, blind=blind)
         return PosedScan(
             index=sweep.index,
             stamp_ns=sweep.stamp_ns,
-            map_from_base=verdict.fit.planar,
+            map_from_base=judgement.fit.planar,
             planar=view.planar,
             base_from_laser=sweep.base_from_laser,
-            score=verdict.fit.score,
-            agrees=verdict.agrees,
-            lost=verdict.lost,
+            score=judgement.fit.score,
+            agrees=judgement.agrees,
+            lost=judgement.lost,
             restarted=restarted,
             bridge=bridge,
             blind=blind,
             odom_from_base=sweep.odom_from_base,
-            map_from_base_3d=verdict.fit.pose if in_space else None,
+            map_from_base_3d=judgement.fit.pose if in_space else None,
         )
 
     def _local_map(self, sweep: Sweep) -> LocalMap:
@@ -118,87 +152,84 @@ class FrontEnd:
             self._map = LocalMap(self._make_aligner(self.config, sensor), sensor, self.config)
         return self._map
 
-    def _judged(self, view: SweepView, expected: ExpectedMotion, local: LocalMap) -> Verdict:
+    def _judged(self, view: SweepView, expected: ExpectedMotion, local: LocalMap) -> Judgement:
         """Where the sweep was taken, and whether that can be believed."""
-        self._count(odometry_jumps=expected.jumped, shortened_motions=expected.shortened)
-        before = self._track.pose
-        guess = product(before, expected.motion.matrix())
+        self.counts["odometry_jumps"] += expected.jumped
+        self.counts["shortened_motions"] += expected.shortened
+        moved_on = product(self._track.pose, expected.motion.matrix())
         if self._sees_little(view):
-            self._count(few_points=1)
+            self.counts["few_points"] += 1
             carried = self._track.is_carried(self.config) and _has_looked(view)
-            return Verdict(fit=Fit(pose=guess, score=0.0), lost=not carried)
+            return Judgement(fit=Fit(pose=moved_on, score=0.0), lost=not carried)
         if not len(local):
-            return Verdict(fit=Fit(pose=guess, score=1.0))  # a new map begins at the guess
-        scene = Scene(view=view, local=local, config=self.config)
-        track = self._track
-        prospect = Prospect(
-            guess=best_guess(scene, before, expected),
+            return Judgement(fit=Fit(pose=moved_on, score=1.0))  # a new map begins at the guess
+        scene, track = Scene(view=view, local=local, config=self.config), self._track
+        guess = MotionGuess(
+            pose=best_guess(scene, track.pose, expected),
+            before=track.pose,
             expected=expected,
             by_motion=track.by_motion if expected.measured else track.carried_on,
             reliance=track.reliance,
-            reverse=reversed_guess(before, expected),
-            unturned=unturned_guess(before, expected),
         )
-        located = locate(scene, prospect)
-        verdict = judge(located, prospect.guess, self.config, measured=expected.measured)
-        self._count(searched=located.searched, wide_searched=located.wide_searched)
-        self._count(refused_alignments=located.fit.refused, walls_left_out=local.field.left_out > 0)
-        return verdict
+        located = locate(scene, guess)
+        self.counts["searched"] += located.searched
+        self.counts["wide_searched"] += located.wide_searched
+        self.counts["refused_alignments"] += located.fit.refused
+        self.counts["walls_left_out"] += local.field.left_out > 0
+        return judge(located, guess, self.config)
 
-    def _founder(self, verdict: Verdict, view: SweepView, local: LocalMap) -> Verdict:
-        """The verdict, unless the sweep refutes the first one of a map: then it begins a map."""
+    def _founder(self, judgement: Judgement, view: SweepView, local: LocalMap) -> Judgement:
+        """The judgement, unless the sweep refutes the first one of a map: then it begins a map."""
         if self._sees_little(view) or self._track.founded or not len(local):
-            return verdict
-        laser = verdict.fit.planar @ view.base_from_laser
+            return judgement
+        laser = judgement.fit.planar @ view.base_from_laser
         empty = looked_through(local.walls, view.planar, laser)
-        if not verdict.refutes and empty <= _REFUTING_SHARE:
-            return verdict
+        if not judgement.refutes and empty <= _REFUTING_SHARE:
+            return judgement
         local.clear()
         self._track = replace(self._track, keyframe=None)
         refuted = self._founding.refute()
-        self._count(registered=-refuted, lost=refuted)
-        return Verdict(fit=replace(verdict.fit, score=1.0))
+        self.counts["registered"] -= refuted
+        self.counts["lost"] += refuted
+        return Judgement(fit=replace(judgement.fit, score=1.0))
 
-    def _conclude(self, verdict: Verdict, view: SweepView, local: LocalMap, *, blind: bool) -> None:
+    def _conclude(
+        self, judgement: Judgement, view: SweepView, local: LocalMap, *, blind: bool
+    ) -> None:
         """Keep the pose, insert a keyframe when due, end the map after a run of lost sweeps."""
-        fit, track = verdict.fit, self._track
+        fit, track = judgement.fit, self._track
         step = Pose2.from_matrix(track.pose).inverse() @ fit.planar
-        self._motion.conclude(step, confirmed=verdict.proven)
-        self._count(registered=not verdict.lost, lost=verdict.lost)
-        lost_in_a_row = track.lost_in_a_row + 1 if verdict.lost else 0
-        founded = track.founded or verdict.founds
-        walls = not verdict.lost and not self._sees_little(view)
+        self._motion.conclude(step, confirmed=judgement.proven)
+        self.counts["lost" if judgement.lost else "registered"] += 1
+        lost_in_a_row = track.lost_in_a_row + 1 if judgement.lost else 0
+        founded = track.founded or judgement.founds
+        walls = not judgement.lost and not self._sees_little(view)
         if walls and not blind:
             track = track.with_steady(step)
         track = replace(track, pose=fit.pose, lost_in_a_row=lost_in_a_row, founded=founded)
         if lost_in_a_row == _LOST_LIMIT and len(local):
             local.clear()
-            self._count(breaks=1)
+            self.counts["breaks"] += 1
             left = track.left if track.keyframe is None else track.keyframe
             track = replace(track, keyframe=None, left=left, broken=True, founded=False)
         due = moved(track.keyframe, fit.planar, _KEYFRAME_M, _KEYFRAME_RAD)
         if due and walls:
             local.insert(view, fit.pose)
-            track = track.with_keyframe(fit.planar, self._reliance(track, verdict, view))
+            track = track.with_keyframe(fit.planar, self._reliance(track, judgement, view))
         self._track = track
 
-    def _reliance(self, track: Track, verdict: Verdict, view: SweepView) -> Reliance:
+    def _reliance(self, track: Track, judgement: Judgement, view: SweepView) -> Reliance:
         """What odometry is worth, the motion since the last keyframe included if it is certain."""
-        if track.keyframe is None or not (track.measured and verdict.certain):
+        if track.keyframe is None or not (track.measured and judgement.certain):
             return track.reliance
         motion = track.keyframe.inverse() @ track.by_motion
-        away = track.by_motion.inverse() @ verdict.fit.planar
+        away = track.by_motion.inverse() @ judgement.fit.planar
         fixed = fixed_directions(view.planar, view.base_from_laser, motion)
         return track.reliance.after(motion, away, fixed)
 
     def _sees_little(self, view: SweepView) -> bool:
         """Whether a sweep has too few walls to be registered."""
         return len(view.probe) < self.config.min_points
-
-    def _count(self, **hits: int) -> None:
-        """Add to the counts of these names."""
-        for name, number in hits.items():
-            self.counts[name] += number
 
 
 def _has_looked(view: SweepView) -> bool:
@@ -212,3 +243,86 @@ def _is_blind(sweep: Sweep, view: SweepView) -> bool:
     if sweep.odom_from_base is not None:
         return False
     return weakest_direction(sweep.base_from_laser.apply(view.planar.hits())).open
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Track:
+    """The state of the front end between two sweeps.
+
+    `pose` (4, 4) is that of the base in the map. `keyframe` is the pose of the last keyframe, None
+    without a map; `by_motion` is the place that the expected motions alone lead to from there, all
+    of them `measured` by odometry or not. `lost_in_a_row` sweeps were lost up to now; `broken` says
+    that they ended the last map, whose last keyframe was at `left`. The map is `founded` when a
+    second sweep agrees with its first.
+    """
+
+    pose: FloatArray = field(default_factory=lambda: np.eye(4))
+    keyframe: Pose2 | None = None
+    left: Pose2 | None = None
+    by_motion: Pose2 = IDENTITY
+    measured: bool = True
+    lost_in_a_row: int = 0
+    broken: bool = False
+    founded: bool = False
+    reliance: Reliance = UNKNOWN
+    steady: tuple[Pose2, ...] = ()
+
+    @property
+    def carried_on(self) -> Pose2:
+        """The place after one more motion as most of the latest ones that walls fixed."""
+        here = Pose2.from_matrix(self.pose)
+        if not self.steady:
+            return here
+        x, y, _ = np.median(np.array(self.steady), axis=0).tolist()
+        return here @ Pose2(x, y, 0.0)
+
+    def with_steady(self, motion: Pose2) -> Track:
+        """The state after one more motion that walls fixed."""
+        return replace(self, steady=(*self.steady, motion)[-_STEADY:])
+
+    def moved_on(self, motion: Pose2, *, measured: bool) -> Track:
+        """The state after one more motion is expected, which odometry measured or did not."""
+        return replace(self, by_motion=self.by_motion @ motion, measured=self.measured and measured)
+
+    @property
+    def bridge(self) -> tuple[float, float] | None:
+        """How far odometry may be off across a break, metres and radians; None without odometry.
+
+        Odometry that led where the walls contradict it is taken to err by all it has ever erred.
+        """
+        if self.left is None or not self.measured:
+            return None
+        slack = self.reliance.slack(self.left.inverse() @ self.by_motion)
+        return slack.place_m, slack.turn_rad
+
+    def is_carried(self, config: RegistrationConfig) -> bool:
+        """Whether odometry alone tells the place well enough to go on with it.
+
+        Since the last keyframe of a founded map it measured every motion, and what it has been
+        worth leaves it no farther off than a result may be from its guess.
+        """
+        if self.keyframe is None or not (self.founded and self.measured and self.reliance.trusted):
+            return False
+        slack = self.reliance.slack(self.keyframe.inverse() @ self.by_motion)
+        return slack.place_m <= config.max_shift_m and slack.turn_rad <= config.max_shift_rad
+
+    def with_keyframe(self, keyframe: Pose2, reliance: Reliance) -> Track:
+        """The state after a keyframe was put at a pose."""
+        return replace(
+            self,
+            keyframe=keyframe,
+            left=None,
+            by_motion=keyframe,
+            measured=True,
+            broken=False,
+            reliance=reliance,
+        )
+
+
+def warnings_of(counts: Mapping[str, int], config: RegistrationConfig) -> list[str]:
+    """A sentence for each limit that something went beyond, with the settings that set it."""
+    return [
+        sentence.format(hits=counted(counts[name], noun), limits=config)
+        for name, (noun, sentence) in _SENTENCES.items()
+        if counts[name]
+    ]

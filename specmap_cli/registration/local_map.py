@@ -1,26 +1,34 @@
-"""The local map: what the last keyframes saw, to register the next sweep against.
+"""The local map: what the last keyframes saw, and how well a sweep fits it somewhere.
 
-The registration method holds their points in its own form. Beside it stands the score field of the
-same walls in the plane, which scores results and serves the correlative search.
+The registration method holds their points in its own form. Beside it stand the score field of the
+same walls in the plane, which scores results and serves the correlative search, and the space that
+the keyframes have looked at: a wall of a new sweep that lies elsewhere is new, and says nothing
+against the place of the sweep.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.grids.score_field import PointCells, ScoreField
+from specmap_cli.grids.matching import Window, search
+from specmap_cli.grids.score_field import PointCells, ScoreField, approach
 from specmap_cli.registration.aligner import (
     REBUILD_KEYFRAMES,
     WINDOW_KEYFRAMES,
     Aligner,
     SensorKind,
 )
-from specmap_cli.registration.seen_space import SeenSpace
-from specmap_cli.registration.sweep_view import SweepView
+from specmap_cli.registration.sweep_view import SweepView, outline_of
 
 _FIELD_RANGES = 2.0  # side of the score field, in ranges; walls beyond score 0
 
@@ -28,6 +36,45 @@ _FIELD_RANGES = 2.0  # side of the score field, in ranges; walls beyond score 0
 # sigma of one voxel. Finer fields cost time and tell right from wrong results no better.
 _CELL_SPACINGS, _SIGMA_SPACINGS = 1.5, 2.0
 _SEEN_SPACINGS = 4.0  # cells of the space looked at: two voxels, as wide as a wall scores at all
+
+# Kernels tried first, those above half a voxel for 3D clouds alone; all of them follow only if
+# their result is in doubt.
+QUICK_KERNEL_VOXELS = (1.5, 0.25)
+_COARSE_VOXELS = 0.5  # kernels wider than this need neither all points nor full convergence
+_CLEARLY_BETTER = 0.02  # score that a search must gain: as much as scores of one place vary
+
+
+@dataclass(frozen=True, slots=True)
+class SeenSpace:
+    """`cells` (H, W), not 0 where a keyframe looked; `origin` (x, y) is the lower left corner."""
+
+    cells: NDArray[np.uint8]
+    cell_m: float
+    origin: tuple[float, float]
+
+    @classmethod
+    def of(cls, outlines: Sequence[FloatArray], cell_m: float, side_m: float) -> SeenSpace:
+        """The space inside of outlines (N, 2), in one frame, and a cell around it.
+
+        It ends `side_m` to each side of the first outline's first point, a laser.
+        """
+        low = outlines[0][0] - side_m
+        side = math.ceil(2 * side_m / cell_m)
+        cells = np.zeros((side, side), dtype=np.uint8)
+        for outline in outlines:
+            corners = np.floor((outline - low) / cell_m).astype(np.int32)
+            cv2.fillPoly(cells, [corners], 1)
+        grown = cv2.dilate(cells, np.ones((3, 3), dtype=np.uint8))
+        return cls(np.asarray(grown, dtype=np.uint8), cell_m, (float(low[0]), float(low[1])))
+
+    def holds(self, points: FloatArray) -> NDArray[Any]:
+        """(N,) whether each of points (N, 2) lies where a keyframe looked."""
+        columns, rows = np.floor((points - np.asarray(self.origin)) / self.cell_m).T
+        height, width = self.cells.shape
+        inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
+        seen = np.zeros(len(points), dtype=bool)
+        seen[inside] = self.cells[rows[inside].astype(np.intp), columns[inside].astype(np.intp)] > 0
+        return seen
 
 
 class LocalMap:
@@ -63,14 +110,15 @@ class LocalMap:
 
     def insert(self, view: SweepView, map_from_base: FloatArray) -> None:
         """Add a keyframe seen from a pose (4, 4)."""
-        points = view.cloud if view.dense is None else view.dense
-        self.aligner.insert(points, map_from_base)
+        self.aligner.insert(view.dense, map_from_base)
         planar = Pose2.from_matrix(map_from_base)
         walls = planar.apply(view.walls)
         self._walls.appendleft(walls)
         cells = PointCells.of(walls, _CELL_SPACINGS * self._spacing_m)
         self._cells.appendleft(cells)
-        self._outlines.appendleft(planar.apply(view.outline()))
+        self._outlines.appendleft(
+            planar.apply(outline_of(view.planar, view.base_from_laser, view.reach_m))
+        )
         rebuilt = self._inserted % REBUILD_KEYFRAMES == 0
         field = None if rebuilt else self._field
         self._field = None if field is None else field.with_cells(cells, self._sigma_m)
@@ -100,3 +148,149 @@ class LocalMap:
             cell_m = _SEEN_SPACINGS * self._spacing_m
             self._seen = SeenSpace.of(self._outlines, cell_m, self._side_m / 2)
         return self._seen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fit:
+    """A pose (4, 4) of the base in the map, the same in the plane, and its score in [0, 1].
+
+    `refused` alignments on the way to it ran off and were not followed.
+    """
+
+    pose: FloatArray
+    score: float
+    refused: int = 0
+    planar: Pose2 = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "planar", Pose2.from_matrix(self.pose))
+
+    def moved_to(self, place: Pose2, score: float) -> Fit:
+        """The fit at another place of the plane, height and tilt kept, with its score there."""
+        pose = product((place @ self.planar.inverse()).matrix(), self.pose)
+        return Fit(pose=pose, score=score, refused=self.refused)
+
+    def or_better(self, other: Fit) -> Fit:
+        """The other fit when it is clearly better, else this one; refusals of both count."""
+        best = other if other.score > self.score + _CLEARLY_BETTER else self
+        return replace(best, refused=self.refused + other.refused)
+
+
+@dataclass(frozen=True, slots=True)
+class Support:
+    """What the walls say of a place that could be seen there: new space says nothing.
+
+    `score` in [0, 1] is the mean over the points that fall where the local map has looked, `share`
+    of all of them, `count` in number. Without any the score is 0.
+    """
+
+    score: float
+    share: float
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """How far a pose may end from `guess` (4, 4), which is where odometry or motion put it."""
+
+    guess: FloatArray
+    shift_m: float
+    shift_rad: float
+    tilt_rad: float
+
+    @classmethod
+    def around(cls, guess: FloatArray, config: RegistrationConfig) -> Bounds:
+        """The bounds that the settings promise for every result."""
+        return cls(guess, config.max_shift_m, config.max_shift_rad, config.max_tilt_rad)
+
+    def hold(self, found: FloatArray) -> bool:
+        """Whether a pose (4, 4) is finite, upright and no farther from the guess than allowed."""
+        if not np.isfinite(found).all():
+            return False
+        trace = float((self.guess[:3, :3] * found[:3, :3]).sum())  # of the turn between the two
+        turn = math.acos(min(1.0, max(-1.0, (trace - 1.0) / 2.0)))
+        upright = float(found[2, 2]) > np.cos(self.tilt_rad)
+        shift_m = math.dist(self.guess[:3, 3].tolist(), found[:3, 3].tolist())
+        return shift_m <= self.shift_m and turn <= self.shift_rad and upright
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """One sweep and the local map that it is registered on."""
+
+    view: SweepView
+    local: LocalMap
+    config: RegistrationConfig
+
+    def score(self, place: Pose2) -> float:
+        """How well, in [0, 1], the sweep's walls lie on the map's when the base is at a place."""
+        return self.local.field.score(self.view.probe, place)
+
+    def support(self, place: Pose2) -> Support:
+        """How well the walls that could be seen lie on the map's when the base is at a place."""
+        placed = place.apply(self.view.probe)
+        seen = self.local.seen.holds(placed)
+        count = int(np.count_nonzero(seen))
+        if not count:
+            return Support(score=0.0, share=0.0, count=0)
+        score = float(self.local.field.at(placed[seen]).mean())
+        return Support(score=score, share=count / len(placed), count=count)
+
+    def gain(self, place: Pose2, other: Pose2) -> float:
+        """The score that `other` has more than `place`, over points that both could have seen.
+
+        It is 0 where there are none of them.
+        """
+        here, there = (pose.apply(self.view.probe) for pose in (place, other))
+        both = self.local.seen.holds(here) & self.local.seen.holds(there)
+        if not both.any():
+            return 0.0
+        walls = self.local.field
+        return float(walls.at(there[both]).mean() - walls.at(here[both]).mean())
+
+    def align(
+        self, start: FloatArray, kernels: Sequence[float], bounds: Bounds | None = None
+    ) -> Fit:
+        """The registration method from a pose (4, 4), with one kernel (in voxels) after another.
+
+        A result out of bounds, by default those of the settings around `start`, is refused: the
+        one before it stands, at first the start.
+        """
+        pose, refused = start, 0
+        bounds = bounds or Bounds.around(start, self.config)
+        for kernel in kernels:
+            coarse = kernel > _COARSE_VOXELS
+            points = self.view.sparse if coarse else self.view.cloud
+            width_m = kernel * self.local.sensor.voxel_m
+            found = self.local.aligner.align(points, pose, width_m, coarse=coarse)
+            if not bounds.hold(found):
+                refused = 1
+                break
+            pose = found
+        return Fit(pose=pose, score=self.score(Pose2.from_matrix(pose)), refused=refused)
+
+    def align_quickly(self, guess: FloatArray, bounds: Bounds) -> Fit:
+        """The registration method from near by: by few kernels, in the plane by the narrow ones.
+
+        Its steps shorten by a share each, those on the score field much faster: so in the plane
+        these lead to where the narrow kernels begin.
+        """
+        kernels = QUICK_KERNEL_VOXELS
+        if self.local.sensor.in_space:
+            return self.align(guess, kernels, bounds)
+        planar, sigma_m = Pose2.from_matrix(guess), self.local.sensor.voxel_m
+        near = approach(self.local.field, self.view.probe, planar, sigma_m)
+        start = product((near @ planar.inverse()).matrix(), guess)
+        return self.align(start, [k for k in kernels if k <= _COARSE_VOXELS], bounds)
+
+    def search(
+        self,
+        guess: FloatArray,
+        window: Window,
+        kernels: Sequence[float],
+        bounds: Bounds | None = None,
+    ) -> Fit:
+        """The result of a correlative search around a guess (4, 4), aligned within bounds."""
+        planar = Pose2.from_matrix(guess)
+        found = search(self.local.field, self.view.probe, planar, window).pose
+        return self.align(product((found @ planar.inverse()).matrix(), guess), kernels, bounds)

@@ -1,15 +1,29 @@
-"""Where a sweep was taken: from the guess to the best pose that can be found on the local map."""
+"""Where a sweep was taken: from the guess to the best pose that can be found on the local map.
+
+Along a bare corridor how far the robot came is not for the walls to say: all places along it score
+alike, and registration stays behind, a little at every sweep. There odometry, or the motion before,
+tells how far.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+import numpy as np
+
+from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.registration.prospect import BEYOND_DOUBT, Prospect
-from specmap_cli.registration.scene import Bounds, Fit, Scene, Support
-from specmap_cli.registration.search_windows import SEARCH_M, near_window, wide_bounds, wide_window
-from specmap_cli.registration.sliding import carried_along, slid
+from specmap_cli.grids.matching import weakest_direction
+from specmap_cli.registration.guess import (
+    BEYOND_DOUBT,
+    SEARCH_M,
+    MotionGuess,
+    near_window,
+    wide_bounds,
+    wide_window,
+)
+from specmap_cli.registration.local_map import Bounds, Fit, Scene, Support
 
 _KERNEL_VOXELS = (2.0, 1.0, 0.5, 0.25)  # widths of the robust kernel, in voxels, coarse to fine
 GOOD_SCORE = 0.75  # up to this score a search is made
@@ -18,7 +32,7 @@ _DOUBT_RAD = 0.1  # a search is also made when the result is turned this far fro
 POOR_SCORE = 0.5  # below this score the wide search is made, too
 SURE_SCORE = 0.7  # score needed against odometry once a search was made, or the scan is lost
 FAIR_SCORE = 0.6  # score needed without odometry, or the scan is lost
-_WIDER = 2.0  # first kernel after a wide search, in widest kernels: its steps are coarser
+_WIDER_KERNELS = (4.0, *_KERNEL_VOXELS)  # after a wide search, whose steps are coarser
 _FINE_KERNELS = (0.5, 0.25)  # voxels: they follow only walls near by, not new ones from afar
 # Share of a sweep's walls that could be seen, from which on they say something; and with which they
 # say as much as all of them.
@@ -31,6 +45,13 @@ _PER_SLACK = 0.05  # score that a place must have more for each slack away from 
 # Score that another place must have more to refute trusted odometry's: wheels that slip make 0.4.
 _REFUTES = 0.25
 _BACKED_UP = (1.0, 0.5)  # shares of a step that are tried as driven backwards
+
+_SLIP_M = 0.08  # a result this far behind odometry may have slipped in a corridor
+_ALIKE = 0.01  # scores this near speak for two places alike
+# Score that walls lose at a place they object to; what noise of the last scan, seen again at the
+# same place, seems to prove is less.
+_OBJECTS = 0.05
+_SHARES = (1.0, 0.75, 0.5, 0.25)  # of the way to odometry's place, tried in this order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,79 +70,75 @@ class Located:
     unaligned: bool = False
 
 
-def locate(scene: Scene, prospect: Prospect) -> Located:
+def locate(scene: Scene, guess: MotionGuess) -> Located:
     """The best pose found for a sweep, never farther from its guess than the bounds allow."""
-    config, guess = scene.config, prospect.guess
-    kernels, bounds = _KERNEL_VOXELS, Bounds.around(guess, config)
-    fit = _first_fit(scene, prospect, bounds)
-    doubted = _is_doubted(guess, fit) and not _is_settled(scene, prospect, fit)
+    config, measured = scene.config, guess.expected.measured
+    bounds = Bounds.around(guess.pose, config)
+    fit = _first_fit(scene, guess, bounds)
+    low = _is_far(guess, fit) or fit.score <= GOOD_SCORE
+    doubted = low and not _is_settled(scene, guess, fit)
     if doubted:
-        window = near_window(measured=prospect.expected.measured)
-        found = scene.search(guess, window, kernels, bounds)
-        fit = _better(scene, prospect, fit, found, guess)
-        fit = _backed_up(scene, prospect, fit)
-        fit = _unturned(scene, prospect, fit)
-    wide = doubted and _calls_for_wide_search(scene, prospect, fit)
+        found = scene.search(guess.pose, near_window(measured=measured), _KERNEL_VOXELS, bounds)
+        fit = _better(scene, guess, fit, found, guess.planar)
+        fit = _backed_up(scene, guess, fit)
+        fit = _unturned(scene, guess, fit)
+    wide = doubted and _calls_for_wide_search(scene, guess, fit)
     if wide:
-        wider = (_WIDER * kernels[0], *kernels)
-        far = not prospect.trusted or prospect.expected.hole
-        reach = wide_bounds(guess, config) if far else bounds
-        window = wide_window(prospect, config, free=far)
-        if not far and _speaks_against(scene.support(fit.planar), config):
+        free = not guess.trusted or guess.expected.hole
+        reach = wide_bounds(guess.pose, config) if free else bounds
+        window = wide_window(guess, config, free=free)
+        if not free and _speaks_against(scene.support(fit.planar), config):
             window = replace(window, angle_rad=config.max_shift_rad)
-        fit = fit.or_better(scene.search(guess, window, wider, reach))
-    if prospect.expected.measured and not doubted:
-        fit = slid(scene, fit, prospect.by_motion)
-    elif not prospect.expected.measured and not scene.local.sensor.in_space:
-        fit = carried_along(scene, fit, prospect.by_motion)
-    return _concluded(scene, prospect, fit, searched=doubted, wide_searched=wide)
+        fit = fit.or_better(scene.search(guess.pose, window, _WIDER_KERNELS, reach))
+    if measured and not doubted:
+        fit = _slid(scene, fit, guess.by_motion)
+    elif not measured and not scene.local.sensor.in_space:
+        fit = _carried_along(scene, fit, guess.by_motion)
+    return _concluded(scene, guess, fit, searched=doubted, wide_searched=wide)
 
 
-def _first_fit(scene: Scene, prospect: Prospect, bounds: Bounds) -> Fit:
+def _first_fit(scene: Scene, guess: MotionGuess, bounds: Bounds) -> Fit:
     """The alignment from the guess: a quick one where that leaves no doubt, else by all kernels.
 
     A motion carried on may err by more than a quick one mends, and streets look alike.
     """
-    guess = prospect.guess
-    if prospect.expected.measured:
-        quick = scene.align_quickly(guess, bounds)
+    if guess.expected.measured:
+        quick = scene.align_quickly(guess.pose, bounds)
         sure = quick.score >= BEYOND_DOUBT and not quick.refused
         if sure and not _is_far(guess, quick):
             return quick
-    return scene.align(guess, _KERNEL_VOXELS, bounds)
+    return scene.align(guess.pose, _KERNEL_VOXELS, bounds)
 
 
 def _concluded(
-    scene: Scene, prospect: Prospect, fit: Fit, *, searched: bool, wide_searched: bool
+    scene: Scene, guess: MotionGuess, fit: Fit, *, searched: bool, wide_searched: bool
 ) -> Located:
     """The result, or trusted odometry's own place where that is the better one."""
     support = _support(scene, fit)
-    near = prospect.agrees(fit) or _agrees_with_walls(prospect, fit, support)
-    unaligned = False
+    agrees, unaligned = guess.agrees(fit) or _agrees_with_walls(guess, fit, support), False
     doubted = searched or fit.score < SURE_SCORE
-    if prospect.trusted and doubted and not near:
-        own = _by_odometry(scene, prospect)
+    if guess.trusted and doubted and not agrees:
+        own = _by_odometry(scene, guess)
         there = scene.support(own.planar)
         if _is_tenable(scene, own, there, fit):
-            fit, support, near = replace(own, refused=fit.refused), there, True
-            unaligned = True
+            fit, support = replace(own, refused=fit.refused), there
+            agrees = unaligned = True
     return Located(
         fit=fit,
         searched=searched,
         wide_searched=wide_searched,
-        agrees=near,
+        agrees=agrees,
         support=support,
         unaligned=unaligned,
     )
 
 
-def _by_odometry(scene: Scene, prospect: Prospect) -> Fit:
+def _by_odometry(scene: Scene, guess: MotionGuess) -> Fit:
     """Odometry's own place, on walls near by if that agrees with it."""
-    guess = prospect.guess
-    closer = scene.align(guess, _FINE_KERNELS)
-    if prospect.agrees(closer):
+    closer = scene.align(guess.pose, _FINE_KERNELS)
+    if guess.agrees(closer):
         return closer
-    return Fit(pose=guess, score=scene.score(Pose2.from_matrix(guess)))
+    return Fit(pose=guess.pose, score=scene.score(guess.planar))
 
 
 def _is_tenable(scene: Scene, own: Fit, support: Support, other: Fit) -> bool:
@@ -139,11 +156,11 @@ def _is_tenable(scene: Scene, own: Fit, support: Support, other: Fit) -> bool:
     return scene.gain(own.planar, other.planar) < _REFUTES
 
 
-def _agrees_with_walls(prospect: Prospect, fit: Fit, support: Support) -> bool:
+def _agrees_with_walls(guess: MotionGuess, fit: Fit, support: Support) -> bool:
     """Whether a result is a little too far from odometry's place, but the walls speak for it."""
-    if not prospect.expected.measured or support.share < MOST:
+    if not guess.expected.measured or support.share < MOST:
         return False
-    near = prospect.agrees(fit, _ROUGHLY if prospect.trusted else _NEARLY)
+    near = guess.agrees(fit, _ROUGHLY if guess.trusted else _NEARLY)
     return near and support.score >= SURE_SCORE
 
 
@@ -160,89 +177,129 @@ def _speaks_against(support: Support, config: RegistrationConfig) -> bool:
     return enough and support.score < POOR_SCORE * min(1.0, support.share / MOST)
 
 
-def _is_settled(scene: Scene, prospect: Prospect, fit: Fit) -> bool:
+def _is_settled(scene: Scene, guess: MotionGuess, fit: Fit) -> bool:
     """Whether a result scores low for new space alone: what could be seen speaks for it."""
-    if not prospect.agrees(fit):
+    if not guess.agrees(fit):
         return False
     support = scene.support(fit.planar)
-    share = ENOUGH if prospect.trusted else MOST
+    share = ENOUGH if guess.trusted else MOST
     return support.share >= share and support.score > GOOD_SCORE
 
 
-def _better(scene: Scene, prospect: Prospect, fit: Fit, found: Fit, place: FloatArray) -> Fit:
-    """The better one of a result and of what a search around a place (4, 4) found.
+def _better(scene: Scene, guess: MotionGuess, fit: Fit, found: Fit, place: Pose2) -> Fit:
+    """The better one of a result and of what a search around a place found.
 
     A place that agrees with trusted odometry and that the walls speak for is not given up for one
     that does not agree: new walls that lie on old ones somewhere else do not prove it. Where hardly
     any wall is new, it is given up for a place that fits better by so much that odometry errs so.
     """
-    if not (prospect.agrees(fit) and prospect.denies(found)):
+    if not (guess.agrees(fit) and guess.denies(found)):
         return fit.or_better(found)
     support = scene.support(fit.planar)
     if support.share < _NEARLY_ALL:
         kept = support.share >= ENOUGH and support.score >= FAIR_SCORE
     else:
-        needed = fit.score + _PER_SLACK * prospect.slacks(Pose2.from_matrix(place), found)
+        needed = fit.score + _PER_SLACK * guess.slacks(place, found)
         kept = found.score < needed
     return replace(fit, refused=fit.refused + found.refused) if kept else fit.or_better(found)
 
 
-def _backed_up(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
+def _backed_up(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
     """The better one of a doubtful result and of a place behind it.
 
     Wheels that only count tell nothing of the direction in which they turn. A step of the log may
     be driven backwards as a whole, or half of it.
     """
-    config, reverse = scene.config, prospect.reverse
-    step_m = prospect.expected.motion.distance
-    if reverse is None or fit.score >= BEYOND_DOUBT or step_m <= SEARCH_M:
+    expected = guess.expected
+    short = expected.motion.distance <= SEARCH_M  # the search around the guess reaches as far
+    if not expected.measured or short or fit.score >= BEYOND_DOUBT:
         return fit
     for share in _BACKED_UP:
-        forward = share * (reverse[:3, 3] - prospect.guess[:3, 3])
-        place = prospect.guess.copy()
-        place[:3, 3] += forward
-        window = near_window(measured=True)
-        bounds = Bounds.around(place, config)
-        found = scene.search(place, window, _KERNEL_VOXELS, bounds)
+        place = guess.pose.copy()
+        place[:3, 3] += share * (guess.backwards[:3, 3] - guess.pose[:3, 3])
+        bounds = Bounds.around(place, scene.config)
+        found = scene.search(place, near_window(measured=True), _KERNEL_VOXELS, bounds)
         if found.score >= BEYOND_DOUBT:
-            fit = _better(scene, prospect, fit, found, place)
+            fit = _better(scene, guess, fit, found, Pose2.from_matrix(place))
     return fit
 
 
-def _unturned(scene: Scene, prospect: Prospect, fit: Fit) -> Fit:
+def _unturned(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
     """A poor result, or the place without odometry's turn, if most walls there are known and fit.
 
     Where odometry's turn is right, walls come into sight that are new at the other place.
     """
-    if prospect.unturned is None or fit.score >= POOR_SCORE:
+    place = guess.unturned
+    if place is None or fit.score >= POOR_SCORE:
         return fit
-    found = scene.align(prospect.unturned, _KERNEL_VOXELS)
+    found = scene.align(place, _KERNEL_VOXELS)
     support = scene.support(found.planar)
     certain = support.share >= MOST and support.score > GOOD_SCORE
     return fit.or_better(found) if certain else replace(fit, refused=fit.refused + found.refused)
 
 
-def _calls_for_wide_search(scene: Scene, prospect: Prospect, fit: Fit) -> bool:
+def _calls_for_wide_search(scene: Scene, guess: MotionGuess, fit: Fit) -> bool:
     """Whether a result is poor or contradicts the motion expected, and not for new space alone.
 
     Before a contradiction is believed, the robot is looked for wherever it can have come.
     """
-    agreeing = prospect.agrees(fit)
+    agreeing = guess.agrees(fit)
     if fit.score >= (SURE_SCORE if agreeing else BEYOND_DOUBT):
         return False
     support = scene.support(fit.planar)
-    new = support.share < _NEARLY_ALL or not prospect.expected.measured
+    new = support.share < _NEARLY_ALL or not guess.expected.measured
     if agreeing and fit.score >= POOR_SCORE and new:
         return False
     return not (agreeing and support.share >= MOST and support.score >= FAIR_SCORE)
 
 
-def _is_doubted(guess: FloatArray, fit: Fit) -> bool:
-    """Whether an alignment scores too low, or ended too far from its guess, to be just taken."""
-    return _is_far(guess, fit) or fit.score <= GOOD_SCORE
-
-
-def _is_far(guess: FloatArray, fit: Fit) -> bool:
+def _is_far(guess: MotionGuess, fit: Fit) -> bool:
     """Whether an alignment ended farther from its guess than most do."""
-    away = Pose2.from_matrix(guess).inverse() @ fit.planar
+    away = guess.planar.inverse() @ fit.planar
     return away.distance >= _DOUBT_M or abs(away.theta) >= _DOUBT_RAD
+
+
+def _slid(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
+    """The place nearest the one by odometry that the walls speak for as well as for `fit`.
+
+    How far the robot came since the last keyframe is believed from odometry, as long as the score
+    does not object. Heading and offset from the walls stay those of `fit`.
+    """
+    here = fit.planar
+    forward = np.array([np.cos(here.theta), np.sin(here.theta)])
+    behind = float(np.dot((by_motion.x - here.x, by_motion.y - here.y), forward))
+    if abs(behind) < _SLIP_M:
+        return fit
+    if not scene.local.sensor.in_space:
+        along = _carried_along(scene, fit, by_motion)
+        if along is not fit:
+            return along
+    for share in _SHARES:
+        place = here @ Pose2(share * behind, 0.0, 0.0)
+        score = scene.score(place)
+        alike = score >= fit.score - _ALIKE
+        if not alike and fit.score < BEYOND_DOUBT:  # there may be new space
+            alike = scene.gain(here, place) >= -_ALIKE
+        if alike:
+            return fit.moved_to(place, score)
+    return fit
+
+
+def _carried_along(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
+    """A result that comes as far as the motion expected, along what the walls do not fix.
+
+    Else the robot seems to stand still. The place is taken only if the sweep's walls fit as well
+    there.
+    """
+    view, here = scene.view, fit.planar
+    weakest = weakest_direction(view.base_from_laser.apply(view.planar.hits()))
+    if not weakest.open:
+        return fit
+    heading = here.theta + weakest.heading
+    x, y = math.cos(heading), math.sin(heading)
+    along = (by_motion.x - here.x) * x + (by_motion.y - here.y) * y
+    place = Pose2(here.x + along * x, here.y + along * y, here.theta)
+    score = scene.score(place)
+    if score < fit.score - _OBJECTS and scene.gain(here, place) < -_OBJECTS:
+        return fit
+    return fit.moved_to(place, score)

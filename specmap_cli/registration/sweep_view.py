@@ -1,23 +1,30 @@
-"""What one sweep offers to registration: its points, de-skewed, cut to range and thinned."""
+"""What one sweep offers to registration: its points, de-skewed, cut to range and thinned.
+
+A rotating laser measures while the robot moves: returns are brought to where the robot stood at the
+sweep's stamp. With the motion from one sweep to the next as the estimate of the motion during the
+sweep, a return measured t seconds after the stamp is moved by the share t / period of it. Times
+that are missing, equal, not finite or of another count than the returns change nothing: such times
+come from drivers that do not know them.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from specmap_cli.core.arrays import first_in_cells
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.score_field import thinned
-from specmap_cli.registration.deskew import deskewed, moved_returns, usable_times
-from specmap_cli.registration.expected_motion import ExpectedMotion
-from specmap_cli.registration.seen_space import outline_of
+from specmap_cli.registration.motion import ExpectedMotion
 
 _MAX_POINTS = 600  # a denser planar scan is thinned to this
 _MAX_CLOUD_POINTS = 2000  # a denser 3D cloud is thinned to this: alignments take most time
 _BELOW_RANGE_MAX = 0.999  # some drivers report no return as the largest range, rounded
+_MOST_BEAMS = 360  # of an outline: a degree each, 0.2 m apart at 12 m
 _GROWTH = 1.4  # of the cell from one try to the next at thinning: about half the points
 
 
@@ -26,9 +33,9 @@ class SweepView:
     """The points of a sweep, in the base frame.
 
     `cloud` (N, 3) is registered; `sparse` (K, 3) is enough for coarse alignments. `walls` (M, 2) go
-    into the score field and `probe` (L, 2) is scored on it. `dense` (D, 3) goes into the local map,
-    None for `cloud` itself: thinned alike, two clouds of one street fit best where they stand
-    alike to the lidar, as if it had not moved. `planar` is the scan to hand on.
+    into the score field and `probe` (L, 2) is scored on it. `dense` (D, 3) goes into the local map:
+    thinned alike, two clouds of one street fit best where they stand alike to the lidar, as if it
+    had not moved. `planar` is the scan to hand on.
     Its laser stood at `base_from_laser`, and walls beyond `reach_m` of it are not looked at.
     """
 
@@ -37,13 +44,9 @@ class SweepView:
     sparse: FloatArray
     walls: FloatArray
     probe: FloatArray
-    dense: FloatArray | None = None
-    base_from_laser: Pose2 = IDENTITY
-    reach_m: float = np.inf
-
-    def outline(self) -> FloatArray:
-        """Corners (K, 2) of the space that the sweep looked through."""
-        return outline_of(self.planar, self.base_from_laser, self.reach_m)
+    dense: FloatArray
+    base_from_laser: Pose2
+    reach_m: float
 
 
 def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) -> SweepView:
@@ -94,6 +97,21 @@ def _cloud_of(
     return moved_returns(cloud[kept], times, expected.during, expected.interval_s)
 
 
+def outline_of(scan: PlanarScan, base_from_laser: Pose2, reach_m: float) -> FloatArray:
+    """Corners (N, 2), base frame, of the space that a scan looked through, the laser first.
+
+    A beam without a return says nothing about the space along it: it ends at the laser.
+    """
+    stride = max(1, math.ceil(len(scan.ranges) / _MOST_BEAMS))
+    ranges, bearings = scan.ranges[::stride], scan.bearings[::stride]
+    r = np.where(np.isfinite(ranges), np.minimum(ranges, reach_m), 0.0)
+    ends = np.column_stack([r * np.cos(bearings), r * np.sin(bearings)])
+    laser = np.zeros((1, 2))
+    return base_from_laser.apply(
+        np.concatenate([laser, ends, ends[:1] if scan.full_circle else laser])
+    )
+
+
 def _in_space(points: FloatArray) -> FloatArray:
     """Points (N, 2) of the plane as (N, 3) with z = 0."""
     return np.column_stack([points, np.zeros(len(points))])
@@ -106,3 +124,83 @@ def _thinned_to(points: FloatArray, cell_m: float, most: int) -> FloatArray:
         cell_m *= _GROWTH
         kept = thinned(points, cell_m)
     return kept
+
+
+_STILL_M, _STILL_RAD = 1e-3, 1e-4  # a motion in one sweep below what range readings resolve
+_STRAIGHT_RAD = 1e-9  # below it sin(x) / x is 1 to the last bit
+
+
+def usable_times(times_s: FloatArray | None, count: int) -> bool:
+    """Whether per-return times can be used: finite, as many as returns, not all the same."""
+    if times_s is None or len(times_s) != count or count < 2:
+        return False
+    return bool(np.isfinite(times_s).all()) and float(np.ptp(times_s)) > 0.0
+
+
+def moved_returns(
+    points: FloatArray, times_s: FloatArray | None, motion: Pose2, interval_s: float
+) -> FloatArray:
+    """Points (N, 2) or (N, 3) of a moving base, in the base frame of the sweep's stamp.
+
+    `motion` is the base's motion over `interval_s` seconds. Stamps may come in bursts, so that the
+    interval counts at least as long as the sweep itself lasted.
+    """
+    if times_s is None or _is_still(motion) or not usable_times(times_s, len(points)):
+        return points
+    share = times_s / _period_s(times_s, interval_s)
+    turn, half = share * motion.theta, motion.theta / 2
+    # a constant turn and forward speed: the chord of the arc, shortened and turned with its share
+    full = math.sin(half) / half if abs(half) > _STRAIGHT_RAD else 1.0
+    chord = share * np.sinc(turn / (2 * np.pi)) / full
+    back = turn / 2 - half
+    dx = chord * (np.cos(back) * motion.x - np.sin(back) * motion.y)
+    dy = chord * (np.sin(back) * motion.x + np.cos(back) * motion.y)
+    c, s = np.cos(turn), np.sin(turn)
+    moved = np.array(points, dtype=np.float64)
+    moved[:, 0] = dx + c * points[:, 0] - s * points[:, 1]
+    moved[:, 1] = dy + s * points[:, 0] + c * points[:, 1]
+    return moved
+
+
+def deskewed(
+    scan: PlanarScan, base_from_laser: Pose2, motion: Pose2, interval_s: float
+) -> PlanarScan:
+    """The scan as it would have been taken at once at its stamp; the same object if it was.
+
+    Bearings come back ascending, within one turn; beams without a return keep none.
+    """
+    times = scan.beam_times_s
+    if times is None or _is_still(motion) or not usable_times(times, len(scan.bearings)):
+        return scan
+    hit = np.isfinite(scan.ranges)
+    reach = np.where(hit, scan.ranges, 1.0)
+    ends = np.column_stack([reach * np.cos(scan.bearings), reach * np.sin(scan.bearings)])
+    moved = moved_returns(base_from_laser.apply(ends), times, motion, interval_s)
+    seen = base_from_laser.inverse().apply(moved)
+    turning = motion.theta / _period_s(times, interval_s)
+    bearings = scan.bearings + times * turning
+    bearings[hit] = np.arctan2(seen[hit, 1], seen[hit, 0])
+    first = float(scan.bearings[0])
+    if scan.full_circle:
+        bearings = first + np.mod(bearings - first, 2 * np.pi)
+    else:
+        bearings = scan.bearings + np.mod(bearings - scan.bearings + np.pi, 2 * np.pi) - np.pi
+    ranges = np.where(hit, np.hypot(seen[:, 0], seen[:, 1]), scan.ranges)
+    order = np.argsort(bearings, kind="stable")
+    return PlanarScan(
+        stamp_ns=scan.stamp_ns,
+        bearings=bearings[order],
+        ranges=ranges[order],
+        range_max=scan.range_max,
+        full_circle=scan.full_circle,
+    )
+
+
+def _is_still(motion: Pose2) -> bool:
+    """Whether the robot stood still, as far as a sweep can tell."""
+    return motion.distance < _STILL_M and abs(motion.theta) < _STILL_RAD
+
+
+def _period_s(times_s: FloatArray, interval_s: float) -> float:
+    """The seconds in which the robot moved from sweep to sweep: no fewer than a sweep lasts."""
+    return max(interval_s, float(np.ptp(times_s)))

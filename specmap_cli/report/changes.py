@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,12 +12,24 @@ from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.comparison import ComparisonRecord, DoorRecord, ThingRecord
-from specmap_cli.report.evidence import Changes
-from specmap_cli.report.frame import Frame, path_data
-from specmap_cli.report.ground import Ground
-from specmap_cli.report.tracing import outlines
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.report.layers import DrawnMap
+from specmap_cli.report.svg import Frame, outlines, path_data
 
 _LEAST_DOOR_CM = 40.0  # of the mark of a way that was closed or opened
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Changes:
+    """What differs from an older map of the building, as a record and in words.
+
+    `new_from_old` places the old map in the one that the report is about.
+    """
+
+    old: StoredMap
+    record: ComparisonRecord
+    lines: tuple[str, ...]
+    new_from_old: BentMotion
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,37 +42,23 @@ class Change:
     place: tuple[int, int]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OldMap:
-    """The older map in the drawing of the new one: its walls, and the submaps that are no more.
+def old_map(changes: Changes, map_: DrawnMap) -> dict[str, Any]:
+    """The older map in the drawing of the new one, and what differs.
 
-    `was` says of submaps of the new map what they were in the old one.
+    `walls` are its walls, `gone` the submaps that are no more, as path data; `was` says of submaps
+    of the new map what they were in the old one.
     """
-
-    name: str
-    walls: str
-    gone: str
-    was: Mapping[int, str]
-    changes: tuple[Change, ...]
-    lines: tuple[str, ...]
-    identical: bool
-
-
-def old_map(changes: Changes, ground: Ground) -> OldMap:
-    """The older map and what differs."""
-    old, record, frame = Ground(changes.old), changes.record, ground.frame
+    old, record, frame = DrawnMap(changes.old), changes.record, map_.frame
+    grid, motion = old.regions.grid, changes.new_from_old
     lost = [*record.submaps.gone, *record.submaps.unseen]
-    return OldMap(
-        name=changes.old.path.resolve().name,
-        walls=_carried(old.regions.grid.occupied, old.regions.grid, changes.new_from_old, frame),
-        gone=_carried(
-            np.isin(old.regions.owner, lost), old.regions.grid, changes.new_from_old, frame
-        ),
-        was=_was(record),
-        changes=tuple(_changes(changes, frame)),
-        lines=changes.lines,
-        identical=record.identical,
-    )
+    return {
+        "name": changes.old.path.resolve().name,
+        "walls": _carried(grid.occupied, grid, motion, frame),
+        "gone": _carried(np.isin(old.regions.owner, lost), grid, motion, frame),
+        "was": _was(record),
+        "changes": list(_changes(changes, frame)),
+        "lines": changes.lines,
+    }
 
 
 def _was(record: ComparisonRecord) -> dict[int, str]:

@@ -1,18 +1,26 @@
-"""What a report tells of a map that stands in none of its files: it is found out from its scans."""
+"""What a report tells of a map that stands in none of its files: it is found out from its scans.
+
+The tests that might have split a submap are thinned here for the page.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
+import numpy as np
+
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.bent import BentMotion
-from specmap_cli.maps.comparison import ComparisonRecord
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.report.svg import Frame
+
+MOST_TESTS, MOST_NODES = 500, 90_000  # that a page keeps
+_FINEST = 9  # steps of the strength of a node on either side
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class FeatureShare:
     """A feature of a scan, and the share of a classifier's votes that hangs on it."""
 
     feature: str
@@ -34,14 +42,14 @@ class Learned:
     Of `scans` of its own that were asked, the share `right` is told correctly. `alike` falls.
     """
 
-    looks: tuple[Look, ...] = ()
+    features: tuple[FeatureShare, ...] = ()
     scans: int = 0
     right: float = 0.0
     alike: tuple[Likeness, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SplitLook:
+class TestedSplit:
     """A test that might have split a submap, made when `keyframe` came.
 
     `eigenvalues` fall; number `chosen`, from 0, divides the way (0: none does). `nodes` (n, 2) are
@@ -71,19 +79,56 @@ class Evidence:
 
     learned: Mapping[int, Learned] = field(default_factory=dict)
     fit: FloatArray | None = None
-    tests: tuple[SplitLook, ...] = ()
+    tests: tuple[TestedSplit, ...] = ()
     threshold: float = 1.0
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Changes:
-    """What differs from an older map of the building, as a record and in words.
+@dataclass(frozen=True, slots=True)
+class Spectra:
+    """The tests that are kept, of `known` in all, and what the page needs to draw each.
 
-    `new_from_old` places the old map in the one that the report is about.
+    `dots` are the tests in the chart, each with the seconds of recording at which it was made.
     """
 
-    old: StoredMap
-    record: ComparisonRecord
-    lines: tuple[str, ...]
-    new_from_old: BentMotion
+    dots: tuple[tuple[float, TestedSplit], ...]
+    table: tuple[dict[str, Any], ...]
+    threshold: float
+    known: int
+    thinned: bool
+
+
+def spectra_of(evidence: Evidence, seconds: Sequence[float], frame: Frame) -> Spectra:
+    """The tests, of each at most so many nodes; `seconds` of recording of each keyframe."""
+    kept = _chosen(evidence.tests)
+    most = MOST_NODES // max(len(kept), 1)
+    return Spectra(
+        dots=tuple((seconds[one.keyframe], one) for one in kept),
+        table=tuple(_row(one, seconds[one.keyframe], most, frame) for one in kept),
+        threshold=evidence.threshold,
+        known=len(evidence.tests),
+        thinned=any(len(one.nodes) > most for one in kept),
+    )
+
+
+def _chosen(tests: Sequence[TestedSplit]) -> list[TestedSplit]:
+    """All tests that split a submap, and others, evenly spread, up to so many."""
+    splits = [k for k, one in enumerate(tests) if one.split]
+    others = np.array([k for k, one in enumerate(tests) if not one.split], dtype=np.int64)
+    some = evenly(np.array(splits, dtype=np.int64), MOST_TESTS)
+    more = evenly(others, MOST_TESTS - len(some)) if len(some) < MOST_TESTS else others[:0]
+    return [tests[k] for k in sorted([*some.tolist(), *more.tolist()])]
+
+
+def _row(test: TestedSplit, seconds: float, most: int, frame: Frame) -> dict[str, Any]:
+    """A test for the page: `nodes` are x, y and strength in a row."""
+    kept = evenly(np.arange(len(test.nodes)), most)
+    strength = np.rint(test.sides[kept] * _FINEST).astype(np.int64)
+    nodes = np.column_stack([frame.places(test.nodes[kept]), strength])
+    return {
+        "t": round(seconds, 1),
+        "values": np.round(test.eigenvalues, 3).tolist(),
+        "chosen": test.chosen,
+        "split": test.split,
+        "nodes": nodes.reshape(-1).tolist(),
+    }

@@ -1,21 +1,34 @@
-"""What the page says of the whole map: its figures, its verdict, and how it was made."""
+"""What the page says: figures and verdict of the whole map, how it was made, and each submap."""
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from specmap_cli.core.findings import Finding, Verdict
-from specmap_cli.core.settings import Config
-from specmap_cli.core.text import counted
-from specmap_cli.maps import filenames
-from specmap_cli.report.frame import Frame
-from specmap_cli.report.ground import Ground
-from specmap_cli.report.track import Track
-from specmap_cli.report.words import lasting
-from specmap_cli.topology.topological_map import driven_m
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
+from specmap_cli.core.findings import Finding, Verdict
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.settings import Config
+from specmap_cli.core.text import counted, seconds
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
+from specmap_cli.grids.map_server import png_bytes
+from specmap_cli.maps import filenames
+from specmap_cli.maps.schema import NodeRecord
+from specmap_cli.report.evidence import Learned
+from specmap_cli.report.html import lasting
+from specmap_cli.report.layers import DrawnMap
+from specmap_cli.report.track import Track
+from specmap_cli.topology.topological_map import Door, default_name, driven_m
+
+_THUMBNAIL = 240  # pixels of the longer side, at most
+_AROUND_M = 0.7  # shown round the outline of a submap
+_GREYS = np.zeros(256, dtype=np.uint8)
+_GREYS[[FREE, UNKNOWN]] = 255, 214
 _VERDICTS: Mapping[Verdict, str] = {
     "good": "nothing was found that speaks against the map",
     "doubtful": "something is wrong, or cannot be known: see the findings before you use the map",
@@ -23,83 +36,45 @@ _VERDICTS: Mapping[Verdict, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Fact:
-    """A figure with its unit, and what it counts."""
-
-    value: str
-    unit: str
-    what: str
-
-
-@dataclass(frozen=True, slots=True)
-class FoundAt:
-    """A finding, numbered as on the map; `place` in the drawing where it has one."""
-
-    number: int
-    record: Finding
-    place: tuple[int, int] | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
-    """How the map was made, as run.json has it; empty parts for a map without that file."""
-
-    selection: tuple[tuple[str, str], ...] = ()
-    settings: tuple[tuple[str, str, str], ...] = ()
-    counts: tuple[tuple[str, str], ...] = ()
-    seconds: tuple[tuple[str, float], ...] = ()
-    versions: tuple[tuple[str, str], ...] = ()
-    warnings: tuple[str, ...] = ()
-
-
-def verdict_of(ground: Ground) -> tuple[str, str]:
+def verdict_of(map_: DrawnMap) -> tuple[str, str]:
     """The verdict in a word and in a sentence."""
-    quality = ground.stored.record.graph.quality
+    quality = map_.stored.record.graph.quality
     if quality is None:
         return "not judged", "nobody checked this map against itself"
     return quality.verdict, _VERDICTS[quality.verdict]
 
 
-def findings_of(ground: Ground) -> list[FoundAt]:
+def findings_of(map_: DrawnMap) -> list[Finding]:
     """All findings, the gravest first."""
-    quality = ground.stored.record.graph.quality
-    if quality is None:
-        return []
-    ranked = sorted(
-        quality.findings, key=lambda one: ("poor", "doubtful", "note").index(one.severity)
-    )
-    return [FoundAt(k, each, _place(each, ground.frame)) for k, each in enumerate(ranked, start=1)]
+    quality = map_.stored.record.graph.quality
+    found = () if quality is None else quality.findings
+    return sorted(found, key=lambda one: ("poor", "doubtful", "note").index(one.severity))
 
 
-def _place(finding: Finding, frame: Frame) -> tuple[int, int] | None:
-    return None if finding.place is None else frame.place(finding.place)
-
-
-def headline(ground: Ground) -> str:
+def headline(map_: DrawnMap) -> str:
     """The recordings that the map was made of."""
-    first, *others = [log.name for log in ground.stored.record.graph.logs]
+    first, *others = [log.name for log in map_.stored.record.graph.logs]
     return f"{first} and {counted(len(others), 'more recording')}" if others else first
 
 
-def facts_of(ground: Ground, track: Track) -> list[Fact]:
-    """The figures at the top of the page."""
-    record = ground.stored.record
+def facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
+    """The figures at the top of the page, each with its unit and what it counts."""
+    record = map_.stored.record
     doors, closures = record.graph.doors, record.graph.closures
     driven = sum(door.driven for door in doors)
     found = [
-        Fact(f"{len(record.nodes):,}", "", _plural(len(record.nodes), "submap")),
-        Fact(f"{sum(node.area_m2 for node in record.nodes):,.0f}", "m²", "free space"),
-        Fact(f"{len(doors):,}", "", _plural(len(doors), "door") + _driven(driven, len(doors))),
+        (f"{len(record.nodes):,}", "", _plural(len(record.nodes), "submap")),
+        (f"{sum(node.area_m2 for node in record.nodes):,.0f}", "m²", "free space"),
+        (f"{len(doors):,}", "", _plural(len(doors), "door") + _driven(driven, len(doors))),
     ]
     if track.known:
-        way = driven_m(ground.stored.logs, ground.labels)
-        found.append(Fact(f"{way:,.0f}", "m", f"driven in {lasting(track.duration_s)}"))
+        way = driven_m(map_.stored.logs, map_.labels)
+        found.append((f"{way:,.0f}", "m", f"driven in {lasting(track.duration_s)}"))
         merged = sum(closure.merged for closure in closures)
-        found.append(Fact(f"{merged:,}", "", _plural(merged, "revisit") + " recognised"))
-        lost = len(ground.lost)
+        found.append((f"{merged:,}", "", _plural(merged, "revisit") + " recognised"))
+        lost = len(map_.lost)
         scans = sum(log.scans for log in record.graph.logs)
-        found.append(Fact(f"{lost:,}", "", f"of {scans:,} scans lost"))
+        found.append((f"{lost:,}", "", f"of {scans:,} scans lost"))
     return found
 
 
@@ -113,23 +88,23 @@ def _driven(driven: int, doors: int) -> str:
     return ", all driven through" if driven == doors else f", {driven:,} driven through"
 
 
-def run_of(ground: Ground) -> Run:
-    """How the map was made."""
-    stored = ground.stored
-    if not (stored.path / filenames.RUN).exists():
-        return Run()
-    run = stored.run
+def run_of(map_: DrawnMap) -> dict[str, Any]:
+    """How the map was made, by parts; they are empty for a map without run.json."""
+    stored = map_.stored
+    known = (stored.path / filenames.RUN).exists()
+    run = stored.run if known else {}
     seconds = [
         (key, float(value)) for key, value in _dict(run, "seconds").items() if _is_number(value)
     ]
-    return Run(
-        selection=_pairs(_dict(run, "selection")),
-        settings=tuple(_changed(stored.config)),
-        counts=tuple((key, f"{count:,}") for key, count in stored.counts.items() if count),
-        seconds=tuple(sorted(seconds, key=lambda one: -one[1])),
-        versions=_pairs(_dict(run, "versions")),
-        warnings=_texts(run.get("warnings")),
-    )
+    counts = stored.counts if known else {}
+    return {
+        "selection": _pairs(_dict(run, "selection")),
+        "settings": list(_changed(stored.config)) if known else [],
+        "counts": [(key, f"{count:,}") for key, count in counts.items() if count],
+        "seconds": sorted(seconds, key=lambda one: -one[1]),
+        "versions": _pairs(_dict(run, "versions")),
+        "warnings": _texts(run.get("warnings")),
+    }
 
 
 def _dict(run: Mapping[str, Any], key: str) -> Mapping[str, Any]:
@@ -167,3 +142,92 @@ def _changed(config: Config) -> Iterator[tuple[str, str, str]]:
         for key, value in values.items():
             if value != usual[section][key]:
                 yield f"{section}.{key}", str(value), str(usual[section][key])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sheet:
+    """All that is told of one submap; `doors` and open borders to `open_to` are its neighbours.
+
+    `visits` are start and length in seconds. `thumbnail` is a PNG as a data URL.
+    """
+
+    node: NodeRecord
+    named: bool
+    doors: tuple[Door, ...]
+    open_to: tuple[int, ...]
+    visits: tuple[tuple[float, float], ...]
+    thumbnail: str
+    thumbnail_size: tuple[int, int]
+    learned: Learned
+
+    @property
+    def stayed_s(self) -> float:
+        """Seconds that the robot spent there."""
+        return sum(length for _, length in self.visits)
+
+    @property
+    def sides_m(self) -> tuple[float, float]:
+        """The sides of the smallest upright box round its outline."""
+        if not self.node.polygon:
+            return 0.0, 0.0
+        width, height = np.ptp(np.array(self.node.polygon), axis=0).tolist()
+        return width, height
+
+
+def sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[Sheet]:
+    """The sheets of all submaps, by id."""
+    return [
+        _sheet(node, map_, learned.get(id_, Learned())) for id_, node in sorted(map_.nodes.items())
+    ]
+
+
+def _sheet(node: NodeRecord, map_: DrawnMap, learned: Learned) -> Sheet:
+    thumbnail, size = _thumbnail(_close_up(map_.stored.grid(node.id), node))
+    return Sheet(
+        node=node,
+        named=node.name != default_name(node.id),
+        doors=tuple(door for door in map_.stored.record.graph.doors if node.id in door.between),
+        open_to=_open_to(node.id, map_),
+        visits=tuple(
+            (seconds(visit.start_ns), seconds(visit.end_ns) - seconds(visit.start_ns))
+            for visit in node.visits
+        ),
+        thumbnail=thumbnail,
+        thumbnail_size=size,
+        learned=learned,
+    )
+
+
+def _open_to(submap: int, map_: DrawnMap) -> tuple[int, ...]:
+    """The neighbours that no door leads to."""
+    ends = [
+        (edge.source, edge.target)
+        for edge in map_.stored.record.edges
+        if submap in (edge.source, edge.target) and not edge.doors
+    ]
+    return tuple(sorted(b if a == submap else a for a, b in ends))
+
+
+def _close_up(grid: GridMap, node: NodeRecord) -> GridMap:
+    """The part of a submap's grid round its outline: it shows far more, seen through doors."""
+    if not node.polygon:
+        return grid
+    frame = Pose2(node.x, node.y, node.theta)
+    part = grid.near(frame.inverse().apply(np.array(node.polygon)), _AROUND_M)
+    return part if part.cells.size else grid
+
+
+def _thumbnail(grid: GridMap) -> tuple[str, tuple[int, int]]:
+    """The grid of a submap, cropped to what is known, as a data URL, and its width and height."""
+    known = np.argwhere(grid.cells != UNKNOWN)
+    if not len(known):
+        return "", (0, 0)
+    (low, left), (high, right) = known.min(axis=0), known.max(axis=0) + 1
+    picture: NDArray[Any] = _GREYS[grid.cells[low:high, left:right][::-1]]
+    scale = min(1.0, _THUMBNAIL / max(picture.shape))
+    if scale < 1.0:
+        size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    picture = picture & 0xF0  # sixteen greys: a third of the bytes
+    data = base64.b64encode(png_bytes(picture)).decode("ascii")
+    return f"data:image/png;base64,{data}", (picture.shape[1], picture.shape[0])

@@ -1,27 +1,150 @@
-"""The layers of the map: what is drawn of it, ready for the page."""
+"""The layers of the map: what is drawn of a map directory, ready for the page."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.errors import TOO_LARGE, MapError
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Span
-from specmap_cli.core.records import Closure
+from specmap_cli.core.records import BoolArray, Closure, Labels
 from specmap_cli.drawing.overview import drawn_as
-from specmap_cli.report.colours import fill_names
-from specmap_cli.report.frame import Frame, path_data
-from specmap_cli.report.ground import Ground, middle_of
-from specmap_cli.report.tracing import traced
+from specmap_cli.drawing.palette import Colour, colours_of
+from specmap_cli.drawing.sheet import extent_of
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.maps import filenames
+from specmap_cli.maps.schema import NodeRecord
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.report.html import shown
+from specmap_cli.report.svg import Frame, fill_names, path_data, traced
 from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.shapes import outline_of
+from specmap_cli.topology.topological_map import starts_of
 
 MOST_REFUSED = 400  # refused closures that are drawn: those with the largest xi
+_MOST_LOST = 500  # places of lost scans that are drawn
 
 Box = tuple[int, int, int, int]  # left, top, width and height in the drawing
+
+_NO_LABELS = Labels(
+    stamps_ns=np.zeros(0, dtype=np.int64),
+    poses=np.zeros((0, 3)),
+    submaps=np.zeros(0, dtype=np.int64),
+)
+
+
+class DrawnMap:
+    """A stored map as a drawing needs it. A divided floor plan has no keyframes and no whole grid.
+
+    Every property raises MapError when a file is damaged.
+    """
+
+    def __init__(self, stored: StoredMap) -> None:
+        self.stored = stored
+
+    @cached_property
+    def labels(self) -> Labels:
+        """The keyframes; none of a divided floor plan."""
+        known = (self.stored.path / filenames.LABELS).exists()
+        return self.stored.labels if known else _NO_LABELS
+
+    @cached_property
+    def regions(self) -> Regions:
+        """The map divided among the submaps."""
+        if (self.stored.path / f"{filenames.MAP_GRID}.yaml").exists():
+            return self.stored.regions
+        return _composed(self.stored)
+
+    @cached_property
+    def lost(self) -> FloatArray:
+        """(n, 2) where scans were taken that could not be registered: guesses."""
+        path = self.stored.path / filenames.TRAJECTORY
+        if not path.exists():
+            return np.zeros((0, 2))
+        trajectory = read_trajectory(path, self.stored.limits)
+        lost = trajectory.lost
+        return np.zeros((0, 2)) if lost is None else trajectory.poses[lost, :2]
+
+    @cached_property
+    def frame(self) -> Frame:
+        """The part of the map to draw: what is known, and the way, which may lead out of it."""
+        low, high = extent_of(self.regions)
+        return Frame.around(np.vstack([low, high, self.labels.poses[:, :2], self.lost]))
+
+    @cached_property
+    def fills(self) -> dict[int, Colour]:
+        """The colour of each submap."""
+        return colours_of(self.stored.topology, self.regions)
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """The keyframes with which the recordings after the first one begin."""
+        return starts_of(self.stored.logs)
+
+    @cached_property
+    def nodes(self) -> dict[int, NodeRecord]:
+        """The submaps by id."""
+        return {node.id: node for node in self.stored.record.nodes}
+
+    @cached_property
+    def names(self) -> dict[int, str]:
+        """What the submaps are called: by a person, or by their numbers."""
+        return {id_: shown(node.name) for id_, node in self.nodes.items()}
+
+
+def middle_of(node: NodeRecord) -> tuple[float, float]:
+    """Where the badge of a submap stands in the map."""
+    return node.anchor or node.centroid or (node.x, node.y)
+
+
+def _composed(stored: StoredMap) -> Regions:
+    """The grids of all submaps laid out in the map, each the owner of what is free in it."""
+    pieces = [(node, stored.grid(node.id)) for node in stored.record.nodes]
+    whole = _canvas(stored, pieces)
+    owner = np.full(whole.cells.shape, NOBODY, dtype=np.int64)
+    for value in (FREE, OCCUPIED):
+        for node, grid in pieces:
+            rows, columns = whole.cells_of(_placed(node, grid, grid.cells == value)).T
+            whole.cells[rows, columns] = value
+            owner[rows, columns] = node.id if value == FREE else NOBODY
+    return Regions(
+        whole, owner, {node.id: outline_of(owner == node.id, whole) for node, _ in pieces}
+    )
+
+
+def _canvas(stored: StoredMap, pieces: Sequence[tuple[NodeRecord, GridMap]]) -> GridMap:
+    """An unknown grid that holds all that is known. MapError when it would be beyond all bounds."""
+    cell_m = min((grid.resolution for _, grid in pieces), default=1.0)
+    low, high = _corners(_placed(node, grid, grid.cells != UNKNOWN) for node, grid in pieces)
+    width, height = (int(side) + 2 for side in np.ceil((high - low) / cell_m))
+    if width * height > stored.limits.picture_max_mpixel * 1e6:
+        raise MapError(
+            f"{stored.path}: its submaps lie so far apart that a picture of them has "
+            f"{width:,} x {height:,} cells; if it is meant, raise limits.picture_max_mpixel",
+            code=TOO_LARGE,
+        )
+    left, bottom = (low - 0.5 * cell_m).tolist()
+    return GridMap(np.full((height, width), UNKNOWN, dtype=np.uint8), cell_m, (left, bottom))
+
+
+def _placed(node: NodeRecord, grid: GridMap, cells: BoolArray) -> FloatArray:
+    """(n, 2) centres in the map of some cells of a submap's grid."""
+    return Pose2(node.x, node.y, node.theta).apply(grid.centres_of(np.argwhere(cells)))
+
+
+def _corners(parts: Iterable[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Lower left and upper right of all points; the origin without any."""
+    points = np.vstack([np.zeros((0, 2)), *parts])
+    if not len(points):
+        return np.zeros(2), np.zeros(2)
+    return points.min(axis=0), points.max(axis=0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,23 +165,8 @@ class Region:
 class Link:
     """A way between two submaps, a straight line where there is none; `kind` as it is drawn."""
 
-    source: int
-    target: int
     kind: str
     line: str
-    forbidden: bool
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DoorMark:
-    """A door from wall to wall."""
-
-    id: int
-    line: str
-    middle: tuple[int, int]
-    width_m: float
-    between: tuple[int, int]
-    driven: bool
     forbidden: bool
 
 
@@ -78,7 +186,6 @@ class ClosureMark:
     line: str
     xi: float | None
     reason: str
-    submaps: tuple[int | None, int | None]
 
 
 def walls(regions: Regions, frame: Frame) -> str:
@@ -92,15 +199,15 @@ def unreached(regions: Regions, frame: Frame) -> str:
     return path_data(traced(cells, regions.grid, frame), closed=True)
 
 
-def regions_of(ground: Ground) -> list[Region]:
+def regions_of(map_: DrawnMap) -> list[Region]:
     """The submaps on the map, by id."""
-    names = fill_names(ground.fills.values())
-    return [_region(id_, ground, names[ground.fills[id_]]) for id_ in sorted(ground.nodes)]
+    names = fill_names(map_.fills.values())
+    return [_region(id_, map_, names[map_.fills[id_]]) for id_ in sorted(map_.nodes)]
 
 
-def _region(id_: int, ground: Ground, fill: str) -> Region:
-    rings = traced(ground.regions.owner == id_, ground.regions.grid, ground.frame)
-    node, frame = ground.nodes[id_], ground.frame
+def _region(id_: int, map_: DrawnMap, fill: str) -> Region:
+    rings = traced(map_.regions.owner == id_, map_.regions.grid, map_.frame)
+    node, frame = map_.nodes[id_], map_.frame
     badge = frame.place(middle_of(node))
     return Region(
         id=id_,
@@ -117,48 +224,28 @@ def _box(points: FloatArray) -> Box:
     return left, top, right - left, bottom - top
 
 
-def links_of(ground: Ground) -> list[Link]:
+def links_of(map_: DrawnMap) -> list[Link]:
     """The ways of the map, or straight lines where the robot is too wide for every way."""
-    edges = ground.stored.topology.edges
+    edges = map_.stored.topology.edges
     found = []
-    for record in ground.stored.record.edges:
-        ends = [middle_of(ground.nodes[id_]) for id_ in (record.source, record.target)]
+    for record in map_.stored.record.edges:
+        ends = [middle_of(map_.nodes[id_]) for id_ in (record.source, record.target)]
         crossing = [] if record.x is None or record.y is None else [(record.x, record.y)]
         line = record.corners or [ends[0], *crossing, ends[1]]
         found.append(
             Link(
-                source=record.source,
-                target=record.target,
-                kind=drawn_as(ground.stored.topology, edges[record.source, record.target]),
-                line=path_data([ground.frame.places(np.array(line))]),
+                kind=drawn_as(map_.stored.topology, edges[record.source, record.target]),
+                line=map_.frame.line(line),
                 forbidden=record.forbidden,
             )
         )
     return found
 
 
-def doors_of(ground: Ground) -> list[DoorMark]:
-    """The doors of the map. Where no robot drove, as through a floor plan, all are open alike."""
-    frame, records = ground.frame, ground.stored.record.graph.doors
-    nobody_drove = not any(record.driven for record in records)
-    return [
-        DoorMark(
-            id=record.id,
-            line=path_data([frame.places(np.array(record.sides))]),
-            middle=frame.place((record.x, record.y)),
-            width_m=record.width_m,
-            between=record.between,
-            driven=record.driven or nobody_drove,
-            forbidden=record.forbidden,
-        )
-        for record in records
-    ]
-
-
-def closures_of(ground: Ground) -> Closures:
+def closures_of(map_: DrawnMap) -> Closures:
     """The closures that were accepted, and those refused with the largest xi."""
-    places, frame = _places_of_stays(ground), ground.frame
-    closures = ground.stored.record.graph.closures
+    places, frame = _places_of_stays(map_), map_.frame
+    closures = map_.stored.record.graph.closures
     known = [each for each in closures if {each.new, each.old} <= places.keys()]
     accepted = [each for each in known if each.merged]
     refused = [each for each in known if not each.merged]
@@ -166,11 +253,11 @@ def closures_of(ground: Ground) -> Closures:
     return Closures(_marks(accepted, places, frame), _marks(drawn, places, frame), len(refused))
 
 
-def _places_of_stays(ground: Ground) -> dict[int, FloatArray]:
+def _places_of_stays(map_: DrawnMap) -> dict[int, FloatArray]:
     """A place (2,) of each stay: where the robot was in the middle of it."""
-    poses = ground.labels.poses
+    poses = map_.labels.poses
     found = {}
-    for stay in ground.stored.record.graph.stays:
+    for stay in map_.stored.record.graph.stays:
         middle = _middle_of(stay.runs)
         if middle < len(poses):
             found[stay.number] = poses[middle, :2]
@@ -192,15 +279,14 @@ def _marks(
 ) -> list[ClosureMark]:
     return [
         ClosureMark(
-            line=path_data([frame.places(np.array([places[each.new], places[each.old]]))]),
+            line=frame.line([places[each.new], places[each.old]]),
             xi=None if math.isnan(each.xi) else each.xi,
             reason=each.reason,
-            submaps=(each.new_submap, each.old_submap),
         )
         for each in closures
     ]
 
 
-def lost_places(ground: Ground, most: int = 500) -> list[tuple[int, int]]:
-    """Where scans were lost, at most so many of these places."""
-    return [(x, y) for x, y in ground.frame.places(evenly(ground.lost, most)).tolist()]
+def lost_places(map_: DrawnMap) -> list[tuple[int, int]]:
+    """Where scans were lost; of a great many only some, evenly spread."""
+    return [(x, y) for x, y in map_.frame.places(evenly(map_.lost, _MOST_LOST)).tolist()]

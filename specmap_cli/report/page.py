@@ -1,4 +1,4 @@
-"""The page put together: what is known of a map, poured into the templates.
+"""The page put together: what is known of a map, filled into the templates.
 
 Names, properties and reasons are somebody's text: the templates escape whatever they show, and the
 page runs no script but its own, which the browser knows by its hash.
@@ -9,16 +9,14 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
+from specmap_cli.core.text import counted
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.report import facts, layers, words
-from specmap_cli.report.changes import old_map
-from specmap_cli.report.colours import fill_names, tones
-from specmap_cli.report.evidence import Changes, Evidence
-from specmap_cli.report.ground import Ground
-from specmap_cli.report.pouring import PACKAGE, page_parts, poured
-from specmap_cli.report.sheets import sheets_of
-from specmap_cli.report.spectra import Spectra, spectra_of
-from specmap_cli.report.thinned import thinned
+from specmap_cli.report import facts, layers
+from specmap_cli.report.changes import Changes, old_map
+from specmap_cli.report.evidence import Evidence, Spectra, spectra_of
+from specmap_cli.report.html import PACKAGE, html_page, shown
+from specmap_cli.report.layers import Closures, DrawnMap
+from specmap_cli.report.svg import fill_names, tones
 from specmap_cli.report.track import Track, running_seconds
 
 # the parts of the script in their order; each uses only what stands before it
@@ -33,7 +31,6 @@ _SCRIPTS = (
     "spectra.js",
 )
 _STYLES = ("page.css", "map.css", "parts.css", "print.css")
-_FILTERS = ("clock", "lasting", "stamp", "percent", "figure", "feature_words")
 # heads of the table of submaps: their words, and how the column is sorted
 _COLUMNS = (
     ("id", "number"),
@@ -51,99 +48,117 @@ def render(stored: StoredMap, evidence: Evidence, changes: Changes | None = None
 
     Raises MapError when a file of the map is missing or damaged.
     """
-    ground = Ground(stored)
-    track = Track.of(ground.labels, ground.starts, evidence.fit)
-    seconds = running_seconds(ground.labels.stamps_ns, ground.starts).tolist()
-    spectra = spectra_of(evidence, seconds, ground.frame)
-    closures = layers.closures_of(ground)
+    map_ = DrawnMap(stored)
+    track = Track.of(map_.labels, map_.starts, evidence.fit)
+    seconds = running_seconds(map_.labels.stamps_ns, map_.starts).tolist()
+    spectra = spectra_of(evidence, seconds, map_.frame)
+    closures = layers.closures_of(map_)
     context = {
-        **_layers(ground),
-        **_way(ground, track),
-        **_words(ground, track, evidence),
+        **_layers(map_),
+        **_way(map_, track),
+        **_words(map_, track, evidence),
         "closures": closures,
         "spectra": spectra,
-        "old": None if changes is None else old_map(changes, ground),
-        "data": _data(ground, track, spectra),
-        "thinned": thinned(track, spectra, closures),
-        **page_parts(PACKAGE, _SCRIPTS, _STYLES),
+        "old": None if changes is None else old_map(changes, map_),
+        "data": _data(map_, track, spectra),
+        "thinned": _left_out(track, spectra, closures),
     }
-    return poured(PACKAGE, "page.html", context, {name: getattr(words, name) for name in _FILTERS})
+    return html_page(PACKAGE, "page.html", context, _STYLES, _SCRIPTS)
 
 
-def _layers(ground: Ground) -> dict[str, Any]:
+def _layers(map_: DrawnMap) -> dict[str, Any]:
     """What is drawn of the map."""
-    fills = fill_names(ground.fills.values())
+    doors = map_.stored.record.graph.doors
+    fills = fill_names(map_.fills.values())
     return {
-        "frame": ground.frame,
-        "tones": tones(ground.fills.values()),
-        "fill_of": {id_: fills[fill] for id_, fill in ground.fills.items()},
-        "floor": layers.unreached(ground.regions, ground.frame),
-        "walls": layers.walls(ground.regions, ground.frame),
-        "regions": layers.regions_of(ground),
-        "links": layers.links_of(ground),
-        "doors": layers.doors_of(ground),
-        "cell_cm": round(ground.regions.grid.resolution * 100.0, 2),
+        "frame": map_.frame,
+        "tones": tones(map_.fills.values()),
+        "fill_of": {id_: fills[fill] for id_, fill in map_.fills.items()},
+        "floor": layers.unreached(map_.regions, map_.frame),
+        "walls": layers.walls(map_.regions, map_.frame),
+        "regions": layers.regions_of(map_),
+        "links": layers.links_of(map_),
+        "doors": doors,
+        "any_driven": any(door.driven for door in doors),  # no robot drove through a floor plan
+        "cell_cm": round(map_.regions.grid.resolution * 100.0, 2),
     }
 
 
-def _way(ground: Ground, track: Track) -> dict[str, Any]:
+def _way(map_: DrawnMap, track: Track) -> dict[str, Any]:
     """What is drawn of the robot's way."""
     visits = track.visits()
     return {
         "track": track,
-        "by_time": track.by_time(ground.frame),
-        "by_fit": track.by_fit(ground.frame),
-        "lost": layers.lost_places(ground),
+        "by_time": track.by_time(map_.frame),
+        "by_fit": track.by_fit(map_.frame),
+        "lost": layers.lost_places(map_),
         "visits": visits,
         "visits_of": {
             id_: [(start, end) for start, end, submap in visits if submap == id_]
-            for id_ in ground.nodes
+            for id_ in map_.nodes
         },
     }
 
 
-def _words(ground: Ground, track: Track, evidence: Evidence) -> dict[str, Any]:
+def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     """What is written beside the map."""
-    verdict, sentence = facts.verdict_of(ground)
-    note = ground.stored.note
+    verdict, sentence = facts.verdict_of(map_)
+    note = map_.stored.note
     return {
-        "title": words.shown(facts.headline(ground)),
-        "place": words.shown(ground.stored.path.resolve().name),
+        "title": shown(facts.headline(map_)),
+        "place": shown(map_.stored.path.resolve().name),
         "verdict": verdict,
         "sentence": sentence,
-        "facts": facts.facts_of(ground, track),
-        "findings": facts.findings_of(ground),
-        "run": facts.run_of(ground),
-        "sheets": sheets_of(ground, evidence.learned),
+        "facts": facts.facts_of(map_, track),
+        "findings": facts.findings_of(map_),
+        "run": facts.run_of(map_),
+        "sheets": facts.sheets_of(map_, evidence.learned),
         "columns": (
             *_COLUMNS,
             *(_DRIVEN_COLUMNS if track.known else ()),
             *(_LEARNED_COLUMNS if evidence.learned else ()),
         ),
         "learned": evidence.learned,
-        "names": ground.names,
-        "logs": ground.stored.record.graph.logs,
-        "reasons": _reasons(ground),
+        "names": map_.names,
+        "logs": map_.stored.record.graph.logs,
+        "reasons": _reasons(map_),
         "notes": [*([note] if note else []), *evidence.notes],
     }
 
 
-def _reasons(ground: Ground) -> list[tuple[str, bool, int]]:
+def _reasons(map_: DrawnMap) -> list[tuple[str, bool, int]]:
     """Why closures were accepted or refused, and how often, the most frequent first."""
-    closures = ground.stored.record.graph.closures
+    closures = map_.stored.record.graph.closures
     counts = Counter((each.reason, each.merged) for each in closures)
     ranked = sorted(counts.items(), key=lambda one: (not one[0][1], -one[1], one[0][0]))
     return [(reason, accepted, count) for (reason, accepted), count in ranked]
 
 
-def _data(ground: Ground, track: Track, spectra: Spectra) -> dict[str, Any]:
+def _data(map_: DrawnMap, track: Track, spectra: Spectra) -> dict[str, Any]:
     """What the script needs to know."""
     return {
-        "width": ground.frame.width,
-        "height": ground.frame.height,
-        "track": track.table(ground.frame),
-        "names": {str(id_): name for id_, name in ground.names.items()},
+        "width": map_.frame.width,
+        "height": map_.frame.height,
+        "track": track.table(map_.frame),
+        "names": {str(id_): name for id_, name in map_.names.items()},
         "tests": list(spectra.table),
         "threshold": spectra.threshold,
-        "logs": [log.name for log in ground.stored.record.graph.logs],
+        "logs": [log.name for log in map_.stored.record.graph.logs],
     }
+
+
+def _left_out(track: Track, spectra: Spectra, closures: Closures) -> list[str]:
+    """A sentence for each part of the map that is not shown whole."""
+    found = ["Outlines are simplified by half a cell; places are rounded to centimetres."]
+    if len(track.seconds) < track.known:
+        kept, known = len(track.seconds), counted(track.known, "keyframe")
+        found.append(f"The way is drawn through {kept:,} of {known}, evenly spread.")
+    if len(spectra.dots) < spectra.known:
+        kept, known = len(spectra.dots), counted(spectra.known, "split test")
+        found.append(f"Of {known} {kept:,} are shown, those that split a submap first.")
+    if spectra.thinned:
+        found.append("Split tests show some of their nodes, evenly spread.")
+    if len(closures.refused) < closures.refused_known:
+        kept, known = len(closures.refused), f"{closures.refused_known:,} refused closures"
+        found.append(f"Of {known} the {kept:,} with the largest xi are drawn.")
+    return found

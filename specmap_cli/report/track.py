@@ -12,9 +12,7 @@ from specmap_cli.core.arrays import evenly, runs
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.drawing.sheet import strokes
-from specmap_cli.report.colours import STEPS
-from specmap_cli.report.frame import Frame, path_data
-from specmap_cli.report.tracing import simplified
+from specmap_cli.report.svg import STEPS, Frame, path_data, simplified
 
 MOST_POINTS = 6000  # of the way: a screen shows no more
 _STRAY_CM = 2.0  # how far the drawn line may lie off the way

@@ -12,14 +12,14 @@ import jsonschema
 import pytest
 
 from specmap_cli.checking.figures import figures_against, figures_of
-from specmap_cli.checking.record import CheckRecord
-from specmap_cli.checking.reports import junit, lines_of, markdown
+from specmap_cli.checking.record import CheckRecord, junit, lines_of, markdown
 from specmap_cli.checking.rules import Rules, judged, read_rules
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.check import check_map
+from tests.comparisons import comparison, thing, way
 
 RUN = {"wall_s": 4.0, "memory_mb": 200.0, "counts": {"scans": 80, "lost": 2, "breaks": 1}}
 FINDING: dict[str, Any] = {
@@ -159,54 +159,11 @@ def test_what_differs_from_a_golden_map_is_counted() -> None:
 
 def compared() -> ComparisonRecord:
     """A comparison in which a room, a way and half of the floor are gone."""
-    side = {
-        "names": {0: "Hall", 1: "1", 2: "2"},
-        "submaps": 3,
-        "edges": 2,
-        "keyframes": 30,
-        "path_m": 10.0,
-        "duration_s": 30.0,
-        "verdict": "good",
-    }
-    thing = {
-        "x": 0.0,
-        "y": 0.0,
-        "length_m": 1.0,
-        "width_m": 0.75,
-        "area_m2": 0.75,
-        "corners": [],
-        "old_submap": None,
-        "new_submap": 1,
-    }
-    way = {"between": (0, 1), "x": 1.0, "y": 1.0, "width_m": 0.9}
-    return ComparisonRecord.model_validate(
-        {
-            "schema_version": 1,
-            "old": {**side, "map": "old", "area_m2": 40.0},
-            "new": {**side, "map": "new", "area_m2": 20.0},
-            "identical": False,
-            "alignment": {
-                "old_from_new": (0.0, 0.0, 0.0),
-                "votes": 2,
-                "submaps": 3,
-                "area_m2": 20.0,
-                "walls_m": 9.0,
-                "residual_m": 0.02,
-                "rival": 0.1,
-            },
-            "submaps": {
-                "same": [{"old": 0, "new": 0, "iou": 1.0}, {"old": 1, "new": 1, "iou": 1.0}],
-                "split": [],
-                "merged": [],
-                "new": [],
-                "unseen": [],
-                "gone": [2],
-                "redrawn_old": [],
-                "redrawn_new": [],
-            },
-            "doors": {"closed": [way], "opened": []},
-            "things": {"appeared": [thing], "vanished": []},
-        }
+    same = [{"old": id_, "new": id_, "iou": 1.0} for id_ in (0, 1)]
+    return comparison(
+        submaps={"same": same, "gone": [2]},
+        closed=[way(1.0, 1.0)],
+        appeared=[thing(0.0, 0.0, 0.75)],
     )
 
 

@@ -152,7 +152,7 @@ def test_an_output_beside_an_error_is_noticed(
     seeds: Seeds, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A plot that fails after the table was written leaves half of a result."""
-    report = "specmap_cli.pipelines.localization_report.write_together"
+    report = "specmap_cli.pipelines.localize.write_together"
     monkeypatch.setattr(report, refuse_to_plot)
     number = next(n for n in range(1, 4000, 20) if plots(case_of(seeds, SEED, n)))
     found = outcomes(seeds, [number])

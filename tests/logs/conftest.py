@@ -15,8 +15,8 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.readers.encoding import typestore
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.readers.typestore import typestore
 from specmap_cli.logs.writer import LogWriter
 
 SECOND = 1_000_000_000

@@ -20,7 +20,7 @@ import zstandard
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers import unpacking
+from specmap_cli.logs.readers import compression
 from specmap_cli.logs.readers.recording import Message
 
 PACK: dict[str, Callable[[bytes], bytes]] = {
@@ -129,11 +129,11 @@ def test_a_whole_file_that_swells_costs_little_memory(tmp_path: Path) -> None:
 def test_what_is_no_log_is_not_unpacked(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(unpacking, "LOOKED_AT_BYTES", 5000)
+    monkeypatch.setattr(compression, "LOOKED_AT_BYTES", 5000)
     path = tmp_path / "zeros"
     path.write_bytes(PACK[name](bytes(80_000_000)) + b"garbage that would be told otherwise")
     written: list[int] = []
-    monkeypatch.setattr(unpacking, "_refuse_swelling", lambda n, *_: written.append(n))
+    monkeypatch.setattr(compression, "_refuse_swelling", lambda n, *_: written.append(n))
     with pytest.raises(LogError, match=f"of an unknown format.*inside {name} compression"):
         open_log(path)
     assert max(written) < 80_000_000

@@ -12,8 +12,8 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs import open_log
-from specmap_cli.logs.ceiling import Ceiling
 from specmap_cli.logs.inspection import summarize
+from specmap_cli.logs.planar import Ceiling
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
 from tests.turning import configured

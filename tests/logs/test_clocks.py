@@ -12,13 +12,10 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.clocks import Beside, Clock, choose_clock
-from specmap_cli.logs.convert import convert
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.encoding import odometry_cdr, scan_cdr
-from specmap_cli.logs.readers.typestore import LASER_SCAN, ODOMETRY
-from specmap_cli.logs.sensors import Glimpse
+from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.logs.writer import LogWriter
+from specmap_cli.logs.writer import LogWriter, convert
 from tests.turning import turn
 
 SECOND = 1_000_000_000
@@ -26,8 +23,8 @@ TODAY = 1_700_000_000 * SECOND
 SETTINGS = LogConfig()
 
 
-def glimpses(stamps: list[int], times: list[int]) -> list[Glimpse]:
-    return [Glimpse(s, t, "laser", None) for s, t in zip(stamps, times, strict=True)]
+def glimpses(stamps: list[int], times: list[int]) -> list[tuple[int, int]]:
+    return list(zip(stamps, times, strict=True))
 
 
 def tenths(count: int, start: int = TODAY) -> list[int]:

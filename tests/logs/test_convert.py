@@ -13,9 +13,9 @@ from specmap_cli.core.errors import LogError, UsageError
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs import open_log
-from specmap_cli.logs.convert import convert
 from specmap_cli.logs.readers.recording import Message, TopicInfo
 from specmap_cli.logs.stream import SweepStream
+from specmap_cli.logs.writer import convert
 
 
 class Steps(Silent):

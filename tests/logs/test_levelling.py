@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.logs.levelling import CloudLeveller, floor_of
+from specmap_cli.logs.clouds import CloudLeveller, floor_of
 from tests.turning import turn
 
 

@@ -26,17 +26,20 @@ from specmap_cli.logs.messages import (
     decode_transforms,
     frame_name,
 )
-from specmap_cli.logs.readers.encoding import cloud_cdr, odometry_cdr, scan_cdr, transform_cdr
-from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.readers.typestore import (
+from specmap_cli.logs.readers.encoding import (
     LASER_SCAN,
     MULTI_ECHO,
     ODOMETRY,
     POINT_CLOUD,
     TF_MESSAGE,
+    cloud_cdr,
     message_class,
+    odometry_cdr,
+    scan_cdr,
+    transform_cdr,
     typestore,
 )
+from specmap_cli.logs.readers.recording import Message
 from tests.strategies import few
 from tests.turning import turn
 

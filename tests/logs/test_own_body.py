@@ -11,7 +11,7 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs import open_log
-from specmap_cli.logs.own_body import OwnBody
+from specmap_cli.logs.planar import OwnBody
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
 

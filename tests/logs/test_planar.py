@@ -15,13 +15,12 @@ from scipy.spatial.transform import Rotation
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.clouds import CloudFlattener, lowest_returns
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 from specmap_cli.logs.planar import (
-    CloudFlattener,
     Mount,
     ScanLeveller,
     duration_s,
-    lowest_returns,
 )
 from tests.strategies import few
 from tests.turning import configured, turn

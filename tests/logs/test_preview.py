@@ -11,9 +11,8 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.preview import Gap, Preview, StampFaults
-from specmap_cli.logs.readers.encoding import scan_cdr
-from specmap_cli.logs.readers.typestore import LASER_SCAN
+from specmap_cli.logs.readers.encoding import LASER_SCAN, scan_cdr
+from specmap_cli.logs.summary import Gap, Preview, StampFaults
 from specmap_cli.logs.writer import LogWriter
 from tests.turning import configured
 

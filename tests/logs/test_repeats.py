@@ -7,7 +7,7 @@ import pytest
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, Sweep
-from specmap_cli.logs.repeats import Repeats
+from specmap_cli.logs.planar import Repeats
 
 SEEN = np.array([1.0, np.nan, 2.0, np.inf, 3.0])
 

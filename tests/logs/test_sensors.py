@@ -108,7 +108,7 @@ def test_a_rare_sensor_is_left_out_without_a_question(
         return
     sweeps, stream = read(path)
     assert len(sweeps) == 30 - rare
-    assert stream.selection.laser_frame == "front"
+    assert stream.selection.sensor.frame == "front"
     assert stream.counts["other_sensor"] == rare
 
 
@@ -144,7 +144,7 @@ def test_one_laser_stays_one(tmp_path: Path, lasers: list[Laser]) -> None:
     write(path, lasers)
     sweeps, stream = read(path)
     assert len(sweeps) == 20
-    assert [sensor.name for sensor in stream.selection.scan.sensors] == ["laser"]
+    assert [sensor.name for sensor in stream.selection.sensors] == ["laser"]
 
 
 def test_a_number_of_beams_that_varies_is_no_other_sensor(tmp_path: Path) -> None:

@@ -15,11 +15,9 @@ import pytest
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import Config, LogConfig
-from specmap_cli.logs.log import Log
-from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.encoding import odometry_cdr, scan_cdr
+from specmap_cli.logs.opening import Log, open_log
+from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
 from specmap_cli.logs.readers.recording import Contents, Message, Recording, survey
-from specmap_cli.logs.readers.typestore import LASER_SCAN, ODOMETRY
 from specmap_cli.logs.stream import _ODOMETRY_WAIT_SCANS, SweepStream
 from specmap_cli.logs.writer import LogWriter
 from tests.turning import configured

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.logs.frames import TransformTree, tilt_of
 from specmap_cli.logs.messages import TransformRecord
-from specmap_cli.logs.transforms import TransformTree, tilt_of
 
 
 def random_transform(rng: np.random.Generator) -> FloatArray:

@@ -12,7 +12,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.logs.planar import covers_circle
 from specmap_cli.maps.even_bearings import EvenBeams, EvenSpacing
-from specmap_cli.registration.deskew import deskewed
+from specmap_cli.registration.sweep_view import deskewed
 
 CIRCLE = 2 * math.pi
 

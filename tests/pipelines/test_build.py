@@ -21,7 +21,6 @@ from specmap_cli import build_map, read_map
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
@@ -31,13 +30,14 @@ from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines import learning
+from specmap_cli.pipelines import laying_out
 from specmap_cli.pipelines.build import explore, map_log
-from specmap_cli.pipelines.exploration import Exploration, Explored, online_labels
-from specmap_cli.pipelines.finished_map import FinishedMap
+from specmap_cli.pipelines.exploration import Exploration, online_labels
 from specmap_cli.pipelines.finishing import finish
-from specmap_cli.pipelines.refutation import REFUTED, constraints_of, refute
-from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.laying_out import REFUTED, constraints_of, lay_out, refute
+from specmap_cli.pipelines.learning import Prior
+from specmap_cli.pipelines.map_in_making import Explored, FinishedMap
+from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.registration.frontend import FrontEnd
 from specmap_cli.simulation.worlds import RoomTruth
@@ -71,12 +71,14 @@ def explored_by(
 ) -> Explored:
     """What Algorithm 1 finds in scans."""
     accepts = accepts or KeyframeSelector(config.keyframes).accepts
-    return explore(scans, Exploration(config, store, Stopwatch(), None), accepts, Silent())
+    return explore(scans, Exploration(Session(config, store)), accepts)
 
 
 def finished_by(explored: Explored, store: KeyframeStore, config: Config) -> FinishedMap:
     """The map of what was explored."""
-    return finish(explored, TRACKED, config, store, Silent(), Stopwatch())
+    session = Session(config, store)
+    laid = lay_out(session, explored, TRACKED, "flat.mcap")
+    return finish(session, laid, Prior(explored.features))
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +148,7 @@ def test_a_map_can_be_laid_out_again_from_its_directory_alone(flat_map: StoredMa
 
 
 def test_what_was_explored_and_finished_cannot_be_changed(flat_done: Finished) -> None:
-    for value, name in ((flat_done.explored, "breaks"), (flat_done.finished, "labels")):
+    for value, name in ((flat_done.explored, "breaks"), (flat_done.finished, "laid")):
         with pytest.raises(FrozenInstanceError):
             setattr(value, name, ())
     assert isinstance(flat_done.explored.closures, tuple)
@@ -201,7 +203,7 @@ def test_scans_are_not_kept_in_memory(flat_tour: Tour) -> None:
 def test_without_a_consistent_layout_the_online_submaps_stay(
     flat_done: Finished, settings: dict[str, dict[str, bool]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(learning, "regions_of")
+    monkeypatch.delattr(laying_out, "regions_of")
     little = {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
     config = load_config(None, None if settings else "paper", {**little, **settings})
     with KeyframeStore() as store:
@@ -239,7 +241,7 @@ def test_a_merge_that_the_layout_drops_is_taken_back(flat_done: Finished) -> Non
     constraints = constraints_of(closures, explored.regions, store)
     assert set(constraints) == {(c.old, c.new) for c in merged}
     finished = finished_by(replace(explored, closures=closures), store, QUICK)
-    kept = refute(closures, constraints, finished.layout)
+    kept = refute(closures, constraints, finished.laid.layout)
     assert [c.reason for c in kept if c.reason == REFUTED] == [REFUTED]
     for before, after in zip(closures, kept, strict=True):
         if before is wrong:
@@ -331,9 +333,9 @@ class TestBuildMap:
 
     def test_a_log_is_mapped_into_a_store_of_the_caller(self, tiny_log: Path) -> None:
         with open_log(tiny_log) as log, KeyframeStore() as store:
-            finished = map_log(SweepStream(log, QUICK.log), QUICK, store, Silent())
+            finished = map_log(Session(QUICK, store), SweepStream(log, QUICK.log))
             assert len(finished.labels.stamps_ns) == len(store)
-            assert finished.counts["scans"] == 61
+            assert finished.laid.counts["scans"] == 61
             assert finished.labels.stamps_ns.tolist() == list(store.stamps_ns)
 
 

@@ -21,9 +21,9 @@ from specmap_cli.pipelines.compare import (
     SUMMARY,
     Comparison,
     compare_maps,
+    lines_of,
     write_comparison,
 )
-from specmap_cli.pipelines.comparison_report import lines_of
 from tests.flats import Mapped
 
 

@@ -18,12 +18,12 @@ from specmap_cli.core.geometry import nearest_motion
 from specmap_cli.core.progress import Silent
 from specmap_cli.exports.table import export_map
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines.edit import EditReport, edit_map
-from specmap_cli.pipelines.likeness import build_like
+from specmap_cli.pipelines.edit import edit_map
+from specmap_cli.pipelines.edits import RequestedEdits
 from specmap_cli.pipelines.merge import merge_maps
+from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.segment import segment_map
-from specmap_cli.pipelines.update import update_map
-from specmap_cli.pipelines.wishes import Wishes
+from specmap_cli.pipelines.update import build_like, update_map
 from tests.conftest import SAMPLE_LOGS
 from tests.flats import QUICK, Mapped
 
@@ -92,7 +92,7 @@ class TestNames:
         room = built.rooms[0]
         (own / "notes.txt").write_text("mine", encoding="utf-8")
         (own / "keyframes.mcap").unlink()  # nothing needs them
-        wishes = Wishes(
+        wishes = RequestedEdits(
             names={room: "Küche"}, kinds={room: "hall"}, properties={room: {"floor": 2, "to": None}}
         )
         report = edit_map(own, wishes)
@@ -112,10 +112,10 @@ class TestNames:
         room = built.rooms[0]
         edit_map(own)
         picture = bytes_of(own, "overview.png")
-        edit_map(own, Wishes(names={room: "Küche"}, kinds={room: "hall"}))
-        edit_map(own, Wishes(names={room: ""}))
+        edit_map(own, RequestedEdits(names={room: "Küche"}, kinds={room: "hall"}))
+        edit_map(own, RequestedEdits(names={room: ""}))
         assert read_map(own).record.nodes[room].name == f"submap {room}"
-        edit_map(own, Wishes(forget=(room,)))
+        edit_map(own, RequestedEdits(forget=(room,)))
         assert bytes_of(own, "topology.json") == bytes_of(built.map, "topology.json")
         assert bytes_of(own, "overview.png") == picture
 
@@ -133,15 +133,15 @@ class TestNames:
         document = json.loads((own / "topology.json").read_text(encoding="utf-8"))
         document["nodes"][0] |= {"name": "Hall", "properties": {"floor": 2}}
         (own / "topology.json").write_text(json.dumps(document), encoding="utf-8")
-        report = edit_map(own, Wishes(names={1: "Lab"}))
+        report = edit_map(own, RequestedEdits(names={1: "Lab"}))
         assert read_map(own).names == {0: "Hall", 1: "Lab"}
         assert report.edits.submaps[0].properties == {"floor": 2}
 
     def test_edits_that_the_map_shows_must_not_be_lost_unsaid(self, own: Path) -> None:
-        edit_map(own, Wishes(names={0: "Hall"}))
+        edit_map(own, RequestedEdits(names={0: "Hall"}))
         (own / "edits.toml").unlink()
         with pytest.raises(MapError, match=r"edits\.toml: is missing, but the map shows edits"):
-            edit_map(own, Wishes(names={1: "Lab"}))
+            edit_map(own, RequestedEdits(names={1: "Lab"}))
 
     def test_a_finished_grid_has_names_and_forbidden_doors(self, tmp_path: Path) -> None:
         segment_map(SAMPLE_LOGS / "office.yaml", tmp_path / "seg", QUICK)
@@ -149,12 +149,12 @@ class TestNames:
         edge = stored.record.edges[0]
         picture = bytes_of(tmp_path / "seg", "overview.png")
         pair = [edge.source, edge.target]
-        report = edit_map(stored, Wishes(names={0: "Lab"}, changes=({"forbid": pair},)))
+        report = edit_map(stored, RequestedEdits(names={0: "Lab"}, changes=({"forbid": pair},)))
         assert report.forbidden == (tuple(pair),)
         assert read_map(tmp_path / "seg").names == {0: "Lab"}
         assert bytes_of(tmp_path / "seg", "overview.png") != picture
         with pytest.raises(MapError, match=r"has no keyframes\.mcap: merges and splits need"):
-            edit_map(tmp_path / "seg", Wishes(changes=({"merge": pair},)))
+            edit_map(tmp_path / "seg", RequestedEdits(changes=({"merge": pair},)))
 
 
 @dataclass(frozen=True)
@@ -178,11 +178,11 @@ def remade(built: Built, tmp_path_factory: pytest.TempPathFactory) -> Remade:
     (old / "run.json").write_text(json.dumps(run), encoding="utf-8")
     wish = split(read_map(old), built.corridor)
     divided = edit_map(
-        old, Wishes(changes=(wish,), names={built.rooms[0]: "Lab"}), folder / "divided"
+        old, RequestedEdits(changes=(wish,), names={built.rooms[0]: "Lab"}), folder / "divided"
     )
-    joined = Wishes(changes=({"merge": [built.corridor, built.rooms[0]]},))
+    joined = RequestedEdits(changes=({"merge": [built.corridor, built.rooms[0]]},))
     merged = edit_map(divided.out, joined, folder / "merged")
-    undone = edit_map(merged.out, Wishes(undo=(1, 2)), folder / "undone")
+    undone = edit_map(merged.out, RequestedEdits(undo=(1, 2)), folder / "undone")
     assert all(report.remade for report in (divided, merged, undone))
     return Remade(
         before=read_map(built.map),
@@ -236,24 +236,30 @@ class TestBorders:
         before = {path.name: path.read_bytes() for path in own.iterdir() if path.is_file()}
         for wishes, complaint in (
             (
-                Wishes(changes=({"merge": [0, 99]},)),
+                RequestedEdits(changes=({"merge": [0, 99]},)),
                 "cannot merge 99 into 0: there is no submap 99",
             ),
             (
-                Wishes(changes=({"split": 0, "line": [[90, 90], [91, 91]]},)),
+                RequestedEdits(changes=({"split": 0, "line": [[90, 90], [91, 91]]},)),
                 "the line does not cross submap 0",
             ),
-            (Wishes(changes=({"forbid": list(built.rooms[:2])},)), "there is no link between"),
             (
-                Wishes(
+                RequestedEdits(changes=({"forbid": list(built.rooms[:2])},)),
+                "there is no link between",
+            ),
+            (
+                RequestedEdits(
                     changes=({"merge": list(built.rooms[:2])}, {"forbid": list(built.rooms[:2])})
                 ),
                 "there is no link between",
             ),
-            (Wishes(names={99: "x"}), "there is no submap 99 to name or to describe"),
-            (Wishes(names={0: " x"}), "must be one line of printable characters"),
-            (Wishes(kinds={0: "cellar"}), "Input should be 'room', 'corridor' or 'hall'"),
-            (Wishes(undo=(1,)), "--undo 1: there is no such change: edits.toml has 0 changes"),
+            (RequestedEdits(names={99: "x"}), "there is no submap 99 to name or to describe"),
+            (RequestedEdits(names={0: " x"}), "must be one line of printable characters"),
+            (RequestedEdits(kinds={0: "cellar"}), "Input should be 'room', 'corridor' or 'hall'"),
+            (
+                RequestedEdits(undo=(1,)),
+                "--undo 1: there is no such change: edits.toml has 0 changes",
+            ),
         ):
             notes = Notes()
             with pytest.raises(UsageError, match=complaint):
@@ -266,7 +272,7 @@ class TestBorders:
         text = "[submaps.99]\nname = 'Attic'\n[[changes]]\nmerge = [0, 99]\n"
         (own / "edits.toml").write_text(text, encoding="utf-8")
         notes = Notes()
-        report = edit_map(own, Wishes(names={0: "Lab"}), progress=notes)
+        report = edit_map(own, RequestedEdits(names={0: "Lab"}), progress=notes)
         assert report.unapplied == (
             "submaps.99: there is no submap 99",
             "changes, number 1: there is no submap 99",
@@ -278,7 +284,7 @@ class TestBorders:
 
 @pytest.fixture(scope="module")
 def shut(built: Built, tmp_path_factory: pytest.TempPathFactory) -> EditReport:
-    wishes = Wishes(changes=({"forbid": [built.rooms[0], built.corridor]},))
+    wishes = RequestedEdits(changes=({"forbid": [built.rooms[0], built.corridor]},))
     return edit_map(built.map, wishes, tmp_path_factory.mktemp("shut") / "map")
 
 
@@ -306,17 +312,17 @@ class TestForbiddenDoors:
         edge = read_map(own).topology.edges[min(pair), max(pair)]
         assert edge.crossing is not None
         x, y = edge.crossing
-        far = Wishes(changes=({"forbid": pair, "at": [x + 5.0, y]},))
+        far = RequestedEdits(changes=({"forbid": pair, "at": [x + 5.0, y]},))
         with pytest.raises(UsageError, match=r"no door between the two is within 2 m of"):
             edit_map(own, far)
-        near = Wishes(changes=({"forbid": pair, "at": [x + 0.2, y]},))
+        near = RequestedEdits(changes=({"forbid": pair, "at": [x + 0.2, y]},))
         assert edit_map(own, near).forbidden == ((min(pair), max(pair)),)
 
     def test_it_holds_for_what_the_submaps_become(
         self, built: Built, shut: EditReport, tmp_path: Path
     ) -> None:
         room, other = built.rooms[:2]
-        wishes = Wishes(changes=({"merge": [other, room]},))
+        wishes = RequestedEdits(changes=({"merge": [other, room]},))
         report = edit_map(shut.out, wishes, tmp_path / "map")
         assert report.forbidden == (tuple(sorted((other, built.corridor))),)
 
@@ -324,14 +330,14 @@ class TestForbiddenDoors:
         self, built: Built, own: Path
     ) -> None:
         wish = split(read_map(own), built.corridor)
-        edit_map(own, Wishes(changes=(wish,)))
+        edit_map(own, RequestedEdits(changes=(wish,)))
         stored = read_map(own)
         new = stored.topology.next_id - 1
         ends = [
             pair for pair in stored.topology.edges if new in pair and built.corridor not in pair
         ]
-        edit_map(own, Wishes(changes=({"forbid": list(ends[0])},)))
-        report = edit_map(own, Wishes(undo=(1,)))
+        edit_map(own, RequestedEdits(changes=({"forbid": list(ends[0])},)))
+        report = edit_map(own, RequestedEdits(undo=(1,)))
         (room,) = set(ends[0]) - {new}
         assert report.unapplied == ()
         assert report.forbidden == ((min(room, built.corridor), max(room, built.corridor)),)
@@ -341,7 +347,7 @@ class TestForbiddenDoors:
 def edited(built: Built, tmp_path_factory: pytest.TempPathFactory) -> EditReport:
     """A room named, described and shut off, the corridor divided, and a word about no submap."""
     room, before = built.rooms[0], read_map(built.map)
-    wishes = Wishes(
+    wishes = RequestedEdits(
         names={room: "Küche"},
         kinds={room: "hall"},
         properties={room: {"floor": 2}},
@@ -384,7 +390,7 @@ def test_edits_survive_another_recording(
     cells = np.argwhere(old.regions.owner == new)
     there = stored.regions.owners(old.map_grid.centres_of(cells))
     assert (there == new).mean() > 0.9
-    undone = edit_map(stored, Wishes(undo=(1,)), tmp_path / "undone")
+    undone = edit_map(stored, RequestedEdits(undo=(1,)), tmp_path / "undone")
     assert new not in undone.names
     assert other in undone.names
 
@@ -396,7 +402,7 @@ def test_a_merged_map_has_the_edits_of_both(
     (link,) = (edge for edge in second.record.edges if edge.target == max(second.ids))
     wish = {"forbid": [link.source, link.target], "at": [link.x, link.y]}
     names = {link.source: "Annex", link.target: "Annex 2"}
-    edit_map(second, Wishes(names=names, changes=(wish,)), tmp_path / "second")
+    edit_map(second, RequestedEdits(names=names, changes=(wish,)), tmp_path / "second")
     merge_maps([edited.out, tmp_path / "second"], tmp_path / "both", QUICK)
     both = read_map(tmp_path / "both")
     assert both.names[built.rooms[0]] == "Küche"
@@ -414,9 +420,9 @@ def test_borders_moved_in_a_later_map_are_moved_in_the_merged_one(
     room = next(id_ for id_ in second.ids if id_ != corridor)
     plain = merge_maps([own, second], tmp_path / "plain", QUICK)
     changes = (split(second, corridor), {"merge": [corridor, room]})
-    new = max(edit_map(second, Wishes(changes=changes)).names)
-    edit_map(read_map(second.path), Wishes(names={new: "Far end", corridor: "Hall"}))
-    edit_map(own, Wishes(names={plain.ids["second"][corridor]: "Lobby"}))
+    new = max(edit_map(second, RequestedEdits(changes=changes)).names)
+    edit_map(read_map(second.path), RequestedEdits(names={new: "Far end", corridor: "Hall"}))
+    edit_map(own, RequestedEdits(names={plain.ids["second"][corridor]: "Lobby"}))
     with (second.path / "edits.toml").open("a", encoding="utf-8") as file:
         file.write(f"\n[[changes]]\nmerge = [{corridor}, 99]\n")
     report = merge_maps([own, second.path], tmp_path / "both", QUICK)
@@ -436,5 +442,5 @@ def test_borders_moved_in_a_later_map_are_moved_in_the_merged_one(
         edited.labels.poses[:, :2], both.labels.poses[-len(edited.labels.poses) :, :2]
     )
     assert (edited.regions.owners(motion.inverse().apply(places)) == new).mean() > 0.8
-    undone = edit_map(both, Wishes(undo=(1, 2)), tmp_path / "undone")
+    undone = edit_map(both, RequestedEdits(undo=(1, 2)), tmp_path / "undone")
     assert sorted(undone.names) == read_map(tmp_path / "plain").ids

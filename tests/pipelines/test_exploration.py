@@ -11,7 +11,7 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.records import Closure, IntArray, Trajectory
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.pipelines.exploration import Exploration
-from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.session import Session
 from specmap_cli.segmentation.online import Region
 
 
@@ -38,18 +38,18 @@ def test_a_region_that_grew_is_compared_again_whole_and_the_last_word_counts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(Exploration, "_neighbours", Mock(return_value={}))
+    monkeypatch.setattr(Exploration, "_stay", lambda self, number: list(self.regions[number]))
     with KeyframeStore() as store:
-        exploration = Exploration(load_config(), store, Stopwatch(), None)
-        exploration._way_m.extend([0.0, 1.0, 2.0, 3.0])
-        recogniser = exploration.recogniser = Mock(features=None)
-        recogniser.consider.side_effect = [[], [closure(0, 1, merged=False)]]
-        recogniser.again.return_value = [closure(1, 0, merged=True)]
-        recogniser.leftovers.return_value = []
+        exploration = Exploration(Session(load_config(), store))
+        closer = exploration.closer = Mock()
+        closer.consider.side_effect = [[], [closure(0, 1, merged=False)]]
+        closer.consider_again.return_value = [closure(1, 0, merged=True)]
+        closer.consider_leftovers.return_value = []
         exploration.recognise([Region(0, (0, 1), None), Region(1, (2,), None), Region(2, (3,), 1)])
         exploration.recognise_leftovers()
-        assert recogniser.grow.mock_calls == [call(1, [2, 3], 1.0)]
-        assert recogniser.again.mock_calls == [call(1)]
+        assert closer.grow.mock_calls == [call([2, 3])]
+        assert closer.consider_again.mock_calls == [call(1)]
         explored = exploration.explored(Trajectory(stamps(), np.zeros((0, 3))))
         assert explored.closures == (closure(1, 0, merged=True),)
         assert explored.regions == {0: (0, 1), 1: (2, 3)}
-        recogniser.closer.merge.assert_called_once_with(1, 0)
+        closer.merge.assert_called_once_with(1, 0)

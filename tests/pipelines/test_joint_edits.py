@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
-from specmap_cli.core.records import Labels, Trajectory
+from specmap_cli.core.records import IntArray, Labels, Trajectory
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.maps.edits import Change, Edits, ForbidEdit, MergeEdit, SplitEdit, SubmapEdit
-from specmap_cli.pipelines.joint_edits import JointEdits, edits_of_both
-from specmap_cli.pipelines.kept_map import KeptMap
+from specmap_cli.pipelines.joining import with_edits_of
+from specmap_cli.pipelines.map_in_making import LaidOut
 from specmap_cli.topology.topological_map import LogInfo
 
 OWN = np.repeat([0, 1, 2, 3], 5)  # the submaps of the newer map's keyframes, a metre apart
 POSES = np.column_stack([np.arange(20.0), np.zeros(20), np.zeros(20)])
 
 
-def kept(*changes: Change, submaps: dict[int, SubmapEdit] | None = None) -> KeptMap:
+def kept(*changes: Change, submaps: dict[int, SubmapEdit] | None = None) -> LaidOut:
     stamps = np.arange(20, dtype=np.int64)
-    return KeptMap(
+    return LaidOut(
         layout=Layout(poses=POSES, nodes=np.arange(20)),
         labels=Labels(stamps_ns=stamps, poses=POSES, submaps=OWN),
         trajectory=Trajectory(stamps_ns=stamps, poses=POSES),
@@ -36,10 +37,21 @@ def kept(*changes: Change, submaps: dict[int, SubmapEdit] | None = None) -> Kept
     )
 
 
-def both(new: KeptMap, became: list[int], where: Pose2 = IDENTITY) -> JointEdits:
-    """With an older map that was never edited; `became` are joint submaps, five keyframes each."""
-    older = replace(kept(), logs=())
-    return edits_of_both(older, new, np.repeat(became, 5), where, 20)
+def both(
+    new: LaidOut,
+    became: Sequence[int] | IntArray,
+    where: Pose2 = IDENTITY,
+    *,
+    submaps: dict[int, SubmapEdit] | None = None,
+) -> LaidOut:
+    """The joint map: `became` are the submaps of the new keyframes, or of five of them each.
+
+    Of the older map's `submaps` something was said.
+    """
+    own = np.repeat(became, 20 // len(became))
+    older = kept(submaps=submaps)
+    joint = replace(older, labels=replace(older.labels, submaps=own), next_id=20)
+    return with_edits_of(joint, new, where)
 
 
 def test_changes_name_what_the_submaps_became() -> None:
@@ -69,7 +81,7 @@ def test_what_is_one_already_is_not_merged_again() -> None:
 def test_the_submap_at_the_line_is_cut(x: float, cut: int) -> None:
     new = kept(SplitEdit(split=0, line=((x, -1.0), (x, 1.0)), new=8))
     spread = np.array([11, 11, 11, 12, 12, *[13] * 15])
-    found = edits_of_both(replace(kept(), logs=()), new, spread, IDENTITY, 20)
+    found = both(new, spread)
     (change,) = found.edits.changes
     assert isinstance(change, SplitEdit)
     assert change.split == cut
@@ -81,8 +93,8 @@ def test_what_says_nothing_of_the_joint_map_is_told() -> None:
         ForbidEdit(forbid=(7, 1)),
         submaps={0: SubmapEdit(name="Hall", kind="hall"), 7: SubmapEdit(name="Attic")},
     )
-    older = replace(kept(submaps={11: SubmapEdit(name="Lobby", properties={"floor": 2})}), logs=())
-    found = edits_of_both(older, new, np.repeat([11, 12, 13, 14], 5), IDENTITY, 20)
+    earlier = {11: SubmapEdit(name="Lobby", properties={"floor": 2})}
+    found = both(new, [11, 12, 13, 14], submaps=earlier)
     assert found.edits.submaps == {
         11: SubmapEdit(name="Lobby", kind="hall", properties={"floor": 2})
     }
@@ -99,5 +111,5 @@ def test_a_submap_that_went_to_very_many_is_the_commonest_of_them() -> None:
     own = new.labels.submaps.copy()
     own[:] = np.repeat([0, 1], [19, 1])
     new = replace(new, labels=replace(new.labels, submaps=own))
-    found = edits_of_both(replace(kept(), logs=()), new, np.arange(30, 50), IDENTITY, 60)
+    found = both(new, np.arange(30, 50))
     assert found.edits.changes == (ForbidEdit(forbid=(30, 49)),)

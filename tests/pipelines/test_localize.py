@@ -23,16 +23,16 @@ from specmap_cli.drawing.palette import colours_of, vivid
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines.localization_report import (
+from specmap_cli.pipelines.localize import (
     HEADER,
     METRIC_HEADER,
     LocalizationReport,
     LocalizedScan,
     picture_of,
+    settings_for,
     table_of,
     write_report,
 )
-from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.recognition.localization.localizer import Label
 from specmap_cli.recognition.localization.metric import Fix

@@ -16,11 +16,11 @@ from specmap_cli.core.errors import InputError, NoResultError, UsageError
 from specmap_cli.evaluation.trajectories import read_tum, reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines.known_maps import PairOfMaps
-from specmap_cli.pipelines.likeness import build_like
 from specmap_cli.pipelines.merge import merge_maps
-from specmap_cli.pipelines.merge_report import MergeReport
+from specmap_cli.pipelines.overlaps import PairOfMaps
+from specmap_cli.pipelines.reports import MergeReport
 from specmap_cli.pipelines.simulate import SimulationResult
+from specmap_cli.pipelines.update import build_like
 from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.simulation.simulator import SimulationOptions
 from tests.flats import QUICK, Mapped, mapped

@@ -12,11 +12,9 @@ from specmap_cli.core.records import IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.layout.relaxation import Layout
-from specmap_cli.pipelines.kept_map import KeptMap, Seen
-from specmap_cli.pipelines.redivision import redivided
+from specmap_cli.pipelines.map_in_making import LaidOut
 from specmap_cli.pipelines.thinning import Thinned
-from specmap_cli.recognition.closure.known_map import KnownMap
-from specmap_cli.topology.regions import divide
+from specmap_cli.pipelines.update import redivided
 
 CONFIG = Config()
 SIDE_M = 4.1  # of a room and a wall
@@ -38,9 +36,9 @@ def way(start_m: float, end_m: float) -> FloatArray:
     return np.column_stack([x, np.full_like(x, 2.2), np.zeros_like(x)])
 
 
-def kept(poses: FloatArray, submaps: IntArray, loose: tuple[int, ...] = ()) -> KeptMap:
+def kept(poses: FloatArray, submaps: IntArray, loose: tuple[int, ...] = ()) -> LaidOut:
     stamps = np.arange(len(poses), dtype=np.int64)
-    return KeptMap(
+    return LaidOut(
         layout=Layout(poses=poses, loose=loose),
         labels=Labels(stamps_ns=stamps, poses=poses, submaps=submaps),
         trajectory=Trajectory(stamps_ns=stamps, poses=poses),
@@ -53,23 +51,21 @@ def kept(poses: FloatArray, submaps: IntArray, loose: tuple[int, ...] = ()) -> K
     )
 
 
-def updated(whole: GridMap, loose: tuple[int, ...] = ()) -> tuple[KeptMap, IntArray]:
+def updated(whole: GridMap, loose: tuple[int, ...] = ()) -> tuple[LaidOut, IntArray]:
     """The map, and the room of each keyframe: the old robot left out the middle room."""
     first = np.concatenate([way(1.0, 3.5), way(9.5, 11.5)])
     second = way(1.5, 11.0)
     rooms = (np.concatenate([first, second])[:, 0] // SIDE_M).astype(np.int64)
-    before = kept(first, np.minimum(rooms[: len(first)], 1))
-    old = Seen(
-        before, divide(whole, before.labels), KnownMap(whole=whole, grids={}, frames={}, tracks={})
-    )
-    provisional = np.concatenate([before.labels.submaps, np.zeros(len(second), dtype=np.int64)])
+    old = replace(kept(first, np.minimum(rooms[: len(first)], 1)), drawn=whole)
+    provisional = np.concatenate([old.labels.submaps, np.zeros(len(second), dtype=np.int64)])
     joint = kept(np.concatenate([first, second]), provisional, loose)
     left = np.flatnonzero(np.arange(len(rooms)) % 7 != 3)  # some were let go
     labels = Labels(
         stamps_ns=left, poses=joint.layout.poses[left], submaps=joint.labels.submaps[left]
     )
-    fewer = Thinned(replace(joint, labels=labels), left, int((left < len(first)).sum()))
-    return redivided(old, joint, fewer, whole, CONFIG), rooms[left]
+    drawn = replace(joint, labels=labels, drawn=whole)
+    fewer = Thinned(drawn, left, int((left < len(first)).sum()))
+    return redivided(old, joint, fewer, CONFIG).laid, rooms[left]
 
 
 def test_a_room_that_was_entered_is_a_submap_whoever_looked_into_it(whole: GridMap) -> None:

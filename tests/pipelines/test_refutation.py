@@ -7,7 +7,7 @@ import pytest
 
 from specmap_cli.core.geometry import wrap_angles
 from specmap_cli.layout.nearby_passes import METRES_A_RADIAN
-from specmap_cli.pipelines.refutation import nearest_pair
+from specmap_cli.pipelines.laying_out import nearest_pair
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
-from specmap_cli.pipelines.stopwatch import Stopwatch
-from specmap_cli.pipelines.trajectory import TrajectoryRecorder
+from specmap_cli.pipelines.session import Stopwatch
+from specmap_cli.pipelines.tracking import TrajectoryRecorder
 
 SCAN = PlanarScan(0, np.zeros(0), np.zeros(0), 1.0, False)
 

@@ -14,15 +14,14 @@ from specmap_cli import build_map, read_map
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines.localize import classifiers_of
-from specmap_cli.pipelines.stored_lessons import (
+from specmap_cli.pipelines.learning import (
     arrays_of,
     comparable,
     lessons_left,
     lessons_of_stored,
 )
-from specmap_cli.recognition.learning.holding_out import Samples
-from specmap_cli.recognition.learning.lessons import Lessons
+from specmap_cli.pipelines.localize import classifiers_of
+from specmap_cli.recognition.learning.training_data import Samples, TrainingData
 from tests.flats import QUICK
 
 
@@ -33,7 +32,7 @@ def samples(*keyframes: int) -> Samples:
 
 def test_features_survive_the_file_in_half_precision() -> None:
     large = Samples(np.array([[1.0 / 3.0, 1e9], [-1e9, 0.0]]), np.array([2, 5], dtype=np.intp))
-    arrays = arrays_of(Lessons(large, samples(), samples(), samples()))
+    arrays = arrays_of(TrainingData(large, samples(), samples(), samples()))
     assert arrays["raw"].T.tolist() == [[0.333251953125, 65504.0], [-65504.0, 0.0]]
     assert arrays["raw_keyframes"].tolist() == [2, 5]
     assert arrays["raw"].dtype == np.float16
@@ -140,13 +139,13 @@ BEFORE = labels(ROW, [0, 0, 0, 1, 1, 1])
 def test_scans_cast_in_a_grid_hold_while_the_submap_is_as_it_was(
     left: list[int], now: Labels, cast: list[int]
 ) -> None:
-    lessons = Lessons(samples(0, 5), samples(), samples(1), samples(0, 2, 3, 5))
+    lessons = TrainingData(samples(0, 5), samples(), samples(1), samples(0, 2, 3, 5))
     found = lessons_left(lessons, BEFORE, now, np.array(left), 0.05)
     assert found.cast.keyframes.tolist() == cast
 
 
 def test_lessons_of_a_map_behind_another_are_numbered_behind_it() -> None:
-    lessons = Lessons(samples(0, 5), samples(2), samples(1), samples(0, 5))
+    lessons = TrainingData(samples(0, 5), samples(2), samples(1), samples(0, 5))
     now = labels([*ROW, *ROW], [7, 7, 7, 0, 0, 0, 0, 0, 0, 1, 1, 1])
     found = lessons_left(lessons, BEFORE, now, np.arange(6), 0.05, first=6)
     assert found.raw.keyframes.tolist() == [6, 11]
@@ -156,7 +155,7 @@ def test_lessons_of_a_map_behind_another_are_numbered_behind_it() -> None:
 
 
 def test_scans_cast_in_two_submaps_that_are_one_now_do_not_hold() -> None:
-    lessons = Lessons(samples(), samples(), samples(), samples(0, 5))
+    lessons = TrainingData(samples(), samples(), samples(), samples(0, 5))
     now = labels(ROW, [0] * 6)
     found = lessons_left(lessons, BEFORE, now, np.arange(6), 0.05)
     assert found.cast.keyframes.tolist() == []

@@ -19,9 +19,9 @@ from specmap_cli.evaluation.trajectories import read_tum, reference_errors
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.features_file import write_features
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.pipelines.reports import UpdateReport
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.pipelines.update import update_map
-from specmap_cli.pipelines.update_report import UpdateReport
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.topology.identity import BorderChange
 from specmap_cli.topology.regions import NOBODY

@@ -11,8 +11,7 @@ import pytest
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration import SensorKind
-from specmap_cli.registration.aligner import AlignerFactory
-from specmap_cli.registration.methods import BUILT_IN
+from specmap_cli.registration.aligner import BUILT_IN, AlignerFactory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

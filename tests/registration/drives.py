@@ -12,8 +12,7 @@ from specmap_cli.core.records import PlanarScan, PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration import Aligner, FrontEnd, SensorKind
-from specmap_cli.registration.local_map import LocalMap
-from specmap_cli.registration.scene import Scene
+from specmap_cli.registration.local_map import LocalMap, Scene
 from specmap_cli.registration.sweep_view import SweepView
 from tests.casting import ranges_at
 from tests.turning import configured
@@ -122,7 +121,16 @@ def view_of_points(points: FloatArray, looked_m: float = 40.0) -> SweepView:
     """A view whose points (N, 2) are all there is, of a laser that looked so far all round."""
     cloud = np.column_stack([points, np.zeros(len(points))])
     planar = circle(0, np.full(90, looked_m)).planar
-    return SweepView(planar=planar, cloud=cloud, sparse=cloud[::2], walls=points, probe=points[::2])
+    return SweepView(
+        planar=planar,
+        cloud=cloud,
+        sparse=cloud[::2],
+        walls=points,
+        probe=points[::2],
+        dense=cloud,
+        base_from_laser=IDENTITY,
+        reach_m=np.inf,
+    )
 
 
 def scene_of(

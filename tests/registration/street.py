@@ -7,7 +7,7 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.planar import CloudFlattener
+from specmap_cli.logs.clouds import CloudFlattener
 
 HEIGHT_M, REACH_M = 1.8, 60.0  # of the lidar above the road; of its rays
 RINGS, COLUMNS = 64, 900

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.registration.deskew import deskewed, moved_returns, usable_times
+from specmap_cli.registration.sweep_view import deskewed, moved_returns, usable_times
 
 PERIOD_S = 0.1
 

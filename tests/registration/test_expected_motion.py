@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.registration.expected_motion import ExpectedMotion, LargestMotions, MotionModel
+from specmap_cli.registration.motion import ExpectedMotion, MotionModel
 from tests.registration.drives import circle
-from tests.strategies import poses, seeds
+from tests.strategies import poses
 
 BEAMS = np.ones(4)
 
@@ -172,17 +172,6 @@ def test_two_confirmed_motions_widen_what_is_carried_on() -> None:
     assert carried == [0.5, 0.5, 2.0]
     model.conclude(Pose2(9.0, -0.5, 0.3))
     assert model.expect(sweep()).carried == Pose2(3.0, -0.2, 0.3)
-
-
-@given(seeds)
-def test_the_two_largest_motions_are_those_of_all(seed: int) -> None:
-    motions = np.random.default_rng(seed).normal(size=(12, 3))
-    largest = LargestMotions()
-    for motion in motions.tolist():
-        largest = largest.with_motion(Pose2(*motion))
-    sizes = -np.sort(-np.abs(motions), axis=0)[:2]
-    found = (largest.forward_m, largest.sideways_m, largest.turn_rad)
-    assert np.allclose(np.array(found).T, sizes)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.registration.fixed_directions import fixed_directions
+from specmap_cli.registration.motion import fixed_directions
 
 AHEAD, ASIDE = Pose2(0.5, 0.0, 0.0), Pose2(0.0, 0.5, 0.0)
 

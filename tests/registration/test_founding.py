@@ -12,7 +12,7 @@ from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration import FrontEnd
-from specmap_cli.registration.founding import Founding, looked_through
+from specmap_cli.registration.judgement import Founding, looked_through
 from tests.registration.drives import circle, path, sweeps, worst
 
 

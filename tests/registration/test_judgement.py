@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,10 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.registration.judgement import Verdict, judge, needed_score
+from specmap_cli.registration.guess import MotionGuess
+from specmap_cli.registration.judgement import Judgement, judge
+from specmap_cli.registration.local_map import Fit, Support
 from specmap_cli.registration.locating import Located
-from specmap_cli.registration.scene import Fit, Support
-from tests.turning import turned
+from specmap_cli.registration.motion import ExpectedMotion
 
 GUESS = Pose2(2.0, 1.0, 0.5)
 
@@ -30,8 +29,8 @@ def judged(
     wide_searched: bool = False,
     measured: bool = True,
     unaligned: bool = False,
-) -> Verdict:
-    """The verdict on a result so far `away` from its guess; by default all of it could be seen."""
+) -> Judgement:
+    """What is thought of a result so far from its guess; by default all of it could be seen."""
     located = Located(
         fit=Fit(pose=(GUESS @ away).matrix(), score=score, refused=2),
         searched=searched,
@@ -40,7 +39,19 @@ def judged(
         support=support or Support(score=score, share=1.0, count=100),
         unaligned=unaligned,
     )
-    return judge(located, GUESS.matrix(), RegistrationConfig(), measured=measured)
+    expected = ExpectedMotion(
+        motion=IDENTITY,
+        carried=IDENTITY,
+        during=IDENTITY,
+        interval_s=0.1,
+        measured=measured,
+        jumped=False,
+        shortened=False,
+    )
+    guess = MotionGuess(
+        pose=GUESS.matrix(), before=GUESS.matrix(), expected=expected, by_motion=GUESS
+    )
+    return judge(located, guess, RegistrationConfig())
 
 
 @pytest.mark.parametrize(
@@ -57,17 +68,10 @@ def test_a_contradiction_must_score_well(
     searched: bool, wide: bool, measured: bool, needed: float
 ) -> None:
     for score, lost in ((needed - 0.01, True), (needed, False)):
-        verdict = judged(
+        found = judged(
             score, agrees=False, searched=searched, wide_searched=wide, measured=measured
         )
-        assert (verdict.agrees, verdict.lost) == (False, lost)
-
-
-def test_needed_scores_are_set() -> None:
-    flags = list(itertools.product((False, True), repeat=2))
-    with turned("registration.locating", POOR_SCORE=0.1, SURE_SCORE=0.2, FAIR_SCORE=0.3):
-        found = [needed_score(searched=s, far=f) for s, f in flags]
-    assert found == [0.1, 0.1, 0.3, 0.2]
+        assert (found.agrees, found.lost) == (False, lost)
 
 
 @pytest.mark.parametrize("measured", [True, False])
@@ -99,8 +103,8 @@ def test_without_odometry_a_contradiction_may_see_new_space_too() -> None:
         (half_new, True, True),
         (mostly_new, False, True),
     ):
-        verdict = judged(0.4, support, agrees=False, searched=True, measured=measured)
-        assert verdict.lost == lost
+        found = judged(0.4, support, agrees=False, searched=True, measured=measured)
+        assert found.lost == lost
 
 
 def test_a_lost_sweep_is_put_back_on_its_guess() -> None:
@@ -127,8 +131,8 @@ def test_walls_alone_prove_a_result_that_fits_well(
     score: float, share: float, unaligned: bool, certain: bool, proven: bool
 ) -> None:
     support = Support(score=score, share=share, count=60)
-    verdict = judged(0.6, support, unaligned=unaligned)
-    assert (verdict.certain, verdict.proven) == (certain, proven)
+    found = judged(0.6, support, unaligned=unaligned)
+    assert (found.certain, found.proven) == (certain, proven)
 
 
 @pytest.mark.parametrize(
@@ -143,8 +147,8 @@ def test_walls_alone_prove_a_result_that_fits_well(
 def test_what_founds_a_map_and_what_refutes_one(
     score: float, share: float, founds: bool, refutes: bool
 ) -> None:
-    verdict = judged(0.6, Support(score=score, share=share, count=40))
-    assert (verdict.founds, verdict.refutes) == (founds, refutes)
+    found = judged(0.6, Support(score=score, share=share, count=40))
+    assert (found.founds, found.refutes) == (founds, refutes)
     lost = judged(0.1)
     assert (lost.founds, lost.refutes) == (False, True)
 
@@ -156,9 +160,9 @@ def test_levelling_takes_back_tilt_and_nothing_else(
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     pose[:3, 3] = 1.0, -2.0, 0.3
-    level = Verdict(fit=Fit(pose=pose, score=0.8), agrees=False).levelled(share)
+    level = Judgement(fit=Fit(pose=pose, score=0.8), agrees=False).levelled(share)
     assert (level.fit.score, level.agrees) == (0.8, False)
     assert np.array_equal(level.fit.pose[:, 3], pose[:, 3])
     angles = Rotation.from_matrix(level.fit.pose[:3, :3]).as_euler("ZYX")
     assert angles == pytest.approx([yaw, (1 - share) * pitch, (1 - share) * roll], abs=1e-6)
-    assert np.array_equal(pose[:3, 3], [1.0, -2.0, 0.3])  # the first verdict is as it was
+    assert np.array_equal(pose[:3, 3], [1.0, -2.0, 0.3])  # the first one is as it was

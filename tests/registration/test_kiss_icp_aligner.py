@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration import Aligner, SensorKind
-from specmap_cli.registration.kiss_icp_aligner import KissIcpAligner
+from specmap_cli.registration.aligner import KissIcpAligner
 from tests.registration.drives import turned
 from tests.strategies import few
 from tests.turning import configured

@@ -13,7 +13,7 @@ from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration import FrontEnd
-from specmap_cli.registration.tally import COUNTS, warnings_of
+from specmap_cli.registration.frontend import COUNTS, warnings_of
 from tests.registration.aligners import ToldAligner, offer
 from tests.registration.drives import circle, cloud_of, path, run, sweeps, turned, worst
 

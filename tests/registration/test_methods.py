@@ -18,8 +18,7 @@ from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
 from specmap_cli.registration import FrontEnd, SensorKind
-from specmap_cli.registration.kiss_icp_aligner import KissIcpAligner
-from specmap_cli.registration.methods import GROUP, aligner_factory
+from specmap_cli.registration.aligner import GROUP, KissIcpAligner, aligner_factory
 from tests.conftest import SAMPLE_LOGS
 from tests.plugins import install
 from tests.registration.drives import cloud_of, path, run, sweeps, worst
@@ -182,7 +181,7 @@ def test_every_module_of_registration_can_be_imported_without_kiss_icp() -> None
         names = [m.name for m in pkgutil.iter_modules(registration.__path__)]
         for name in names:
             importlib.import_module(f"specmap_cli.registration.{name}")
-        assert "kiss_icp_aligner" in names and "frontend" in names
+        assert "aligner" in names and "frontend" in names
         scan = PlanarScan(stamp_ns=0, bearings=np.zeros(1), ranges=np.ones(1), range_max=5.0,
                           full_circle=False)
         sweep = Sweep(index=0, stamp_ns=0, planar=scan, base_from_laser=IDENTITY)

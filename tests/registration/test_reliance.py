@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
-from specmap_cli.registration.agreement import agrees
-from specmap_cli.registration.expected_motion import ExpectedMotion
-from specmap_cli.registration.reliance import UNKNOWN, Reliance, direction_of
+from specmap_cli.registration.guess import MotionGuess
+from specmap_cli.registration.local_map import Fit
+from specmap_cli.registration.motion import UNKNOWN, ExpectedMotion, Reliance, direction_of
 from tests.strategies import seeds
 
 BOTH = (True, True)
@@ -47,7 +47,7 @@ def learnt(motion: Pose2, away: Pose2, times: int, fixed: tuple[bool, bool] = BO
 def test_an_unknown_odometry_is_held_to_what_wheels_err(
     motion: Pose2, away: Pose2, allowed: bool
 ) -> None:
-    assert UNKNOWN.allows(motion, away) == allowed
+    assert (UNKNOWN.slacks(motion, away) < 1.0) == allowed
     assert UNKNOWN.trusted
 
 
@@ -68,9 +68,9 @@ def test_bad_odometry_widens_the_slack_and_loses_trust() -> None:
     step = Pose2(0.5, 0.0, 0.0)
     bad = learnt(step, Pose2(0.3, 0.0, 0.0), 60)  # two slacks
     assert not bad.trusted
-    assert bad.allows(step, Pose2(0.4, 0.0, 0.0))
-    assert not bad.allows(step, Pose2(0.46, 0.0, 0.0))  # never more than three slacks
-    assert not bad.allows(step, Pose2(0.0, 0.16, 0.0))  # it errs along the way alone
+    assert bad.slacks(step, Pose2(0.4, 0.0, 0.0)) < 1.0
+    assert not bad.slacks(step, Pose2(0.46, 0.0, 0.0)) < 1.0  # never more than three slacks
+    assert not bad.slacks(step, Pose2(0.0, 0.16, 0.0)) < 1.0  # it errs along the way alone
     again = bad
     for _ in range(60):
         again = again.after(step, IDENTITY, BOTH)
@@ -82,7 +82,7 @@ def test_a_fifth_of_wrong_registrations_does_not_spoil_the_measure() -> None:
     for k in range(60):
         reliance = reliance.after(step, Pose2(0.9 if k % 7 == 0 else 0.01, 0.0, 0.0), BOTH)
     assert reliance.trusted
-    assert not reliance.allows(step, Pose2(0.2, 0.0, 0.0))
+    assert not reliance.slacks(step, Pose2(0.2, 0.0, 0.0)) < 1.0
 
 
 @pytest.mark.parametrize("fixed", [(False, True), (True, False), (False, False)])
@@ -145,12 +145,22 @@ def expecting(motion: Pose2, *, measured: bool) -> ExpectedMotion:
 def test_a_motion_carried_on_errs_by_how_a_robot_speeds_up(
     away: Pose2, motion: Pose2, near: bool
 ) -> None:
-    guess = Pose2(2.0, 1.0, 0.5)
+    start = Pose2(2.0, 1.0, 0.5)
+
+    def agrees(reliance: Reliance, *, measured: bool, slacks: float = 1.0) -> bool:
+        guess = MotionGuess(
+            pose=start.matrix(),
+            before=(start @ motion.inverse()).matrix(),
+            expected=expecting(motion, measured=measured),
+            by_motion=start,
+            reliance=reliance,
+        )
+        return guess.agrees(Fit(pose=(start @ away).matrix(), score=0.5), slacks)
+
     worthless = learnt(Pose2(0.5, 0.0, 0.0), Pose2(0.9, 0.9, 0.9), 60)
     for reliance in (UNKNOWN, worthless):  # odometry's worth does not matter without it
-        expected = expecting(motion, measured=False)
-        assert agrees(guess, guess @ away, expected, reliance) == near
-    assert agrees(guess, guess @ away, expecting(motion, measured=True), worthless, 3.0)
+        assert agrees(reliance, measured=False) == near
+    assert agrees(worthless, measured=True, slacks=3.0)
 
 
 def test_slacks_count_how_far_a_result_is_off_by_place_or_turn() -> None:

@@ -16,8 +16,7 @@ from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.matching import Window
 from specmap_cli.registration.aligner import SensorKind
-from specmap_cli.registration.local_map import LocalMap
-from specmap_cli.registration.scene import Bounds, Fit
+from specmap_cli.registration.local_map import Bounds, Fit, LocalMap
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import scene_in, scene_of, turned, view_of_points
 from tests.strategies import seeds

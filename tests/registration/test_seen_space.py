@@ -11,7 +11,8 @@ from hypothesis import given
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.registration.seen_space import SeenSpace, outline_of
+from specmap_cli.registration.local_map import SeenSpace
+from specmap_cli.registration.sweep_view import outline_of
 from tests.registration.drives import circle
 from tests.strategies import seeds
 

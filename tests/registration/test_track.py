@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
-from specmap_cli.registration.track import Track
+from specmap_cli.registration.frontend import Track
 
 HERE = Pose2(2.0, 1.0, np.pi / 2)
 

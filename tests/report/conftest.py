@@ -15,7 +15,7 @@ from specmap_cli.grids.map_server import write_grid
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.report import report_map
-from specmap_cli.report.evidence import Evidence, Learned, Likeness, Look, SplitLook
+from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, TestedSplit
 from specmap_cli.report.page import render
 from specmap_cli.topology.topological_map import Door
 from tests.report.browser import Browser, BrowserGoneError, installed
@@ -66,10 +66,10 @@ def house(tmp_path: Path, result: MapResult) -> StoredMap:
 @pytest.fixture
 def evidence() -> Evidence:
     """What might be found out about the house."""
-    looks = (Look("area", 0.5), Look(HOSTILE, 0.25))
+    features = (FeatureShare("area", 0.5), FeatureShare(HOSTILE, 0.25))
     nodes = np.array([[0.0, 0.0], [1.0, 0.5], [-3.0, 3.5]])
     tests = tuple(
-        SplitLook(
+        TestedSplit(
             keyframe=keyframe,
             eigenvalues=np.array([1.0, 0.9, 0.4]),
             chosen=chosen,
@@ -80,7 +80,7 @@ def evidence() -> Evidence:
         for keyframe, chosen in ((5, 0), (12, 1), (20, 2))
     )
     return Evidence(
-        learned={1: Learned(looks=looks, scans=10, right=0.9, alike=(Likeness(2, 0.7),))},
+        learned={1: Learned(features=features, scans=10, right=0.9, alike=(Likeness(2, 0.7),))},
         fit=np.linspace(0.4, 1.0, 30),
         tests=tests,
         threshold=0.8,

@@ -12,11 +12,9 @@ import pytest
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.progress import Silent
 from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.pipelines.map_evidence import evidence_of
-from specmap_cli.pipelines.report import report_map
+from specmap_cli.pipelines.report import evidence_of, report_map
 from specmap_cli.pipelines.segment import segment_map
-from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost
-from specmap_cli.recognition.learning.looks import feature_shares
+from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost, feature_shares
 from specmap_cli.report.evidence import Evidence
 from tests.flats import Explained
 
@@ -42,7 +40,7 @@ def test_every_submap_is_told_and_likened_to_others(found: Evidence, flat_map: S
         shares = [one.share for one in learned.alike]
         assert shares == sorted(shares, reverse=True)
         assert sum(shares) == pytest.approx(1.0, abs=0.05)
-        assert sum(look.share for look in learned.looks) <= 1.0 + 1e-9
+        assert sum(one.share for one in learned.features) <= 1.0 + 1e-9
 
 
 def test_the_tests_are_those_of_the_build(
@@ -63,7 +61,7 @@ def test_a_map_without_scans_says_so(flat_map: StoredMap, tmp_path: Path) -> Non
     found = evidence_of(read_map(own), Silent())
     assert found.tests == ()
     assert found.fit is None
-    assert found.learned[0].looks
+    assert found.learned[0].features
     assert found.learned[0].scans == 0
     (note,) = found.notes
     assert "keeps no scans" in note

@@ -17,12 +17,12 @@ import pytest
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.bent import BentMotion
-from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.report.evidence import Changes, Evidence
+from specmap_cli.report.changes import Changes
+from specmap_cli.report.evidence import MOST_TESTS, Evidence
 from specmap_cli.report.layers import MOST_REFUSED
 from specmap_cli.report.page import render
-from specmap_cli.report.spectra import MOST_TESTS
+from tests.comparisons import comparison, thing, way
 from tests.report.conftest import HOSTILE
 
 LAYERS = {"regions", "walls", "badges", "doors", "ways", "track", "findings", "accepted", "refused"}
@@ -66,9 +66,20 @@ class Read(HTMLParser):
         return dict(json.loads(next(text for text in self.texts if text.startswith('{"height"'))))
 
 
-def test_whatever_somebody_wrote_stays_text(page: str) -> None:
-    read = Read(page)
+@pytest.fixture
+def read(page: str) -> Read:
+    """The page of the house, read."""
+    return Read(page)
+
+
+def classed(read: Read, name: str) -> list[dict[str, str | None]]:
+    """The paths of a class."""
+    return [each for each in read.of("path") if each.get("class") == name]
+
+
+def test_whatever_somebody_wrote_stays_text(page: str, read: Read) -> None:
     assert read.open == []
+    assert read.data["names"] == {"0": "submap 0", "1": HOSTILE, "2": "submap 2"}
     assert Counter(tag for tag, _ in read.tags)["script"] == 2  # data, and ours
     assert "<script>alert" not in page
     names = [text for text in read.texts if HOSTILE in text]
@@ -77,13 +88,7 @@ def test_whatever_somebody_wrote_stays_text(page: str) -> None:
     assert handlers == []
 
 
-def test_the_data_of_the_script_cannot_end_it(page: str) -> None:
-    read = Read(page)
-    assert read.data["names"] == {"0": "submap 0", "1": HOSTILE, "2": "submap 2"}
-
-
-def test_every_layer_is_there_and_can_be_hidden(page: str) -> None:
-    read = Read(page)
+def test_every_layer_is_there_and_can_be_hidden(read: Read) -> None:
     drawn = {attributes.get("data-layer") for _, attributes in read.tags} - {None}
     boxes = {attributes.get("data-shows") for attributes in read.of("input")} - {None}
     assert drawn >= LAYERS
@@ -92,8 +97,7 @@ def test_every_layer_is_there_and_can_be_hidden(page: str) -> None:
     assert [each for each in paths if not re.fullmatch(r"[MlhHz\d\s-]*", each or "")] == []
 
 
-def test_nothing_comes_from_elsewhere(page: str) -> None:
-    read = Read(page)
+def test_nothing_comes_from_elsewhere(page: str, read: Read) -> None:
     places = [
         value
         for _, attributes in read.tags
@@ -108,8 +112,7 @@ def test_nothing_comes_from_elsewhere(page: str) -> None:
     assert set(re.findall(r"\w+://[\w./-]+", page)) == {"http://www.w3.org/2000/svg"}
 
 
-def test_the_browser_runs_no_script_but_ours(page: str) -> None:
-    read = Read(page)
+def test_the_browser_runs_no_script_but_ours(page: str, read: Read) -> None:
     (policy,) = (each["content"] for each in read.of("meta") if each.get("http-equiv"))
     script = page.rsplit("<script>", 1)[1].split("</script>")[0]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
@@ -123,8 +126,7 @@ def test_the_same_map_gives_the_same_bytes(house: StoredMap, evidence: Evidence,
     assert len(page.encode()) < 150_000
 
 
-def test_a_submap_is_told_of_everywhere(page: str) -> None:
-    read = Read(page)
+def test_a_submap_is_told_of_everywhere(read: Read) -> None:
     marked = [tag for tag, attributes in read.tags if attributes.get("data-submap") == "1"]
     assert {"article", "tr", "g", "rect", "a"} <= set(marked)
     text = " ".join(" ".join(read.texts).split())
@@ -133,8 +135,7 @@ def test_a_submap_is_told_of_everywhere(page: str) -> None:
     assert "Of 10 of its own scans 90 % are told right" in text
 
 
-def test_doors_and_findings_are_marked_as_what_they_are(page: str) -> None:
-    read = Read(page)
+def test_doors_and_findings_are_marked_as_what_they_are(page: str, read: Read) -> None:
     groups = {each.get("id"): each.get("class") or "" for each in read.of("g")}
     assert groups["door-0"].split() == ["door", "driven"]
     assert groups["door-1"].split() == ["door", "forbidden"]
@@ -145,8 +146,7 @@ def test_doors_and_findings_are_marked_as_what_they_are(page: str) -> None:
     assert "doubtful" in page
 
 
-def test_headings_and_names_for_those_who_hear_the_page(page: str) -> None:
-    read = Read(page)
+def test_headings_and_names_for_those_who_hear_the_page(read: Read) -> None:
     assert [tag for tag, _ in read.tags if tag == "h1"] == ["h1"]
     ids = [attributes["id"] for _, attributes in read.tags if attributes.get("id")]
     assert len(ids) == len(set(ids))
@@ -164,40 +164,14 @@ def test_headings_and_names_for_those_who_hear_the_page(page: str) -> None:
 
 def changes_of(house: StoredMap) -> Changes:
     """The house against one that lies a metre beside it, with a thing gone and a way closed."""
-    figures = {
-        "map": str(house.path),
-        "names": {0: "a", 1: HOSTILE, 2: "c"},
-        **{"submaps": 3, "edges": 2, "keyframes": 30, "path_m": 1.0, "duration_s": 29.0},
-        **{"area_m2": 40.0, "verdict": None},
-    }
-    thing = {
-        **{"x": 1.0, "y": 0.0, "length_m": 1.0, "width_m": 0.5, "area_m2": 0.5},
-        "corners": [(0.5, -0.25), (1.5, -0.25), (1.5, 0.25), (0.5, 0.25)],
-        **{"old_submap": 0, "new_submap": 0},
-    }
-    empty: dict[str, list[object]] = {
-        name: []
-        for name in ("same", "split", "merged", "new", "unseen", "redrawn_old", "redrawn_new")
-    }
-    record = ComparisonRecord.model_validate(
-        {
-            "schema_version": 1,
-            **{"old": figures, "new": figures, "identical": False},
-            "alignment": {
-                **{"old_from_new": (1.0, 0.0, 0.0), "votes": 3, "submaps": 3, "area_m2": 40.0},
-                **{"walls_m": 20.0, "residual_m": 0.0, "rival": 0.1},
-            },
-            "submaps": {
-                **empty,
-                **{"gone": [2], "same": [{"old": 1, "new": 0, "iou": 0.9}]},
-                **{"new": [1], "split": [{"old": 0, "new": [2]}]},
-            },
-            "doors": {
-                "closed": [{"between": (0, 1), "x": -3.0, "y": 1.25, "width_m": 0.9}],
-                "opened": [],
-            },
-            "things": {"appeared": [], "vanished": [thing]},
-        }
+    record = comparison(
+        names=("a", HOSTILE, "c"),
+        submaps={
+            **{"gone": [2], "same": [{"old": 1, "new": 0, "iou": 0.9}]},
+            **{"new": [1], "split": [{"old": 0, "new": [2]}]},
+        },
+        closed=[way(-3.0, 1.25)],
+        vanished=[thing(1.0, 0.0, 0.5)],
     )
     moved = BentMotion(Pose2(-1.0, 0.0, 0.0))
     return Changes(old=house, record=record, lines=(f"gone: {HOSTILE}",), new_from_old=moved)
@@ -208,15 +182,13 @@ def test_what_differs_from_an_older_map_is_drawn_where_it_is(
 ) -> None:
     page = render(house, evidence, changes_of(house))
     read = Read(page)
-    (vanished,) = (each for each in read.of("path") if each.get("class") == "change-vanished")
-    (closed,) = (each for each in read.of("path") if each.get("class") == "change-closed")
-    (old,) = (each for each in read.of("path") if each.get("class") == "old-walls")
-    (new,) = (each for each in read.of("path") if each.get("class") == "walls")
+    (vanished,), (closed,), (old,), (new,) = (
+        classed(read, name) for name in ("change-vanished", "change-closed", "old-walls", "walls")
+    )
     first = [re.match(r"M(-?\d+) (-?\d+)", each["d"] or "") for each in (old, new)]
     (x, y), (u, v) = ((int(found[1]), int(found[2])) for found in first if found)
-    assert (u - x, v - y) == pytest.approx(
-        (100, 0), abs=1
-    )  # the old map lies a metre to the left of the new one
+    # the old map lies a metre to the left of the new one
+    assert (u - x, v - y) == pytest.approx((100, 0), abs=1)
     assert "l100 0 0-50-100 0z" in (vanished["d"] or "")
     assert closed["data-tip"] == "way closed: 0.9 m wide"
     was = re.findall(r"<dt>in house</dt><dd>(.*?)</dd>", page)
@@ -269,7 +241,7 @@ def test_lost_scans_are_marked_where_they_were_guessed(
     first, second, *rest = tum.read_text().splitlines(keepends=True)
     tum.write_text("".join([first, "# lost: a guess\n", second, "# found\n", *rest]))
     read = Read(render(read_map(house.path), evidence))
-    assert len([each for each in read.of("path") if each.get("class") == "lost"]) == 1
+    assert len(classed(read, "lost")) == 1
     assert "of 30 scans lost" in read.texts
 
 
@@ -282,15 +254,14 @@ def test_of_many_refused_closures_those_with_the_largest_xi_are_drawn(
     document["graph"]["closures"] = many
     (house.path / "topology.json").write_text(json.dumps(document))
     read = Read(render(read_map(house.path), evidence))
-    drawn = [each for each in read.of("path") if each.get("class") == "closure-refused"]
+    drawn = classed(read, "closure-refused")
     assert len(drawn) == MOST_REFUSED
     assert f"(xi {0.001 * (2 * MOST_REFUSED - 1):.2f})" in (drawn[0]["data-tip"] or "")
     said = f"Of {2 * MOST_REFUSED:,} refused closures the {MOST_REFUSED:,} with the largest"
     assert any(said in text for text in read.texts)
 
 
-def test_the_fit_has_its_own_colours(page: str) -> None:
-    read = Read(page)
+def test_the_fit_has_its_own_colours(read: Read) -> None:
     styles = {each.get("style") or "" for each in read.of("path")}
     assert {f"stroke:var(--fit-{k})" for k in range(5)} <= styles
     assert f"stroke:var(--time-{11})" in styles

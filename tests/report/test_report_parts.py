@@ -1,4 +1,4 @@
-"""What the page is made of: places, outlines, the way, colours, words."""
+"""What the page is made of: places, outlines, the way, colours, html."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from specmap_cli.core.records import Labels
 from specmap_cli.drawing.palette import FILLS
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.recognition.features.sets import feature_names
-from specmap_cli.report import words
-from specmap_cli.report.colours import tones
-from specmap_cli.report.frame import Frame, path_data
-from specmap_cli.report.tracing import outlines
+from specmap_cli.report import html
+from specmap_cli.report.svg import Frame, outlines, path_data, tones
 from specmap_cli.report.track import MOST_POINTS, Track
 
 FRAME = Frame(-2.0, 8.0, 1000, 1000)
@@ -178,19 +176,19 @@ def test_regions_that_differ_by_day_differ_by_night() -> None:
     ],
 )
 def test_times_read_as_people_write_them(seconds: float, shown: str, length: str) -> None:
-    assert words.clock(seconds) == shown
-    assert words.lasting(seconds) == length
+    assert html.clock(seconds) == shown
+    assert html.lasting(seconds) == length
 
 
 def test_stamps_that_count_from_no_day_stay_seconds() -> None:
-    assert words.moment(1211.52) == "1211.5 s"
-    assert words.moment(1_700_000_000.0) == "2023-11-14 22:13:20 UTC"
+    assert html.moment(1211.52) == "1211.5 s"
+    assert html.moment(1_700_000_000.0) == "2023-11-14 22:13:20 UTC"
 
 
 def test_a_person_s_text_takes_one_line() -> None:
-    assert words.shown("  a\n\tb\x1b[31m ") == "a b\\x1b[31m"
+    assert html.shown("  a\n\tb\x1b[31m ") == "a b\\x1b[31m"
 
 
 def test_features_are_explained_where_they_are_ours() -> None:
-    assert [name for name in feature_names("full") if not words.feature_words(name)] == []
-    assert words.feature_words("somebody_else_s") == ""
+    assert [name for name in feature_names("full") if not html.feature_words(name)] == []
+    assert html.feature_words("somebody_else_s") == ""

@@ -1,8 +1,9 @@
 """Files that are a sequence of records holding compressed chunks of messages: MCAP, ROS 1 bags.
 
-With a usable index the chunks are merged by their start times and messages inside a chunk are
-sorted by log time. Without one (a recorder that was killed, a truncated or damaged file) the
-records are walked from the start, and the readable part of the last chunk is kept.
+An intact file has an index: its chunks are merged by their start times, and messages inside a chunk
+are sorted by log time. A file without a usable one (a recorder that was killed, a truncated or
+damaged file) is salvaged: its records are walked from the start, and the readable part of the last
+chunk is kept.
 
 What is read of a chunk is compared with what is listed of it, and what is read of a topic with
 what the index lists of the topic: nothing is lost without a word.
@@ -10,41 +11,107 @@ what the index lists of the topic: nothing is lost without a word.
 
 from __future__ import annotations
 
+import heapq
 import os
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from operator import itemgetter
 from pathlib import Path
+from typing import NamedTuple
 
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.readers.chunks import (
-    NOTHING_LISTED,
-    Channel,
-    ChunkRef,
-    Entry,
-    Listing,
-    OpenedChunk,
-    Spot,
-    by_topic,
-    expected_counts,
-    overlapping_bytes,
-)
 from specmap_cli.logs.readers.compression import Unpacked
+from specmap_cli.logs.readers.encoding import SUPPORTED_TYPES, UNFIT, typestore
 from specmap_cli.logs.readers.recording import (
     Contents,
     Message,
     Recording,
     contents_of,
     lost_text,
+    merge_in_time,
     survey,
     time_text,
     unreadable,
 )
-from specmap_cli.logs.readers.time_order import merge_in_time
-from specmap_cli.logs.readers.typestore import SUPPORTED_TYPES, UNFIT, typestore
+
+MAX_SPOTS = 1_000_000  # of one chunk, some 200 MB of memory; intact chunks have thousands
+
+# A message in the records of a chunk: its log time, its channel, where its data starts and ends.
+Spot = tuple[int, int, int, int]
+
+
+class Channel(NamedTuple):
+    """One stream of messages in a file."""
+
+    topic: str
+    type: str
+    ros1: bool  # messages are in ROS 1 serialisation, not CDR
+
+
+class Entry(NamedTuple):
+    """A message as stored."""
+
+    time_ns: int
+    channel: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChunkRef:
+    """Where the record of a chunk lies, and what the index says of the chunk.
+
+    `length` is of the whole record, `size` of the unpacked records inside, 0 when unknown; so are
+    the times. `channels` have messages in it, None when unknown; `counts` say how many.
+    """
+
+    offset: int
+    length: int = 0
+    size: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+    channels: frozenset[int] | None = None
+    counts: Mapping[int, int] = field(default_factory=dict)
+
+
+class Listing(NamedTuple):
+    """What stands behind a chunk: its messages by channel, and on demand their times and places."""
+
+    counts: Mapping[int, int]
+    entries: Callable[[], list[tuple[int, int]]]
+
+    def next_start(self, position: int) -> int | None:
+        """Where in the records of the chunk the first message behind `position` starts."""
+        return min((start for _, start in self.entries() if start > position), default=None)
+
+
+NOTHING_LISTED = Listing({}, list)
+
+
+def by_topic(counts: Mapping[int, int], channels: Mapping[int, Channel]) -> Counter[str]:
+    """Counts by channel as counts by topic; channels that are not known have none."""
+    named: Counter[str] = Counter()
+    for number, count in counts.items():
+        if count > 0 and number in channels:
+            named[channels[number].topic] += count
+    return named
+
+
+def overlapping_bytes(chunks: Iterable[ChunkRef]) -> int:
+    """The most that chunks which cover one time amount to together, unpacked."""
+    most = total = 0
+    covering: list[tuple[int, int]] = []
+    for ref in sorted(chunks, key=lambda ref: ref.start_ns):
+        while covering and covering[0][0] < ref.start_ns:
+            total -= heapq.heappop(covering)[1]
+        size = max(ref.size, ref.length)
+        heapq.heappush(covering, (ref.end_ns, size))
+        total += size
+        most = max(most, total)
+    return most
+
 
 _BYTES_PER_MB = 1_000_000
 _OVERLAPPING = 2  # chunks of the largest size that may be in memory together
@@ -84,8 +151,12 @@ class ChunkedFile(Recording):
         """The summary and the channels, or None when it is missing or damaged."""
 
     @abstractmethod
-    def _open_chunk(self, ref: ChunkRef) -> OpenedChunk:
-        """The records inside a chunk."""
+    def _salvaged(self) -> Iterator[Entry]:
+        """All entries from the first record on; damage is reported and ends or skips."""
+
+    @abstractmethod
+    def _open_chunk(self, ref: ChunkRef) -> Unpacked:
+        """The records inside a chunk; complete when its own record is sound, too."""
 
     @abstractmethod
     def _listing(self, ref: ChunkRef) -> Listing:
@@ -93,21 +164,18 @@ class ChunkedFile(Recording):
 
     @abstractmethod
     def _spots(self, records: bytes, listing: Listing) -> tuple[list[Spot], bool]:
-        """The whole messages of known channels in the records of a chunk; whether all are whole.
+        """The whole messages of known channels among records; whether all records are whole.
 
         Behind a record that is not whole, reading goes on where the listing has the next one.
         """
-
-    @abstractmethod
-    def _walk(self) -> Iterator[Entry]:
-        """All entries from the first record on; damage is reported and ends or skips."""
 
     @cached_property
     def contents(self) -> Contents:
         """From the index, or by one pass over a file without."""
         if self._index is not None:
             return self._index.contents
-        return survey((*self.channels[entry.channel][:2], entry.time_ns) for entry in self._walk())
+        entries = self._salvaged()
+        return survey((*self.channels[entry.channel][:2], entry.time_ns) for entry in entries)
 
     @property
     def chunk_max(self) -> int:
@@ -117,7 +185,9 @@ class ChunkedFile(Recording):
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics`, in time order with an index and as written without."""
         if self._index is None:
-            yield from self._select(self._walk(), topics)
+            for entry in self._salvaged():
+                if topics is None or self.channels[entry.channel].topic in topics:
+                    yield from self._message(*entry)
             return
         found: Counter[str] = Counter()
         for message in self._merged(self._index, topics):
@@ -191,9 +261,7 @@ class ChunkedFile(Recording):
 
     def read_chunk(self, ref: ChunkRef) -> Iterator[Entry]:
         """The entries of a chunk as written; damage is reported, not raised."""
-        records, spots = self._read_spots(ref)
-        for time_ns, channel, start, end in spots:
-            yield Entry(time_ns, channel, records[start:end])
+        return entries_at(*self._read_spots(ref))
 
     def _chunk_messages(self, ref: ChunkRef, topics: Collection[str] | None) -> Iterator[Message]:
         """The messages of a chunk on `topics` in time order."""
@@ -201,60 +269,46 @@ class ChunkedFile(Recording):
         if topics is not None:
             spots = [spot for spot in spots if self.channels[spot[1]].topic in topics]
         spots.sort(key=itemgetter(0))
-        for time_ns, channel, start, end in spots:
-            message = self._message(time_ns, channel, records[start:end])
-            if message is not None:
-                yield message
+        for entry in entries_at(records, spots):
+            yield from self._message(*entry)
 
     def _read_spots(self, ref: ChunkRef) -> tuple[bytes, list[Spot]]:
+        """The records of a chunk and where its messages stand in them; what is lost is reported."""
         chunk, listing = self._open_chunk(ref), self._listing(ref)
-        spots, whole = self._spots(chunk.unpacked.data, listing)
-        expected = expected_counts(ref.counts, listing.counts)
+        spots, whole = self._spots(chunk.data, listing)
+        expected = Counter(ref.counts) | Counter(listing.counts)  # one may be damaged: the larger
         missing = expected - Counter(map(itemgetter(1), spots))
-        cut = self._index is None and ref.offset + ref.length > self.size  # which the walk says
-        if not cut and (missing or not (whole and chunk.well)):
-            self._tell(ref, chunk, listing, (expected, missing))
-        return chunk.unpacked.data, spots
+        cut = self._index is None and ref.offset + ref.length > self.size  # which is told elsewhere
+        if not cut and (missing or not (whole and chunk.complete)):
+            fault = "beyond log.chunk_max_mb" if chunk.beyond else "damaged"
+            self._tell(ref, fault, _span(ref, listing), expected, missing)
+        return chunk.data, spots
 
     def _tell(
         self,
         ref: ChunkRef,
-        chunk: OpenedChunk,
-        listing: Listing,
-        numbers: tuple[Counter[int], Counter[int]],
+        fault: str,
+        span: str,
+        expected: Mapping[int, int],
+        missing: Mapping[int, int],
     ) -> None:
         """Say what is lost of a chunk: the messages `expected` in it, and those `missing`."""
-        what = f"chunk at byte {ref.offset} is damaged"
-        if chunk.unpacked.beyond:
-            what = f"chunk at byte {ref.offset} is beyond log.chunk_max_mb"
-        expected, missing = (by_topic(counts, self.channels) for counts in numbers)
-        span = _span(ref, listing)
-        if missing:
-            lost = lost_text(missing, expected)
-            self.report(f"{what}: {lost}{span and f', {span},'} are lost", missing)
-        elif expected:
-            self.report(f"{what}, but all of its {expected.total():,} messages are found")
+        what = f"chunk at byte {ref.offset} is {fault}"
+        there, lost = by_topic(expected, self.channels), by_topic(missing, self.channels)
+        if lost:
+            self.report(f"{what}: {lost_text(lost, there)}{span and f', {span},'} are lost", lost)
+        elif there:
+            self.report(f"{what}, but all of its {there.total():,} messages are found")
         else:
             messages = f"messages {span}" if span else "some of its messages"
             self.report(f"{what}: {messages} are lost")
 
     def tell_unreachable(self, ref: ChunkRef) -> None:
         """Say what is lost of a chunk that is not where the index has it."""
-        closed = OpenedChunk(Unpacked(b"", complete=False))
-        counts = expected_counts(ref.counts)
-        self._tell(ref, closed, NOTHING_LISTED, (counts, counts))
+        self._tell(ref, "damaged", _span(ref, NOTHING_LISTED), ref.counts, ref.counts)
 
-    def _select(
-        self, entries: Iterable[Entry], topics: Collection[str] | None
-    ) -> Iterator[Message]:
-        for entry in entries:
-            if topics is None or self.channels[entry.channel].topic in topics:
-                message = self._message(*entry)
-                if message is not None:
-                    yield message
-
-    def _message(self, time_ns: int, number: int, data: bytes) -> Message | None:
-        """A message in ROS 2 CDR; None, and reported, for one that does not fit its type."""
+    def _message(self, time_ns: int, number: int, data: bytes) -> Iterator[Message]:
+        """A message in ROS 2 CDR; one that does not fit its type is reported and left out."""
         topic, type_name, ros1 = self.channels[number]
         if ros1 and type_name in SUPPORTED_TYPES:
             try:
@@ -265,8 +319,14 @@ class ChunkedFile(Recording):
                     f"{type_name}; left out",
                     {topic: 1},
                 )
-                return None
-        return Message(topic, type_name, time_ns, data)
+                return
+        yield Message(topic, type_name, time_ns, data)
+
+
+def entries_at(records: bytes, spots: Iterable[Spot]) -> Iterator[Entry]:
+    """The messages at some places of records."""
+    for time_ns, channel, start, end in spots:
+        yield Entry(time_ns, channel, records[start:end])
 
 
 def _span(ref: ChunkRef, listing: Listing) -> str:

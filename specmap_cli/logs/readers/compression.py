@@ -1,19 +1,27 @@
 """Decompression of bounded size that keeps what a damaged or cut-off block still yields.
 
 A few kilobytes can claim to be gigabytes. So no decompressor is ever asked for output without a
-bound: a block of a known size is unpacked at once, all others piece by piece.
+bound: a block of a known size is unpacked at once, all others piece by piece. Files that are
+compressed as a whole become temporary copies.
 """
 
 from __future__ import annotations
 
 import bz2
+import tempfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from io import BytesIO
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import IO, Any, NamedTuple
 
 import lz4.frame
 import zstandard
+
+from specmap_cli.core.errors import TOO_LARGE, reason
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.readers.recording import refused, unreadable
 
 _SLICE_BYTES = 1 << 16  # compressed bytes taken at once
 _PIECE_BYTES = 1 << 20  # unpacked bytes asked for at once
@@ -176,3 +184,88 @@ def _next_block(rest: bytes, pending: Iterator[bytes], length: int) -> bytes:
 def compression_of(head: bytes) -> str | None:
     """The compression of a file by its first bytes, None when it is not compressed."""
     return next((name for name, magic in MAGIC.items() if head.startswith(magic)), None)
+
+
+_UNPACKED_RATIO_MAX = 500.0  # a file of 100 MB and more that swells by more is a bomb, no log
+LOOKED_AT_BYTES = 1 << 23  # of the copy, before the rest: a CARMEN log is known by less than these
+
+_COPY_BYTES = 1 << 20  # of a compressed file in memory at once
+_BYTES_PER_GB = 1e9
+_RATIO_FROM_BYTES = 100_000_000  # a small copy may swell as it likes
+
+
+class Copy(NamedTuple):
+    """A temporary file, and what of the compressed one is not in it, None when all of it is."""
+
+    file: Path
+    lost: str | None
+
+
+def unpacked(
+    path: Path,
+    compression: str,
+    config: LogConfig,
+    look: Callable[[Path], object],
+    held: ExitStack,
+) -> Copy:
+    """A copy of what is in a compressed file, which lasts as long as `held`.
+
+    So a reader may open it as often as it likes. `look` is shown the beginning of the copy and may
+    raise to be spared the rest. Raises LogError for a file that swells beyond the settings and
+    when there is no room.
+    """
+    try:
+        temporary = tempfile.NamedTemporaryFile(prefix="specmap-")  # noqa: SIM115 (held closes it)
+        copy = held.enter_context(temporary)
+        lost = _fill(copy, path, compression, config, look)
+    except OSError as error:
+        why = reason(error, "set TMPDIR to another one")
+        found = f"cannot unpack into the temporary directory: {why}"
+        raise refused(path, found) from None
+    return Copy(Path(copy.name), lost)
+
+
+def _fill(
+    copy: IO[bytes],
+    path: Path,
+    compression: str,
+    config: LogConfig,
+    look: Callable[[Path], object],
+) -> str | None:
+    """Write the copy; what is lost of the file."""
+    looked = complete = ended = False
+    for part, complete in stream(_slices(path), compression):
+        copy.write(part)
+        ended = complete or (ended and not part)
+        _refuse_swelling(copy.tell(), path, config)
+        if not looked and copy.tell() >= LOOKED_AT_BYTES:
+            copy.flush()
+            look(Path(copy.name))
+            looked = True
+    copy.flush()
+    if complete:
+        return None
+    if ended:
+        return f"what follows the {compression} compression is no part of it and was left out"
+    return f"the {compression} compression is damaged or ends early: the rest is lost"
+
+
+def _refuse_swelling(copied: int, path: Path, config: LogConfig) -> None:
+    if copied > config.unpacked_max_gb * _BYTES_PER_GB:
+        bound = f"{config.unpacked_max_gb:g} GB, which log.unpacked_max_gb allows"
+        hint = "if it is a log, raise the setting"
+    elif copied > max(_UNPACKED_RATIO_MAX * path.stat().st_size, _RATIO_FROM_BYTES):
+        bound = f"{_UNPACKED_RATIO_MAX:g} times its size, as no log does"
+        hint = "if it is a log, unpack it first"
+    else:
+        return
+    raise refused(path, f"unpacks to more than {bound}", hint, code=TOO_LARGE)
+
+
+def _slices(path: Path) -> Iterator[bytes]:
+    try:
+        with path.open("rb") as file:
+            while piece := file.read(_COPY_BYTES):
+                yield piece
+    except OSError as error:
+        raise unreadable(path, error) from None

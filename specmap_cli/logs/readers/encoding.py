@@ -1,28 +1,65 @@
-"""Building the messages specmap writes, as ROS 2 CDR bytes.
+"""ROS 2 messages: the types that are read and written, and their bytes in CDR, without ROS.
 
-Stamps are header stamps in nanoseconds, lengths metres, angles radians.
+Every message travels through the package as ROS 2 CDR bytes, whatever file it came from, so that
+one codec serves all formats. The layouts of these types have not changed since ROS 2 Dashing,
+which is why recordings without message definitions can be read with the same codec. Stamps are
+header stamps in nanoseconds, lengths metres, angles radians.
 """
 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterable, Sequence
+from functools import cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from rosbags.typesys import TypesysError
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_typestore
+from rosbags.typesys.store import Typestore
 
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.logs.readers.typestore import (
-    LASER_SCAN,
-    NS_PER_S,
-    ODOMETRY,
-    POINT_CLOUD,
-    TF_MESSAGE,
-    message_class,
-    typestore,
-)
+
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
+MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+ODOMETRY = "nav_msgs/msg/Odometry"
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+
+SCAN_TYPES = frozenset({LASER_SCAN, MULTI_ECHO, POINT_CLOUD})
+SUPPORTED_TYPES = SCAN_TYPES | {ODOMETRY, TF_MESSAGE}
+
+# What the codec raises for bytes that are no message of a type.
+UNFIT = (SerdeError, KeyError, IndexError, ValueError, TypeError, MemoryError, struct.error)
+
+NS_PER_S = 1_000_000_000
+
+
+@cache
+def typestore() -> Typestore:
+    """The store of ROS 2 types, with the generated codecs."""
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
+def message_class(name: str) -> Any:
+    """The dataclass of a ROS 2 type such as `std_msgs/msg/Header`."""
+    return typestore().types[name]
+
+
+def normalized_type(name: str) -> str:
+    """The ROS 2 name of a type of any ROS: `sensor_msgs/LaserScan` -> `sensor_msgs/msg/LaserScan`.
+
+    The two ancestors of `tf2_msgs/msg/TFMessage` have the same fields and get its name.
+    """
+    package, separator, rest = name.partition("/")
+    if not separator:
+        return name  # not a ROS type
+    full = f"{package}/msg/{rest.rpartition('/')[2]}"
+    return TF_MESSAGE if full == "tf/msg/tfMessage" else full
+
 
 _FLOAT32 = 7  # sensor_msgs/msg/PointField.FLOAT32
 _MAX_SECONDS = 2**31 - 1  # of builtin_interfaces/msg/Time, whose seconds are an int32
@@ -172,3 +209,61 @@ def clipped_stamp(stamp_ns: int) -> tuple[int, int]:
 def _cdr(type_name: str, **fields: Any) -> bytes:
     message = message_class(type_name)(**fields)
     return bytes(typestore().serialize_cdr(message, type_name))
+
+
+_HEADER_BYTES, _COUNT_BYTES = 4, 4
+_STAMP, _NUMBERS = struct.Struct("<iI"), struct.Struct("<7d")
+
+
+class AlikeTransforms:
+    """Messages with a transform parent_from_child for each of `frames`, (parent, child)."""
+
+    def __init__(self, frames: Sequence[tuple[str, str]]) -> None:
+        nought = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+        self._blank = transforms_cdr(0, [Transform(*link, *nought) for link in frames])
+        self._offsets = _offsets(frames)
+        gaps = [(0, 0), *(at for pair in self._offsets for at in pair), (len(self._blank),) * 2]
+        self._constant = [
+            (end, start, self._blank[end:start]) for (_, end), (start, _) in pairwise(gaps)
+        ]
+
+    def encoded(self, stamp_ns: int, numbers: Sequence[Sequence[float]]) -> bytes:
+        """The message with x, y, z and a quaternion x, y, z, w for each transform, in order."""
+        data, stamp = bytearray(self._blank), clipped_stamp(stamp_ns)
+        for (when, where), values in zip(self._offsets, numbers, strict=True):
+            _STAMP.pack_into(data, when[0], *stamp)
+            _NUMBERS.pack_into(data, where[0], *values)
+        return bytes(data)
+
+    def decoded(self, data: bytes, place: int) -> tuple[int, tuple[float, ...]] | None:
+        """Stamp (ns) and numbers of one of the transforms; None for a message of other frames."""
+        if len(data) != len(self._blank):
+            return None
+        if any(data[start:end] != same for start, end, same in self._constant):
+            return None
+        when, where = self._offsets[place]
+        seconds, nanoseconds = _STAMP.unpack_from(data, when[0])
+        return seconds * NS_PER_S + nanoseconds, _NUMBERS.unpack_from(data, where[0])
+
+
+def _offsets(
+    frames: Sequence[tuple[str, str]],
+) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Of each transform the first byte and the end of its stamp, and of its seven numbers."""
+    offsets, end = [], _HEADER_BYTES + _COUNT_BYTES
+    for parent, child in frames:
+        stamp = _aligned(end, 4)
+        end = _after_text(_after_text(stamp + _STAMP.size, parent), child)
+        numbers = _aligned(end, 8)
+        end = numbers + _NUMBERS.size
+        offsets.append(((stamp, stamp + _STAMP.size), (numbers, end)))
+    return offsets
+
+
+def _after_text(offset: int, text: str) -> int:
+    return _aligned(offset, 4) + _COUNT_BYTES + len(text.encode()) + 1
+
+
+def _aligned(offset: int, size: int) -> int:
+    """The first offset from this one on where a value of this size may begin."""
+    return offset + (_HEADER_BYTES - offset) % size

@@ -6,50 +6,115 @@ messages either among them or inside chunk records, a summary at the end.
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from io import BytesIO
 from pathlib import Path
 
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.records import Channel as ChannelRecord
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.readers.chunked import ChunkedFile, Index
-from specmap_cli.logs.readers.chunks import (
+from specmap_cli.logs.readers.chunked import (
     MAX_SPOTS,
+    NOTHING_LISTED,
     Channel,
+    ChunkedFile,
     ChunkRef,
     Entry,
+    Index,
     Listing,
-    OpenedChunk,
     Spot,
     by_topic,
+    entries_at,
 )
-from specmap_cli.logs.readers.compression import Unpacked
-from specmap_cli.logs.readers.mcap_chunks import agree, chunk_refs, listing_at, records_of
-from specmap_cli.logs.readers.mcap_records import (
-    BAD_BODY,
-    CHANNEL,
-    CHUNK,
-    CHUNK_HEAD,
-    CHUNK_INDEX,
-    DATA_END,
-    FIRST_PRIVATE,
-    FOOTER,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_HEAD,
-    RECORD_HEAD,
-    SCHEMA,
-    STATISTICS,
-    counts_in,
-    fits,
-    records_in,
-    seen_bytes,
-    stream_of,
+from specmap_cli.logs.readers.compression import Unpacked, decompress
+from specmap_cli.logs.readers.encoding import normalized_type
+
+MAGIC = b"\x89MCAP0\r\n"
+
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(0x01, 0x09)
+ATTACHMENT, STATISTICS, METADATA, DATA_END = 0x09, 0x0B, 0x0C, 0x0F
+FIRST_PRIVATE = 0x80  # records from here on are to be passed over
+
+# Before the end of the data no other records stand.
+_OF_DATA = frozenset(
+    {HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END}
 )
-from specmap_cli.logs.readers.typestore import normalized_type
+
+RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of the body
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, size, crc, length of the compression's name
+INDEX_HEAD = struct.Struct("<BQHI")  # of a message index: opcode, length, channel, bytes of entries
+INDEX_ENTRY = struct.Struct("<QQ")  # log time, place in the chunk
+BAD_BODY = (struct.error, ValueError, McapError)
+
+_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
+_ATTACHMENT_TIMES, _CRC_BYTES = 16, 4
+_DATA_END_BYTES = 4
+_BODY_MAX_SEEN = 1 << 16  # of an attachment or a metadata record, enough for its names
+
+
+def stream_of(body: bytes) -> ReadDataStream:
+    """A body as the parsers of the `mcap` package want it."""
+    return ReadDataStream(BytesIO(body))
+
+
+def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Opcode and body of one record after the other; struct.error where none is whole."""
+    position = 0
+    while position < len(data):
+        opcode, length = RECORD_HEAD.unpack_from(data, position)
+        position += RECORD_HEAD.size
+        yield opcode, data[position : position + length]
+        position += length
+
+
+def counts_in(statistics: bytes) -> dict[int, int]:
+    """The messages of each channel by a statistics record; none when it contradicts itself."""
+    try:
+        told = Statistics.read(stream_of(statistics))
+    except BAD_BODY:
+        return {}
+    counts: dict[int, int] = told.channel_message_counts
+    return counts if sum(counts.values()) == told.message_count else {}
+
+
+def fits(opcode: int, length: int, first: bool, body: bytes) -> bool:
+    """Whether a body is built like the records of its opcode that stand among the data.
+
+    `body` are the first bytes of it, `first` says that the record is the first one of the file.
+    Schemas and channels are judged where they are parsed.
+    """
+    if opcode not in _OF_DATA:
+        return False
+    try:
+        if opcode == MESSAGE_INDEX:
+            return bool(_U32.unpack_from(body, 2)[0] == length - 2 - _U32.size)
+        if opcode in (ATTACHMENT, METADATA):
+            return _named_length(opcode, body) == length
+    except struct.error:
+        return False
+    exact = {DATA_END: _DATA_END_BYTES, HEADER: length if first else -1}
+    least = {MESSAGE: MESSAGE_HEAD.size, CHUNK: CHUNK_HEAD.size}
+    return length == exact.get(opcode, length) and length >= least.get(opcode, 0)
+
+
+def _named_length(opcode: int, body: bytes) -> int:
+    """The length that the fields of an attachment or a metadata record add up to."""
+    position = _ATTACHMENT_TIMES if opcode == ATTACHMENT else 0
+    for _ in range(2):  # the name and the media type, or the name and the map
+        position += _U32.size + _U32.unpack_from(body, position)[0]
+    if opcode == METADATA:
+        return position
+    return int(position + _U64.size + _U64.unpack_from(body, position)[0] + _CRC_BYTES)
+
 
 _FOOTER_BODY = 20  # by the format: two offsets and a checksum
 _FOOTER_BYTES = RECORD_HEAD.size + _FOOTER_BODY + len(MAGIC)
@@ -87,14 +152,29 @@ class McapFile(ChunkedFile):
                     self._define(opcode, body)
         except BAD_BODY:
             return None
-        if statistics is None or not agree(statistics, chunks, self.channels):
+        counts = statistics.channel_message_counts if statistics is not None else {}
+        if (
+            statistics is None
+            or not chunks
+            or len({chunk.chunk_start_offset for chunk in chunks}) != statistics.chunk_count
+            or sum(counts.values()) != statistics.message_count
+            or not counts.keys() <= self.channels.keys()
+        ):
             return None
-        contents = self.contents_of(
-            statistics.channel_message_counts,
-            statistics.message_start_time,
-            statistics.message_end_time,
+        times = statistics.message_start_time, statistics.message_end_time
+        chunks.sort(key=lambda chunk: (chunk.message_start_time, chunk.chunk_start_offset))
+        refs = tuple(
+            ChunkRef(
+                offset=chunk.chunk_start_offset,
+                length=chunk.chunk_length,
+                size=chunk.uncompressed_size,
+                start_ns=chunk.message_start_time,
+                end_ns=chunk.message_end_time,
+                channels=frozenset(chunk.message_index_offsets) or None,
+            )
+            for chunk in chunks
         )
-        return Index(contents, chunk_refs(chunks), checked=bool(footer.summary_crc))
+        return Index(self.contents_of(counts, *times), refs, checked=bool(footer.summary_crc))
 
     def _footer(self) -> Footer | None:
         """The footer when the file ends in one that names a sound summary."""
@@ -111,17 +191,18 @@ class McapFile(ChunkedFile):
                 return None
         return footer
 
-    def _open_chunk(self, ref: ChunkRef) -> OpenedChunk:
+    def _open_chunk(self, ref: ChunkRef) -> Unpacked:
         if ref.length > self.chunk_max + CHUNK_HEAD.size + RECORD_HEAD.size:
-            return OpenedChunk(Unpacked(b"", complete=False, beyond=True))
+            return Unpacked(b"", complete=False, beyond=True)
         record = self.read_at(ref.offset, ref.length)
-        sound = record.startswith(RECORD_HEAD.pack(CHUNK, max(ref.length - RECORD_HEAD.size, 0)))
-        return OpenedChunk(records_of(record[RECORD_HEAD.size :], self.chunk_max), sound)
+        head = RECORD_HEAD.pack(CHUNK, max(ref.length - RECORD_HEAD.size, 0))
+        found = records_of(record[RECORD_HEAD.size :], self.chunk_max)
+        return found._replace(complete=found.complete and record.startswith(head))
 
     def _listing(self, ref: ChunkRef) -> Listing:
         return listing_at(ref.offset + ref.length, self.read_at, self.chunk_max)
 
-    def _walk(self) -> Iterator[Entry]:
+    def _salvaged(self) -> Iterator[Entry]:
         found: Counter[int] = Counter()
         for entry in self._data():
             found[entry.channel] += 1
@@ -191,7 +272,8 @@ class McapFile(ChunkedFile):
 
     def _is_of_data(self, opcode: int, ref: ChunkRef) -> bool:
         """Whether the record at a place is built as records among the data are."""
-        body = self.read_at(ref.offset + RECORD_HEAD.size, seen_bytes(opcode))
+        seen = _BODY_MAX_SEEN if opcode in (ATTACHMENT, METADATA) else CHUNK_HEAD.size
+        body = self.read_at(ref.offset + RECORD_HEAD.size, seen)
         return fits(opcode, ref.length - RECORD_HEAD.size, ref.offset == len(MAGIC), body)
 
     def _passes_over(self, opcode: int, ref: ChunkRef) -> bool:
@@ -228,29 +310,21 @@ class McapFile(ChunkedFile):
     def _held(self, opcode: int, ref: ChunkRef) -> Iterator[Entry]:
         """The messages of a record met on the walk, or of the readable part of a chunk."""
         if opcode == CHUNK:
-            times = CHUNK_HEAD.unpack(
-                self.read_at(ref.offset + RECORD_HEAD.size, CHUNK_HEAD.size).ljust(CHUNK_HEAD.size)
-            )
-            start_ns, end_ns = times[:2]
-            yield from self.read_chunk(
-                ChunkRef(offset=ref.offset, length=ref.length, start_ns=start_ns, end_ns=end_ns)
-            )
+            head = self.read_at(ref.offset + RECORD_HEAD.size, CHUNK_HEAD.size)
+            start_ns, end_ns = CHUNK_HEAD.unpack(head.ljust(CHUNK_HEAD.size))[:2]
+            yield from self.read_chunk(replace(ref, start_ns=start_ns, end_ns=end_ns))
         elif opcode in (SCHEMA, CHANNEL, MESSAGE) and ref.offset + ref.length <= self.size:
-            yield from self._single(opcode, ref)
+            yield from self._single(ref)
 
-    def _single(self, opcode: int, ref: ChunkRef) -> Iterator[Entry]:
+    def _single(self, ref: ChunkRef) -> Iterator[Entry]:
         """A message outside any chunk, or a definition; one of an unknown channel is reported."""
         if ref.length > self.chunk_max:
             self.report(f"the record at byte {ref.offset} is beyond log.chunk_max_mb: it is lost")
             return
-        body = self.read_at(ref.offset + RECORD_HEAD.size, ref.length - RECORD_HEAD.size)
-        sound = opcode == MESSAGE or self._define(opcode, body)
-        if opcode == MESSAGE:
-            channel, _, time_ns, _ = MESSAGE_HEAD.unpack_from(body)
-            sound = channel in self.channels
-            if sound:
-                yield Entry(time_ns, channel, body[MESSAGE_HEAD.size :])
-        if not sound:
+        record = self.read_at(ref.offset, ref.length)
+        spots, whole = self._spots(record, NOTHING_LISTED)
+        yield from entries_at(record, spots)
+        if not whole:
             self.report(f"the record at byte {ref.offset} is damaged: what it holds is lost")
 
     def _spots(self, records: bytes, listing: Listing) -> tuple[list[Spot], bool]:
@@ -293,3 +367,45 @@ class McapFile(ChunkedFile):
         except BAD_BODY:
             return False
         return True
+
+
+# Up to so many bytes from an offset on: offset, length.
+ReadAt = Callable[[int, int], bytes]
+
+
+def listing_at(position: int, read_at: ReadAt, limit: int) -> Listing:
+    """What the message indexes say that stand from `position` on, behind a chunk."""
+    counts: dict[int, int] = {}
+    places: list[tuple[int, int]] = []  # of the entries: offset and length
+    while len(head := read_at(position, INDEX_HEAD.size)) == INDEX_HEAD.size:
+        opcode, length, channel, size = INDEX_HEAD.unpack(head)
+        if opcode != MESSAGE_INDEX or size != length - 6 or size % INDEX_ENTRY.size:
+            break
+        counts[channel] = counts.get(channel, 0) + size // INDEX_ENTRY.size
+        places.append((position + INDEX_HEAD.size, size))
+        position += INDEX_HEAD.size + size
+    return Listing(counts, partial(_entries, places, read_at, limit))
+
+
+def _entries(
+    places: Sequence[tuple[int, int]], read_at: ReadAt, limit: int
+) -> list[tuple[int, int]]:
+    entries: list[tuple[int, int]] = []
+    for offset, length in places:
+        data = read_at(offset, min(length, limit))
+        whole = data[: len(data) // INDEX_ENTRY.size * INDEX_ENTRY.size]
+        entries += INDEX_ENTRY.iter_unpack(whole)
+    return sorted(entries)
+
+
+def records_of(body: bytes, limit: int) -> Unpacked:
+    """The records inside the body of a chunk, possibly cut off."""
+    if len(body) < CHUNK_HEAD.size:
+        return Unpacked(b"", complete=False)
+    _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(body)
+    start = CHUNK_HEAD.size + name_length + 8
+    compression = body[CHUNK_HEAD.size : start - 8].decode("ascii", errors="replace")
+    found = decompress(body[start:], compression, limit, size)
+    if crc and found.complete and len(found.data) == size and zlib.crc32(found.data) != crc:
+        return Unpacked(b"", complete=False)
+    return found._replace(complete=found.complete and len(found.data) == size)

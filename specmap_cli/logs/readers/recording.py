@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import heapq
 from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -13,6 +14,7 @@ from specmap_cli.core.errors import LogError, reason
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
 
+_LONGEST_CHARACTER_BYTES = 4  # of UTF-8
 MAX_DAMAGE_LINES = 20  # a file, as many as a person reads; one more line sums the others up
 
 
@@ -205,6 +207,51 @@ def time_text(time_ns: int) -> str:
     return f"{time_ns / 1e9:.3f} s"
 
 
+def refused(where: Path | str, found: str, hint: str = "", code: str | None = None) -> LogError:
+    """The error of a recording that cannot be used: where, what was found there, what to do."""
+    message = f"{where}: {found}; {hint}" if hint else f"{where}: {found}"
+    return LogError(message, code=code, where=str(where), hint=hint or None)
+
+
 def unreadable(path: Path, error: OSError) -> LogError:
     """The error for a file the system refuses to read."""
-    return LogError(f"{path}: cannot read: {reason(error)}")
+    return refused(path, f"cannot read: {reason(error)}")
+
+
+def merge_in_time(
+    sources: Iterable[tuple[int, Callable[[], Iterator[Message]]]],
+) -> Iterator[Message]:
+    """Join iterators of messages by log time, opening each only when its start has come.
+
+    `sources` are (start_ns, function that opens the iterator). Only those whose spans overlap are
+    open together. An iterator that runs backwards in time keeps its own order.
+    """
+    waiting = deque(sorted(sources, key=lambda source: source[0]))
+    heap: list[tuple[int, int, Message, Iterator[Message]]] = []
+    opened = 0
+    while waiting or heap:
+        while waiting and (not heap or waiting[0][0] <= heap[0][0]):
+            messages = waiting.popleft()[1]()
+            first = next(messages, None)
+            if first is not None:
+                heapq.heappush(heap, (first.time_ns, opened, first, messages))
+                opened += 1
+        if not heap:
+            continue
+        _, number, message, messages = heap[0]
+        yield message
+        following = next(messages, None)
+        if following is None:
+            heapq.heappop(heap)
+        else:
+            heapq.heapreplace(heap, (following.time_ns, number, following, messages))
+
+
+def is_text(head: bytes) -> bool:
+    """Whether the first bytes of a file are text in UTF-8."""
+    try:
+        head.decode("utf-8")
+    except UnicodeDecodeError as error:
+        # the end of the piece may cut a character in two
+        return error.start > len(head) - _LONGEST_CHARACTER_BYTES
+    return True

@@ -13,41 +13,112 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
-from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.readers.chunked import ChunkedFile, Index
-from specmap_cli.logs.readers.chunks import (
+from specmap_cli.logs.readers.chunked import (
     MAX_SPOTS,
     NOTHING_LISTED,
     Channel,
+    ChunkedFile,
     ChunkRef,
     Entry,
+    Index,
     Listing,
-    OpenedChunk,
     Spot,
+    entries_at,
 )
 from specmap_cli.logs.readers.compression import Unpacked, decompress
-from specmap_cli.logs.readers.rosbag1_records import (
-    BAG_HEADER,
-    CHUNK,
-    CHUNK_INFO,
-    CONNECTION,
-    INDEX,
-    INDEX_ENTRY,
-    MESSAGE,
-    U32,
-    U32_PAIR,
-    U64,
-    BadRecordError,
-    Fields,
-    Record,
-    connection_of,
-    parse_fields,
-    parse_record,
-    time_of,
-)
-from specmap_cli.logs.readers.typestore import NS_PER_S, normalized_type
+from specmap_cli.logs.readers.encoding import NS_PER_S, normalized_type
+from specmap_cli.logs.readers.recording import refused
+
+MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
+INDEX_ENTRY = struct.Struct("<III")  # of an index record: seconds, nanoseconds, place in the chunk
+U32, U64, U32_PAIR = struct.Struct("<I"), struct.Struct("<Q"), struct.Struct("<II")
+
+_OPCODES = frozenset(bytes([opcode]) for opcode in range(2, 8))
+_FIELDS = {  # by the format, what the header of a record of each opcode holds
+    MESSAGE: {b"conn", b"time"},
+    BAG_HEADER: {b"index_pos", b"conn_count", b"chunk_count"},
+    INDEX: {b"ver", b"conn", b"count"},
+    CHUNK: {b"compression", b"size"},
+    CHUNK_INFO: {b"ver", b"chunk_pos", b"start_time", b"end_time", b"count"},
+    CONNECTION: {b"conn", b"topic"},
+}
+
+Fields = dict[bytes, bytes]
+
+
+class Record(NamedTuple):
+    """A record's place: its fields, where its data starts and how long it is."""
+
+    fields: Fields
+    start: int
+    length: int
+
+    @property
+    def opcode(self) -> int:
+        """What kind of record it is."""
+        return self.fields[b"op"][0]
+
+    @property
+    def end(self) -> int:
+        """Where its data ends."""
+        return self.start + self.length
+
+    @property
+    def sound(self) -> bool:
+        """Whether its header holds what those of its kind do."""
+        return self.fields.keys() >= _FIELDS[self.opcode]
+
+
+class BadRecordError(ValueError):
+    """Bytes that are no record."""
+
+
+def parse_record(data: bytes, position: int) -> Record:
+    """The record at `position` of `data`, whose own data may reach beyond the end.
+
+    Raises BadRecordError where there is none.
+    """
+    try:
+        header = U32.unpack_from(data, position)[0]
+        start = position + 4 + header
+        length = U32.unpack_from(data, start)[0]
+    except struct.error:
+        raise BadRecordError(position) from None
+    fields = parse_fields(data, position + 4, start)
+    if fields.get(b"op", b"")[:1] not in _OPCODES:
+        raise BadRecordError(position)
+    return Record(fields, start + 4, length)
+
+
+def parse_fields(data: bytes, position: int, end: int) -> Fields:
+    """The fields `name=value` of a header; raises BadRecordError where there is none."""
+    fields: Fields = {}
+    while position + 4 <= end:
+        length = U32.unpack_from(data, position)[0]
+        position += 4
+        if position + length > end:
+            raise BadRecordError(position)
+        name, separator, value = data[position : position + length].partition(b"=")
+        if not separator:
+            raise BadRecordError(position)
+        fields[name] = value
+        position += length
+    return fields
+
+
+def connection_of(fields: Fields) -> int:
+    """The number of the connection that a record is of."""
+    return int(U32.unpack(fields[b"conn"])[0])
+
+
+def time_of(value: bytes) -> int:
+    """Nanoseconds of a field that holds a time."""
+    seconds_, nanoseconds = U32_PAIR.unpack(value)
+    return int(seconds_) * NS_PER_S + int(nanoseconds)
+
 
 MAGIC = b"#ROSBAG V"
 _MAX_HEADER_BYTES = 1 << 20  # headers have some hundred bytes: a longer one is damaged
@@ -71,8 +142,8 @@ class Rosbag1File(ChunkedFile):
         line = self.read_at(0, 32).split(b"\n")[0]
         if line != b"#ROSBAG V2.0":
             version = line.removeprefix(MAGIC).decode("ascii", errors="replace")
-            message = f"{self.path}: bag format {version[:8]} is not supported"
-            raise LogError(f"{message}; bring it to 2.0 with `rosbag fix`")
+            found = f"bag format {version[:8]} is not supported"
+            raise refused(self.path, found, "bring it to 2.0 with `rosbag fix`")
         self._first = len(line) + 1
         try:
             header = self._record(self._first)
@@ -142,17 +213,17 @@ class Rosbag1File(ChunkedFile):
                 return before
         return None
 
-    def _open_chunk(self, ref: ChunkRef) -> OpenedChunk:
+    def _open_chunk(self, ref: ChunkRef) -> Unpacked:
         """The records inside a chunk."""
         record = self._record(ref.offset)
         if record.length > self.chunk_max:
-            return OpenedChunk(Unpacked(b"", complete=False, beyond=True))
+            return Unpacked(b"", complete=False, beyond=True)
         data = self.read_at(record.start, record.length)
         compression = record.fields.get(b"compression", b"").decode("ascii", errors="replace")
         size = int.from_bytes(record.fields.get(b"size", b""), "little")
         found = decompress(data, compression, self.chunk_max, size)
         complete = found.complete and len(found.data) == size and len(data) == record.length
-        return OpenedChunk(found._replace(complete=complete), record.sound)
+        return found._replace(complete=complete and record.sound)
 
     def _listing(self, ref: ChunkRef) -> Listing:
         counts: Counter[int] = Counter()
@@ -181,7 +252,7 @@ class Rosbag1File(ChunkedFile):
             ]
         return sorted(entries)
 
-    def _walk(self) -> Iterator[Entry]:
+    def _salvaged(self) -> Iterator[Entry]:
         offset, last = self._first, 0
         while offset < self.size or offset == self._first:
             record = self._record_or_none(offset)
@@ -205,8 +276,7 @@ class Rosbag1File(ChunkedFile):
         if record.opcode in (MESSAGE, CONNECTION) and whole:
             data = self.read_at(offset, min(record.end - offset, self.chunk_max))
             spots, whole = self._spots(data, NOTHING_LISTED)
-            for time_ns, number, start, end in spots:
-                yield Entry(time_ns, number, data[start:end])
+            yield from entries_at(data, spots)
         if not whole and record.end <= self.size:  # of a cut the walk tells
             self.report(f"record at byte {offset} is damaged: what it holds is lost")
 

@@ -12,25 +12,45 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TypeGuard
+from typing import Any, NamedTuple, TypeGuard
 from urllib.parse import quote
 
-from specmap_cli.core.errors import LOG_DAMAGED, LogError
+from specmap_cli.core.errors import LOG_DAMAGED
+from specmap_cli.core.files import read_bytes
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
+from specmap_cli.core.yaml import read_yaml
 from specmap_cli.logs.readers.compression import compression_of, decompress
-from specmap_cli.logs.readers.metadata import recorded_messages
+from specmap_cli.logs.readers.encoding import normalized_type
 from specmap_cli.logs.readers.recording import (
     Contents,
     Message,
     Recording,
     contents_of,
     lost_text,
+    refused,
     survey,
     time_text,
 )
-from specmap_cli.logs.readers.rosbag2_rows import Fault, Rows
-from specmap_cli.logs.readers.typestore import normalized_type
+
+_LARGEST_MB = 4.0  # of a metadata.yaml: some kilobytes, with many topics and files a megabyte
+_MOST = 10**18  # messages in a file
+
+
+def recorded_messages(file: Path) -> int | None:
+    """The messages in one file of a recording by the metadata beside it; None when it says nothing.
+
+    The list `files` has a path and a number for each file; recorders before ROS 2 Galactic wrote
+    no such list.
+    """
+    try:
+        found = read_yaml(read_bytes(file.with_name("metadata.yaml"), _LARGEST_MB))
+        files = {one["path"]: one for one in found["rosbag2_bagfile_information"]["files"]}
+        messages = int(files[file.name]["message_count"])
+    except (OSError, ValueError, TypeError, KeyError):  # missing, damaged, or without the list
+        return None
+    return messages if 0 <= messages < _MOST else None
+
 
 MAGIC = b"SQLite format 3\x00"
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+){1,2}")  # package/msg/Name
@@ -67,7 +87,7 @@ class Rosbag2File(Recording):
         try:
             self._db = sqlite3.connect(location, uri=True)
         except sqlite3.Error as error:
-            raise LogError(f"{self.path}: cannot read: {error}") from None
+            raise refused(self.path, f"cannot read: {error}") from None
         try:
             self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, self._message_max)
             self._db.execute("PRAGMA writable_schema = ON")  # lets a cut-off file be read at all
@@ -81,9 +101,8 @@ class Rosbag2File(Recording):
             self._sorted = self._time_index is not None
         except sqlite3.Error as error:
             self._db.close()
-            raise LogError(
-                f"{self.path}: no readable rosbag2 file: {error}", code=LOG_DAMAGED
-            ) from None
+            fault = f"no readable rosbag2 file: {error}"
+            raise refused(self.path, fault, code=LOG_DAMAGED) from None
 
     def _find_time_index(self) -> str | None:
         """The name of an index by which messages come in time order without sorting them all."""
@@ -240,3 +259,132 @@ class Rosbag2File(Recording):
 def _is_number(value: object) -> TypeGuard[int]:
     """Whether a cell holds a whole number, as a sound one of a topic or a time does."""
     return isinstance(value, int)
+
+
+_ROWS_END = 1 << 63  # SQLite numbers its rows in 64 bits
+
+
+class Row(NamedTuple):
+    """A message as it is stored; a damaged file may hold values of any type."""
+
+    topic: int
+    time_ns: object
+    data: object
+
+
+class Fault(NamedTuple):
+    """What could not be read behind a time (None: at first).
+
+    `topic` is that of the one message that is lost; None when nobody knows which ones are.
+    """
+
+    error: str
+    time_ns: object
+    topic: int | None = None
+    is_end: bool = False
+
+
+class _Place(NamedTuple):
+    """A message among the others: its time and its row."""
+
+    time_ns: object
+    row: int
+
+
+class Rows:
+    """The messages of some topics, by time or in the order of recording."""
+
+    def __init__(self, db: sqlite3.Connection, topics: list[int], by_time: bool) -> None:
+        self._db = db
+        self._topics = topics
+        self._by_time = by_time
+
+    def __iter__(self) -> Iterator[Row | Fault]:
+        """The rows, and a fault in the place of each that cannot be read."""
+        place: _Place | None = None
+        while True:
+            before = place
+            try:
+                columns = "timestamp, rowid, topic_id, data"
+                for row in self._db.execute(*self._query(columns, place)):
+                    place = _Place(*row[:2])
+                    yield Row(row[2], row[0], row[3])
+                return
+            except sqlite3.Error as error:  # Python asks ahead: a sound row may come first
+                found, place = self._single(place, str(error))
+            if found is not None:
+                yield found
+            if place is None or not self._is_behind(place, before):
+                return
+
+    def _is_behind(self, place: _Place, other: _Place | None) -> bool:
+        """Whether a place comes later: in a damaged table rows may lead back, round and round."""
+        if other is None:
+            return True
+        if not self._by_time:
+            return place.row > other.row
+        times = [time if isinstance(time, int) else 0 for time in (place.time_ns, other.time_ns)]
+        return (times[0], place.row) > (times[1], other.row)
+
+    def _single(self, place: _Place | None, error: str) -> tuple[Row | Fault | None, _Place | None]:
+        """The row behind a place read on its own, and from where to go on: None for nowhere."""
+        try:
+            key = self._first("timestamp, rowid, topic_id", place)
+        except sqlite3.Error:
+            time = place.time_ns if place is not None else None
+            behind = None if self._by_time else self._readable(place.row if place else 0)
+            return Fault(error, time, is_end=behind is None), behind
+        if key is None:
+            return None, None
+        time, row, topic = key
+        try:
+            query = "SELECT data FROM messages NOT INDEXED WHERE rowid = ?"
+            found = self._db.execute(query, (row,)).fetchone()
+        except sqlite3.Error as fault:
+            return Fault(str(fault), time, topic), _Place(time, row)
+        if found is None:  # a damaged table leads elsewhere by the number of the row
+            return Fault(error, time, topic), _Place(time, row)
+        return Row(topic, time, found[0]), _Place(time, row)
+
+    def _readable(self, last: int) -> _Place | None:
+        """The first place behind the rows after `last` that cannot be read; None when all cannot.
+
+        Steps double until one leads out of the damage; halving finds where it ends.
+        """
+        step = 1
+        while not self._can_go_on(last + step):
+            step *= 2
+            if last + step >= _ROWS_END:
+                return None
+        fails, works = step // 2, step
+        while works - fails > 1:
+            middle = (fails + works) // 2
+            if self._can_go_on(last + middle):
+                works = middle
+            else:
+                fails = middle
+        return _Place(None, last + works)
+
+    def _can_go_on(self, row: int) -> bool:
+        """Whether what follows a row can be read."""
+        try:
+            self._first("topic_id", _Place(None, row))
+        except sqlite3.Error:
+            return False
+        return True
+
+    def _first(self, columns: str, behind: _Place | None) -> tuple[Any, ...] | None:
+        query, values = self._query(columns, behind)
+        row: tuple[Any, ...] | None = self._db.execute(f"{query} LIMIT 1", values).fetchone()
+        return row
+
+    def _query(self, columns: str, behind: _Place | None) -> tuple[str, list[object]]:
+        """The query for what comes behind a place, in order."""
+        topics = ", ".join("?" * len(self._topics))
+        query = f"SELECT {columns} FROM messages WHERE topic_id IN ({topics})"
+        values: list[object] = [*self._topics]
+        if behind is not None and self._by_time:
+            query, values = f"{query} AND (timestamp, rowid) > (?, ?)", [*values, *behind]
+        elif behind is not None:  # not by >, which would look into the page of `behind`
+            query, values = f"{query} AND rowid >= ?", [*values, behind.row + 1]
+        return f"{query} ORDER BY {'timestamp, rowid' if self._by_time else 'rowid'}", values

@@ -21,10 +21,8 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
-from specmap_cli.recognition.learning.boosting import Booster, StumpBoost
-from specmap_cli.recognition.learning.growing import Growth, Question, grown
-from specmap_cli.recognition.learning.quantiser import CodeArray, Quantiser
-from specmap_cli.recognition.learning.trees import FEATURE_SHARE, TreeBoost
+from specmap_cli.recognition.learning.boosting import FEATURE_SHARE, Booster, StumpBoost, TreeBoost
+from specmap_cli.recognition.learning.trees import CodeArray, Growth, Quantiser, Question, grown
 
 _CLOSURE_SHRINKAGE = 0.5  # scale of every vote of trees while ranking
 SAMPLES_PER_SUBMAP = 60  # scans of a submap used for ranking

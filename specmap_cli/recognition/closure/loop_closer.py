@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,18 +19,17 @@ from specmap_cli.core.records import Closure
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.recognition.closure.claims import SAMPLES_PER_SUBMAP, ClaimRanker, Claims
-from specmap_cli.recognition.closure.picking import likely_duplicates, merit, with_one_merge
-from specmap_cli.recognition.closure.prepared import PreparedGrids, cropped
-from specmap_cli.recognition.closure.stay import Stay
-from specmap_cli.recognition.closure.unconfirmed import UnconfirmedWay
-from specmap_cli.recognition.closure.verdict import (
+from specmap_cli.recognition.closure.decision import (
     NO_WALLS,
-    Verdict,
+    Decision,
+    DriftGraph,
+    Stay,
+    decide,
     expected_overlap,
     mended_m,
     plausible,
-    verdict,
 )
+from specmap_cli.recognition.closure.prepared import PreparedGrids, cropped
 from specmap_cli.recognition.closure.verification import CANDIDATES, MIN_LEAD, Check, verify
 
 _LEFTOVERS = 2  # pairs matched a submap in search of duplicates
@@ -55,7 +54,7 @@ class LoopCloser:
         self._claims: dict[int, dict[int, Claims]] = {}  # the best of two submaps, by both
         self._compared: set[tuple[int, int]] = set()
         self._grids = PreparedGrids(_PREPARED)
-        self._way = UnconfirmedWay(config)
+        self._way = DriftGraph(config)
 
     def consider(self, new: Stay) -> list[Closure]:
         """Compare a new stay with every old submap, and remember it as a submap of its own.
@@ -182,7 +181,7 @@ class LoopCloser:
             reason = (
                 "xi passes the threshold" if merged else "xi below the threshold or not the best"
             )
-            by_xi = Verdict(False, merged, reason)
+            by_xi = Decision(False, merged, reason)
             closures.append(_closure(new.number, old, claims[old], None, by_xi))
         return closures
 
@@ -259,7 +258,7 @@ class LoopCloser:
             grids[1],
             lambda pose: plausible(old, new, pose, way_m, self.config),
         )
-        found = verdict(old, new, check, way_m, self.config)
+        found = decide(old, new, check, way_m, self.config)
         if check is not None and found.verified:
             self._way.confirm(old, new, mended_m(old, new, check.old_from_new))
         return _closure(new.number, old.number, claims, check, found)
@@ -270,7 +269,7 @@ def _packed(stay: Stay) -> PackedGrid:
     return PackedGrid.of(cropped(stay.grid))
 
 
-def _closure(new: int, old: int, claims: Claims, check: Check | None, found: Verdict) -> Closure:
+def _closure(new: int, old: int, claims: Claims, check: Check | None, found: Decision) -> Closure:
     return Closure(
         new=new,
         old=old,
@@ -289,3 +288,49 @@ def _largest(stays: Sequence[Stay], most: int) -> list[int]:
     """Numbers, ascending, of the `most` stays that saw the largest area; the older of equals."""
     by_area = sorted(range(len(stays)), key=lambda k: -stays[k].area_m2)  # sorted keeps their order
     return sorted(by_area[:most])
+
+
+_ALIKE_M = 1.0  # tracking is off by as much in either of two places
+
+
+def with_one_merge(
+    closures: Sequence[Closure], moved_m: Callable[[Closure], float], lead: float
+) -> list[Closure]:
+    """The closures with the best of the merges alone left as one.
+
+    Of those that match nearly as well, by less than `lead`, the one is right that tracking
+    expected: `moved_m` tells how far a match moves the new stay. Twin rooms are a room apart.
+    """
+    merges = [c for c in closures if c.merged]
+    if not merges:
+        return list(closures)
+    enough = max(c.score for c in merges) - lead
+    best = min(
+        (c for c in merges if c.score >= enough),
+        key=lambda c: (max(moved_m(c), _ALIKE_M), -c.score, c.old),
+    )
+    return [
+        replace(c, merged=False, reason="another submap fits better")
+        if c.merged and c is not best
+        else c
+        for c in closures
+    ]
+
+
+def likely_duplicates(
+    ids: Sequence[int], adjacency: Mapping[int, Collection[int]]
+) -> list[tuple[int, int]]:
+    """Pairs (smaller, larger) of submaps one or two edges apart."""
+    pairs: list[tuple[int, int]] = []
+    left = set(ids)
+    for start in ids:
+        near = set(adjacency.get(start, ()))
+        near |= {n for neighbour in near for n in adjacency.get(neighbour, ())}
+        pairs.extend((start, other) for other in sorted(near & left) if other > start)
+    return pairs
+
+
+def merit(closure: Closure) -> tuple[bool, bool, float]:
+    """What makes one match with a submap better than another; no match at all is the worst."""
+    score = -math.inf if math.isnan(closure.score) else closure.score
+    return closure.merged, closure.verified, score

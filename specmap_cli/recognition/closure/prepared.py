@@ -1,9 +1,10 @@
-"""What is kept of a submap's grid for matching it with others: walls, free space, fields."""
+"""Grids prepared for matching: walls, free space, fields; of stays, and of whole maps."""
 
 from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.gridmap import FREE, NO_OBSTACLE_M, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.score_field import ScoreField
+from specmap_cli.recognition.learning.classifiers import ClassifierSet
 
 _MATCH_CELL_M = 0.3  # two grids are first matched on cells of about this side
 _MATCH_SIGMA_M = 0.15  # how near matched walls pull each other
@@ -215,3 +217,38 @@ def _block_sums(cells: BoolArray, factor: int) -> NDArray[np.int32]:
 def _centres(grid: GridMap, cells: BoolArray) -> FloatArray:
     """(N, 2) centres of some cells (H, W), each x beside its y: sums depend on that, in the end."""
     return np.ascontiguousarray(grid.centres_of(np.argwhere(cells)))
+
+
+_PREPARED = 64  # grids at a time: each takes up to a megabyte
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapToAlign:
+    """A finished map: its `whole` grid, and the grids of its submaps by id.
+
+    `frames` are those of the submaps in the map, `tracks` (k, 2 or more) where the robot was in
+    each, in the map; a map that was cut from a finished grid has none, nor `classifiers`.
+    """
+
+    whole: GridMap
+    grids: Mapping[int, GridMap]
+    frames: Mapping[int, Pose2]
+    tracks: Mapping[int, FloatArray]
+    classifiers: ClassifierSet | None = None
+
+    @property
+    def ids(self) -> list[int]:
+        """Submap ids, ascending."""
+        return sorted(self.frames)
+
+
+class PreparedMap:
+    """The submaps of a map prepared for matching, those last asked for kept."""
+
+    def __init__(self, known: MapToAlign) -> None:
+        self.known = known
+        self._grids = PreparedGrids(_PREPARED)
+
+    def of(self, submap: int) -> PreparedGrid | None:
+        """One submap's grid in its own frame; None when it shows too little of a wall."""
+        return self._grids.of(submap, self.known.grids[submap])

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.recognition.features.group import BatchGroup
-from specmap_cli.recognition.features.pairs import pair_windows
-from specmap_cli.recognition.features.returns import ReturnsBatch
-from specmap_cli.recognition.features.segments import Segments
+from specmap_cli.recognition.features.returns import ReturnsBatch, Segments, pair_windows
 from specmap_cli.recognition.features.shape import breaks_of, pieces_between, travelled_along
 
 # These define features: classifiers on disk hold thresholds on what comes of them.

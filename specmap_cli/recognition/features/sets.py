@@ -29,7 +29,7 @@ from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.features import point_pairs, profile, shape, table1
+from specmap_cli.recognition.features import point_pairs, shape, table1
 from specmap_cli.recognition.features.group import BatchGroup, FeatureGroup, WrongCountError
 from specmap_cli.recognition.features.returns import ReturnsBatch
 
@@ -45,7 +45,7 @@ BUILT_IN: Mapping[str, FeatureSet] = {
     "pairs": table1.GROUPS + point_pairs.GROUPS,
     "shape": table1.GROUPS + shape.GROUPS,
     "places": table1.GROUPS + shape.GROUPS + point_pairs.GROUPS,
-    "full": table1.GROUPS + shape.GROUPS + point_pairs.GROUPS + profile.GROUPS,
+    "full": table1.GROUPS + shape.GROUPS + point_pairs.GROUPS + shape.PROFILE_GROUPS,
 }
 
 

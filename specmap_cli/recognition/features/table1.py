@@ -15,8 +15,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.features.group import BatchGroup
-from specmap_cli.recognition.features.returns import PAIR_STEP_M, ReturnsBatch
-from specmap_cli.recognition.features.segments import ratio
+from specmap_cli.recognition.features.returns import PAIR_STEP_M, ReturnsBatch, ratio
 
 # These define features: classifiers on disk hold thresholds on what comes of them.
 GAP_THRESHOLDS_M = (0.3, 0.6, 1.2)

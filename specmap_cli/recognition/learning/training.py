@@ -1,22 +1,31 @@
-"""Training the classifiers that localisation uses, from the keyframes of a map."""
+"""Training the classifiers that localisation uses, and testing them on scans they did not see.
+
+Single scans that are held out prove nothing: the scans just before and after them were learned. So
+pieces of the way are held out. Of a piece of some metres the map knows no more than it knows of
+another robot's way. For a recording that is added to a map no piece need be held out: its scans are
+told by the classifiers that the map had before.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.settings import Config
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.learning.calibration import HeldOutMargins
-from specmap_cli.recognition.learning.classifiers import Recogniser
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, travelled
+from specmap_cli.core.records import IntArray
+from specmap_cli.core.settings import Config, RecognitionConfig
+from specmap_cli.grids.keyframes import DIRECTION_RAD, KeyframeStore
+from specmap_cli.recognition.learning.boosting import OneVsAll
+from specmap_cli.recognition.learning.calibration import MOST_VIEWS, HeldOutMargins
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
 from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.holding_out import Pieces, Samples, held_out_margins
 from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M
-from specmap_cli.recognition.learning.one_vs_all import OneVsAll
-from specmap_cli.recognition.learning.revisits import Revisits
-from specmap_cli.recognition.learning.sensor import Sensor
+from specmap_cli.recognition.learning.training_data import Samples
 
 _EXEMPLARS = 80  # scans kept of a submap, to tell unknown ones by
 
@@ -36,9 +45,9 @@ def train_raw(
 ) -> tuple[Recogniser, HeldOutMargins]:
     """What tells the submaps apart by raw scans, and how well it tells scans that are held out.
 
-    It is learned from `raw_samples` and from `beside_samples`. The former alone show what the map
-    looks like, and are tested. With `revisits` these are scans of a recording, which the map before
-    it tells.
+    It is learned from `raw_samples` and from `augmented_samples`. The former alone show what the
+    map looks like, and are tested. With `revisits` these are scans of a recording, which the map
+    before it tells.
     """
     feature_set = config.recognition.feature_set
     samples = {i: _joined(taken[i], beside[i]) for i in sorted(taken)}
@@ -111,3 +120,105 @@ def train(
 
 def _features(samples: Mapping[int, Samples]) -> dict[int, FloatArray]:
     return {i: own.features for i, own in samples.items()}
+
+
+_PIECE_M, _EVERY = 5.0, 4  # of the way a piece in four is held out; the first one never is
+_UNCLAIMED = -1e3  # margin of a submap of which nothing was left to learn from
+
+
+class Pieces:
+    """Which keyframes are held out, and which of these the rest of their submap comes near to."""
+
+    def __init__(self, poses: FloatArray, reach_m: float) -> None:
+        self.poses = poses
+        self.reach_m = reach_m
+        self.held_out = (travelled(poses) // _PIECE_M).astype(np.int64) % _EVERY == 1
+
+    def rest(self, samples: Samples) -> Samples:
+        """The samples to learn from."""
+        return samples.rows(~self.held_out[samples.keyframes])
+
+    def tested(self, samples: Samples) -> Samples:
+        """The samples to test: those of places of the submap that the rest shows, too."""
+        held_out = samples.rows(self.held_out[samples.keyframes])
+        rest = np.unique(self.rest(samples).keyframes)
+        if not len(rest):
+            return held_out.rows(np.zeros(len(held_out.keyframes), dtype=bool))
+        tree = cKDTree(self.poses[rest, :2])
+        distance, _ = tree.query(self.poses[held_out.keyframes, :2])
+        return held_out.rows(distance < self.reach_m)
+
+
+def held_out_margins(
+    learned: Mapping[int, Samples],
+    tested: Mapping[int, Samples],
+    feature_set: str,
+    config: RecognitionConfig,
+    rng: np.random.Generator,
+) -> HeldOutMargins:
+    """The margins of the samples `tested` by classifiers that learn from those `learned`.
+
+    A submap that is not learned, since nothing is left of it, claims nothing. There are no margins
+    where fewer than two submaps are left to tell apart.
+    """
+    ids = sorted(learned)
+    rest = {i: samples.features for i, samples in learned.items() if len(samples.features)}
+    asked = {i: samples for i, samples in tested.items() if i in rest and len(samples.features)}
+    if len(rest) < 2 or not asked:
+        return HeldOutMargins(np.zeros((0, len(ids))), np.zeros(0, dtype=np.intp))
+    classifiers = OneVsAll(feature_set, config).fit(rest, rng)
+    numbers = {i: k for k, i in enumerate(ids)}
+    counts = [len(samples.features) for samples in asked.values()]
+    margins = np.full((sum(counts), len(ids)), _UNCLAIMED)
+    columns = [numbers[i] for i in classifiers.classes_]
+    margins[:, columns] = classifiers.margins(np.vstack([s.features for s in asked.values()]))
+    truth = np.repeat([numbers[i] for i in asked], counts).astype(np.intp)
+    return HeldOutMargins(margins, truth)
+
+
+_CHORD = 2.0 * np.sin(0.5 * DIRECTION_RAD)  # of the unit circle
+
+
+@dataclass(frozen=True, slots=True)
+class Revisits:
+    """The `classifiers` of a map before the recording whose keyframes begin at number `first`.
+
+    The keyframes of both lie at `poses` (n, 3), in `submaps` (n,). A place is known that lies
+    within `reach_m` of one where the robot was in the submap, less far the more it faced another
+    way, unless the laser looks all round.
+    """
+
+    classifiers: ClassifierSet
+    first: int
+    poses: FloatArray
+    submaps: IntArray
+    reach_m: float
+
+    def told(self, samples: Mapping[int, Samples], by: Recogniser) -> HeldOutMargins:
+        """The margins of samples of the recording; `by` is one of the classifiers before it."""
+        column = {id_: k for k, id_ in enumerate(by.ids)}
+        found = [(column[i], self._known(i, samples[i])) for i in sorted(samples) if i in column]
+        features = [own.features for _, own in found if len(own.features)]
+        if not features:
+            return HeldOutMargins(np.zeros((0, len(column))), np.zeros(0, dtype=np.intp))
+        true = np.repeat([k for k, _ in found], [len(own.features) for _, own in found])
+        rows = evenly(np.arange(len(true)), MOST_VIEWS)
+        return HeldOutMargins(by.margins(np.vstack(features)[rows]), true[rows].astype(np.intp))
+
+    def _known(self, submap: int, samples: Samples) -> Samples:
+        """Those of the recording at places of the submap that were known before."""
+        before = np.flatnonzero(self.submaps[: self.first] == submap)
+        own = samples.rows(samples.keyframes >= self.first)
+        if not len(before) or not len(own.keyframes):
+            return own.rows(np.zeros(len(own.keyframes), dtype=bool))
+        near = cKDTree(self._views(before)).query(self._views(own.keyframes))[0] < 1.0
+        return own.rows(np.asarray(near))
+
+    def _views(self, keyframes: NDArray[np.intp]) -> FloatArray:
+        """Where keyframes (k,) look from, and where to: farther apart than one is another view."""
+        x, y, heading = self.poses[keyframes].T
+        places = np.column_stack([x, y]) / self.reach_m
+        if self.classifiers.sensor.full_circle:
+            return places
+        facing = np.column_stack([np.cos(heading), np.sin(heading)]) / _CHORD
+        return np.hstack([places, facing])

@@ -1,122 +1,334 @@
-"""Real AdaBoost on trees of two levels over quantised features: the default classifier."""
+"""Growing the trees of many classifiers at once: Real AdaBoost on quantised features.
+
+A round draws a share of the features, the same for all classifiers, and finds the best root split
+and the best split below it for each of them from weighted histograms. Leaves vote half the log
+odds of their weights (Schapire and Singer, 1999), shrunk; half a sample of either side is added, so
+that what few samples do not show is not ruled out. Classifiers share nothing but the draws:
+each is the same whether it is learned alone or with others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.recognition.learning.forest import Forest
-from specmap_cli.recognition.learning.growing import Growth, Question, grown
-from specmap_cli.recognition.learning.json_fields import field, mapping, number, numbers, objects
-from specmap_cli.recognition.learning.quantiser import CodeArray, Quantiser
 
-FEATURE_SHARE = 0.1  # share of the features that are drawn for a round of trees
-_NODES = ("root", "below", "above")
-_LEAVES = 4
+BINS = 16  # more of them learn no better, and cost a round in proportion
+CodeArray = NDArray[np.uint8]
 
 
-class TreeBoost:
-    """Real AdaBoost on trees of two levels; the two classes start with equal total weight.
+@dataclass(frozen=True, slots=True)
+class Quantiser:
+    """Cuts every feature at its quantiles: `edges` (F, BINS - 1), padded with +inf."""
 
-    `names` are the columns' names; `shrinkage` scales every leaf; `feature_share` of the features
-    is drawn each round by a generator seeded with `seed`. `forest_` holds the fitted trees.
-    `growing.grown` learns many classifiers of the same samples at once, faster than one by one.
+    edges: FloatArray
+
+    @classmethod
+    def of(cls, X: NDArray[Any]) -> Quantiser:
+        """The quantiser of samples X (n, F)."""
+        ordered = np.sort(np.asarray(X, dtype=np.float64), axis=0)
+        at = np.linspace(0, len(ordered) - 1, BINS + 1)[1:-1]
+        low = ordered[np.floor(at).astype(np.intp)]
+        high = ordered[np.minimum(np.floor(at).astype(np.intp) + 1, len(ordered) - 1)]
+        cuts = 0.5 * (low + high).T
+        edges = np.full(cuts.shape, np.inf)
+        for row, values in zip(edges, cuts, strict=True):
+            distinct = np.unique(values)
+            row[: len(distinct)] = distinct
+        return cls(edges)
+
+    def codes(self, X: NDArray[Any]) -> CodeArray:
+        """(F, n) bin of every value: how many edges it reaches."""
+        X = np.asarray(X, dtype=np.float64)
+        codes = np.empty((X.shape[1], len(X)), dtype=np.uint8)
+        for row, edges, values in zip(codes, self.edges, X.T, strict=True):
+            row[:] = np.searchsorted(edges, values, side="right")
+        return codes
+
+
+VOTE_DECIMALS = 6  # of votes, which are of the order of one: readable, and safe from rounding
+
+
+@dataclass(frozen=True, slots=True)
+class Forest:
+    """Trees of two levels in arrays: node 0 the root, 1 below its threshold, 2 above.
+
+    `features` and `thresholds` (T, 3); `votes` (T, 4): below-below, below-above, above-below,
+    above-above.
     """
 
-    kind = "trees"
-
-    def __init__(
-        self,
-        names: Sequence[str],
-        rounds: int = 300,
-        shrinkage: float = 0.3,
-        feature_share: float = 0.2,
-        seed: int = 0,
-    ) -> None:
-        self.names = tuple(names)
-        self.growth = Growth(rounds, shrinkage, feature_share, seed)
-        self.forest_ = Forest.bare()
+    features: NDArray[np.intp]
+    thresholds: FloatArray
+    votes: FloatArray
 
     @classmethod
-    def of(cls, names: Sequence[str], forest: Forest) -> TreeBoost:
-        """The booster of trees that were grown elsewhere."""
-        booster = cls(names, len(forest.votes))
-        booster.forest_ = forest
-        return booster
-
-    def fit(self, X: NDArray[Any], y: NDArray[Any]) -> TreeBoost:
-        """Learn from features X (n, F) and labels y (n,) of +1 and -1; returns self."""
-        quantiser = Quantiser.of(X)
-        return self.fit_codes(quantiser.codes(X), quantiser, y)
-
-    def fit_codes(self, codes: CodeArray, quantiser: Quantiser, y: NDArray[Any]) -> TreeBoost:
-        """The same from features that are cut already: `codes` (F, n) of `quantiser`."""
-        everything = Question(np.arange(codes.shape[1]), np.asarray(y) > 0)
-        (self.forest_,) = grown(codes, quantiser, [everything], self.growth)
-        return self
-
-    def margins(self, X: NDArray[Any]) -> FloatArray:
-        """(n,) sums of votes: positive where the samples X (n, F) are claimed."""
-        return self.forest_.margins(np.asarray(X, dtype=np.float64), classes=1)[:, 0]
-
-    def to_dict(self) -> dict[str, Any]:
-        """The fitted rounds by name, ready for JSON."""
-        rounds = []
-        forest = self.forest_
-        for features, thresholds, votes in zip(
-            forest.features.tolist(), forest.thresholds.tolist(), forest.votes.tolist(), strict=True
-        ):
-            split = [
-                {"feature": self.names[f], "threshold": t}
-                for f, t in zip(features, thresholds, strict=True)
-            ]
-            rounds.append({"root": split[0], "below": split[1], "above": split[2], "votes": votes})
-        return {"kind": self.kind, "rounds": rounds}
+    def bare(cls) -> Forest:
+        """A forest without trees."""
+        return cls(np.zeros((0, 3), dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 4)))
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], names: Sequence[str]) -> TreeBoost:
-        """The booster that `to_dict` described; MapError names the entry that makes no sense."""
-        column = {name: k for k, name in enumerate(names)}
-        rounds = objects(data, "rounds")
-        forest = _read_at_once(rounds, column)
-        return cls.of(names, _read_one_by_one(rounds, column) if forest is None else forest)
+    def joined(cls, forests: Sequence[Forest]) -> Forest:
+        """The trees of several forests, one forest after the other."""
+        return cls(
+            np.vstack([forest.features for forest in forests]),
+            np.vstack([forest.thresholds for forest in forests]),
+            np.vstack([forest.votes for forest in forests]),
+        )
+
+    def tree_votes(self, X: NDArray[Any]) -> FloatArray:
+        """(n, T) vote of each tree on samples X (n, F)."""
+        trees = np.arange(len(self.votes))
+        upper = X[:, self.features[:, 0]] >= self.thresholds[:, 0]
+        node = trees * 3 + 1 + upper
+        feature = self.features.ravel()[node]
+        value = X[0][feature] if len(X) == 1 else np.take_along_axis(X, feature, axis=1)
+        above = value >= self.thresholds.ravel()[node]
+        return np.asarray(self.votes.ravel()[trees * 4 + 2 * upper + above])
+
+    def margins(self, X: NDArray[Any], classes: int) -> FloatArray:
+        """(n, m) sums of the votes of each of `classes` forests that were joined.
+
+        Rounded as the votes are: so the order of summation does not show.
+        """
+        votes = self.tree_votes(X)
+        sums = votes.reshape(len(X), classes, votes.shape[1] // classes).sum(axis=2)
+        return np.asarray(np.round(sums, VOTE_DECIMALS))
 
 
-def _read_at_once(rounds: Sequence[Any], column: Mapping[str, int]) -> Forest | None:
-    """The trees of `to_dict`, quickly; None for anything that needs a closer look."""
-    try:
-        parts = [entry[node] for entry in rounds for node in _NODES]
-        features = [column[part["feature"]] for part in parts]
-        thresholds = [part["threshold"] for part in parts]
-        votes = [vote for entry in rounds for vote in entry["votes"]]
-        if any(len(entry["votes"]) != _LEAVES for entry in rounds):
-            return None
-    except (TypeError, KeyError):
-        return None
-    if {*map(type, thresholds), *map(type, votes)} - {float}:
-        return None
-    forest = Forest(
-        np.array(features, dtype=np.intp).reshape(-1, len(_NODES)),
-        np.array(thresholds, dtype=np.float64).reshape(-1, len(_NODES)),
-        np.array(votes, dtype=np.float64).reshape(-1, _LEAVES),
-    )
-    finite = np.isfinite(forest.thresholds).all() and np.isfinite(forest.votes).all()
-    return forest if finite else None
+IndexArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
+
+# Weight trimming (Friedman, Hastie and Tibshirani, 2000): every few rounds the samples that hold
+# the last 2 % of the weight are left out of the search for splits, which they hardly change.
+_TRIM_EVERY = 8
+_LIGHT_SHARE = 0.02
+_NO_EDGE = 1e300  # a threshold that no value reaches, as JSON knows no infinity
+_WHOLE = 2.0**52  # weights are whole multiples of 2^-52: sums of them below 2 are exact
+_SAMPLES_AT_ONCE = 1 << 15  # of all classifiers grown together: bounds the memory, some 10 MB
 
 
-def _read_one_by_one(rounds: Sequence[Any], column: Mapping[str, int]) -> Forest:
-    """The same, value by value; MapError names the first entry that makes no sense."""
-    features = np.zeros((len(rounds), len(_NODES)), dtype=np.intp)
-    thresholds, votes = np.zeros(features.shape), np.zeros((len(rounds), _LEAVES))
-    for k, entry in enumerate(rounds):
-        for j, node in enumerate(_NODES):
-            where = f"round {k}, {node}"
-            split = mapping(entry, node, where)
-            features[k, j] = field(split, "feature", column, where)
-            thresholds[k, j] = number(split, "threshold", where)
-        votes[k] = numbers(entry, "votes", _LEAVES, f"round {k}")
-    return Forest(features, thresholds, votes)
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a classifier learns: the columns (n,) of the codes that it sees, and which it claims."""
+
+    samples: IndexArray
+    positive: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """How trees are grown: `shrinkage` scales every vote, `seed` draws the features of a round."""
+
+    rounds: int
+    shrinkage: float
+    feature_share: float
+    seed: int
+
+    def draws(self, features: int) -> list[IndexArray]:
+        """The features of every round, ascending."""
+        rng = np.random.default_rng(self.seed)
+        drawn = max(1, round(self.feature_share * features))
+        return [np.sort(rng.choice(features, drawn, replace=False)) for _ in range(self.rounds)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Trees:
+    """A round's trees, one a classifier: features and cuts (C, 3), votes (C, 4)."""
+
+    features: IndexArray
+    cuts: IndexArray
+    votes: FloatArray
+
+
+def grown(
+    codes: CodeArray, quantiser: Quantiser, questions: Sequence[Question], growth: Growth
+) -> list[Forest]:
+    """The forest of every question, from the bins (F, N) of all samples by `quantiser`.
+
+    The two sides of each question start with equal total weight.
+    """
+    draws = growth.draws(len(codes))
+    forests: list[Forest] = []
+    for part in _batches(questions):
+        rounds = _boosted(codes, _Asked.of(part), draws, growth.shrinkage)
+        forests.extend(_forests(rounds, quantiser, len(part)))
+    return forests
+
+
+def shares(weights: FloatArray, owner: IndexArray, owners: int) -> FloatArray:
+    """Weights (S,) scaled to a sum of one for each owner, such that any sum of some is exact.
+
+    So two splits that part the samples alike are equally good to the last bit, whatever the order
+    of summation, and the first one is taken on every processor.
+    """
+    whole = np.rint(weights * _WHOLE)
+    totals = np.bincount(owner, whole, minlength=owners)
+    return np.asarray(np.rint(whole / totals[owner] * _WHOLE) / _WHOLE)
+
+
+def _batches(questions: Sequence[Question]) -> Iterator[Sequence[Question]]:
+    """The questions in their order, as many at a time as their samples allow; at least one."""
+    first, held = 0, 0
+    for k, question in enumerate(questions):
+        if k > first and held + len(question.samples) > _SAMPLES_AT_ONCE:
+            yield questions[first:k]
+            first, held = k, 0
+        held += len(question.samples)
+    if first < len(questions):
+        yield questions[first:]
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The samples of C questions in a row: their columns, question and side (S,) each."""
+
+    samples: IndexArray
+    question: IndexArray
+    positive: BoolArray
+    counts: IndexArray  # (C,) samples of each question
+
+    @classmethod
+    def of(cls, questions: Sequence[Question]) -> _Asked:
+        counts = np.array([len(question.samples) for question in questions], dtype=np.intp)
+        return cls(
+            np.concatenate([question.samples for question in questions]),
+            np.repeat(np.arange(len(questions)), counts),
+            np.concatenate([question.positive for question in questions]),
+            counts,
+        )
+
+    def taken(self, rows: IndexArray) -> _Asked:
+        """Some of the samples, ascending."""
+        counts = np.bincount(self.question[rows], minlength=len(self.counts))
+        return _Asked(self.samples[rows], self.question[rows], self.positive[rows], counts)
+
+    def shares_of_sides(self) -> FloatArray:
+        """(C, 2) weight of one sample of either side at first: half of the weight is to each.
+
+        Of a side without any: of one sample of all.
+        """
+        positive = np.bincount(self.question, self.positive, minlength=len(self.counts))
+        sides = np.column_stack([self.counts - positive, positive])
+        return np.asarray(0.5 / np.where(sides > 0.0, sides, self.counts[:, None]))
+
+    def even_weights(self) -> FloatArray:
+        """(S,) half of the weight of each question to either side."""
+        each = self.shares_of_sides()
+        return shares(
+            each[self.question, self.positive.astype(np.intp)], self.question, len(self.counts)
+        )
+
+    def heavy(self, weights: FloatArray) -> IndexArray:
+        """The samples that remain without the lightest of each question, ascending."""
+        kept = []
+        first = 0
+        for count in self.counts.tolist():
+            own = weights[first : first + count]
+            ordered = np.sort(own)
+            summed = np.cumsum(ordered)
+            least = ordered[np.searchsorted(summed, _LIGHT_SHARE * summed[-1], side="right")]
+            kept.append(first + np.flatnonzero(own >= least))
+            first += count
+        return np.concatenate(kept)
+
+
+def _boosted(
+    codes: CodeArray, asked: _Asked, draws: Sequence[IndexArray], shrinkage: float
+) -> list[_Trees]:
+    """The rounds' trees of all questions."""
+    count = len(asked.counts)
+    smooth = 0.5 * asked.shares_of_sides()[:, :, None]  # half a sample of either side
+    side = 8 * asked.question + 4 * asked.positive
+    weights = asked.even_weights()
+    trees = []
+    for k, drawn in enumerate(draws):
+        if k % _TRIM_EVERY == 0:
+            heavy = asked.heavy(weights)
+            searched = asked.taken(heavy)
+        features, cuts = _split(codes[drawn], searched, weights[heavy])
+        features = drawn[features]
+        leaf = side + _leaves(codes, asked, features, cuts)
+        sums = np.bincount(leaf, weights, minlength=8 * count).reshape(count, 2, 4)
+        odds = (sums[:, 1] + smooth[:, 1]) / (sums[:, 0] + smooth[:, 0])
+        votes = np.round(0.5 * shrinkage * np.log(odds), VOTE_DECIMALS)
+        trees.append(_Trees(features, cuts, votes))
+        growth = np.exp(np.stack([votes, -votes], axis=1))  # eq. 3, a leaf and side at a time
+        weights = shares(weights * growth.ravel()[leaf], asked.question, count)
+    return trees
+
+
+def _split(codes: CodeArray, asked: _Asked, weights: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """The best tree of each question on the features drawn: feature and cut (C, 3) of its nodes.
+
+    `codes` (K, N) are those features' bins. A sample goes above where its bin passes the cut.
+    """
+    count, drawn = len(asked.counts), len(codes)
+    shape = (count, drawn, 2, BINS)
+    own = codes.take(asked.samples, axis=1)
+    first = asked.question * (drawn * 2 * BINS) + BINS * asked.positive.astype(np.intp)
+    cell = np.asarray(own + first, dtype=np.intp)
+    cell += (np.arange(drawn) * (2 * BINS))[:, None]
+    whole = _weigh(cell, weights, shape)
+    root, root_cut = _best_splits(whole)
+    upper = own[root[asked.question], np.arange(len(weights))] > root_cut[asked.question]
+    # the histogram of the smaller side is summed, that of the larger one is the rest
+    fewer_above = 2 * np.bincount(asked.question, upper, minlength=count) <= asked.counts
+    fewer = np.flatnonzero(upper == fewer_above[asked.question])
+    smaller = _weigh(cell.take(fewer, axis=1), weights[fewer], shape)
+    found, cut = _best_splits(np.concatenate([whole - smaller, smaller]))
+    below = np.arange(count) + np.where(fewer_above, 0, count)
+    above = np.arange(count) + np.where(fewer_above, count, 0)
+    features = np.column_stack([root, found[below], found[above]])
+    return features, np.column_stack([root_cut, cut[below], cut[above]])
+
+
+def _weigh(cells: IndexArray, weights: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """The histograms of weights (S,) in the cells (K, S) of each feature."""
+    spread = np.broadcast_to(weights, cells.shape).ravel()
+    summed = np.bincount(cells.ravel(), spread, minlength=math.prod(shape))
+    return np.asarray(summed, dtype=np.float64).reshape(shape)
+
+
+def _best_splits(histograms: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """Feature and cut (N,) of least sum of sqrt(W+ W-) over both sides, for each of N nodes.
+
+    `histograms` (N, K, 2, BINS): weights by feature, side of the question and bin. Single precision
+    is enough: sums are exact before they are rounded to it.
+    """
+    summed = np.cumsum(histograms, axis=3)
+    below = summed[..., :-1].astype(np.float32)
+    above = (summed[..., -1:] - summed[..., :-1]).astype(np.float32)
+    impurity = np.sqrt(below[:, :, 0] * below[:, :, 1])
+    impurity += np.sqrt(above[:, :, 0] * above[:, :, 1])
+    best = impurity.reshape(len(histograms), -1).argmin(axis=1)
+    return np.divmod(best, BINS - 1)
+
+
+def _leaves(codes: CodeArray, asked: _Asked, features: IndexArray, cuts: IndexArray) -> IndexArray:
+    """(S,) number of the leaf of every sample in the tree of its question."""
+    bins, starts = codes.ravel(), (features * codes.shape[1]).ravel()
+    passed = cuts.ravel().astype(np.uint8)
+    node = 3 * asked.question
+    upper = bins[starts[node] + asked.samples] > passed[node]
+    node += 1
+    node += upper
+    above = bins[starts[node] + asked.samples] > passed[node]
+    return np.asarray(2 * upper + above, dtype=np.intp)
+
+
+def _forests(rounds: Sequence[_Trees], quantiser: Quantiser, count: int) -> list[Forest]:
+    """The trees of each of `count` questions, with thresholds in the features' units."""
+    if not rounds:
+        return [Forest.bare()] * count
+    features = np.stack([trees.features for trees in rounds], axis=1)
+    thresholds = quantiser.edges[features, np.stack([trees.cuts for trees in rounds], axis=1)]
+    # no edge stands there: the feature has fewer distinct values, and nothing lies above
+    thresholds = np.where(np.isfinite(thresholds), thresholds, _NO_EDGE)
+    votes = np.stack([trees.votes for trees in rounds], axis=1)
+    return [Forest(*parts) for parts in zip(features, thresholds, votes, strict=True)]

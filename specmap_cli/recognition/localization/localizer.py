@@ -16,17 +16,17 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.recognition.features.virtual import WINDOW_M
 from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.localization.doubt import Doubt
-from specmap_cli.recognition.localization.filtering import SMALLEST, HiddenMarkovFilter
-from specmap_cli.recognition.localization.leads import Lead, Leads
+from specmap_cli.recognition.localization.classification import ClassifiedScan, ScanClassifier
+from specmap_cli.recognition.localization.filtering import (
+    SMALLEST,
+    HiddenMarkovFilter,
+    ViewGrouping,
+)
 from specmap_cli.recognition.localization.metric import MetricTracker
-from specmap_cli.recognition.localization.owners import Owners
-from specmap_cli.recognition.localization.surroundings import Surroundings
+from specmap_cli.recognition.localization.places import LeadHistory, LeadingPlace, Owners
 from specmap_cli.recognition.localization.tracking import PlaceTracker
-from specmap_cli.recognition.localization.views import ViewGrouping
-from specmap_cli.recognition.localization.wall_fit import Ratio, WallFit
-from specmap_cli.recognition.localization.walls import WallCheck
-from specmap_cli.recognition.localization.witness import Impression, Witness
+from specmap_cli.recognition.localization.unknown import UnknownOdds, WallCheck
+from specmap_cli.recognition.localization.wall_fit import Ratio, Surroundings, WallFit
 
 _TRUST = 1.0  # in what scans say; 1: as sure as the map's classifiers proved to be
 _STRANGE_ALONE = 1.0  # a single scan is unknown beyond this share of the limit
@@ -74,7 +74,7 @@ class Localizer:
         self.classifiers = classifiers
         self.config = config
         self.filter = HiddenMarkovFilter({i: adjacency.get(i, ()) for i in classifiers.ids}, config)
-        self._witness = Witness(classifiers, config)
+        self._witness = ScanClassifier(classifiers, config)
         frames = frames or {}
         around = Surroundings(grids, adjacency, frames)
         self.tracker = MetricTracker(around.field, frames)
@@ -86,10 +86,10 @@ class Localizer:
         alone = WallFit(grids, Surroundings(grids, {}, frames), ratio, frames)
         self.walls = WallCheck(alone, config)
         self._uses_walls = metric or config.unknown
-        self._doubt = Doubt(self.walls, config)
+        self._doubt = UnknownOdds(self.walls, config)
         self._views = ViewGrouping()
         self._labels: list[Label] = []
-        self._leads = Leads()
+        self._leads = LeadHistory()
 
     @property
     def note(self) -> str:
@@ -103,14 +103,14 @@ class Localizer:
         """
         left = iter(scans)
         while some := list(islice(left, _TOGETHER)):
-            for posed, evidence in zip(some, self._witness.impressions(some), strict=True):
+            for posed, evidence in zip(some, self._witness.classified(some), strict=True):
                 yield posed, self._update(posed, evidence)
 
     def update(self, posed: PosedScan) -> Label:
         """The label of the next scan. Raises InputError when its laser sees too little."""
-        return self._update(posed, self._witness.impressions([posed])[0])
+        return self._update(posed, self._witness.classified([posed])[0])
 
-    def _update(self, posed: PosedScan, evidence: Impression) -> Label:
+    def _update(self, posed: PosedScan, evidence: ClassifiedScan) -> Label:
         if posed.restarted:
             self._doubt.restart()
             self._views.restart()
@@ -142,11 +142,11 @@ class Localizer:
         ]
         return [self._filtered(a, b) for a, b in zip(self._labels, beliefs, strict=True)]
 
-    def leads(self) -> list[Lead | None]:
+    def leads(self) -> list[LeadingPlace | None]:
         """The place that leads at each scan so far, or that leads later and tells of it."""
         return self._leads.looking_back(WINDOW_M)
 
-    def _led(self, belief: FloatArray, lead: Lead | None) -> FloatArray:
+    def _led(self, belief: FloatArray, lead: LeadingPlace | None) -> FloatArray:
         """(m + 1,) belief with what a lead says of the submap."""
         if lead is None or not self.places.owners.known:
             return belief
@@ -156,7 +156,9 @@ class Localizer:
         led[-1] = belief[-1]
         return led
 
-    def _log_likelihoods(self, posed: PosedScan, evidence: Impression, again: bool) -> FloatArray:
+    def _log_likelihoods(
+        self, posed: PosedScan, evidence: ClassifiedScan, again: bool
+    ) -> FloatArray:
         """(m + 1,) log likelihoods of every submap and, last, of unknown, of the scan's view."""
         known = self._views.mean(evidence.all)
         known = _TRUST * self._share_of_new(known) * known
@@ -171,14 +173,14 @@ class Localizer:
         """How much of what a view says, log probabilities (m,), was not said by the view before."""
         return min(1.0, self._views.motion / steadiness(said))
 
-    def _likely(self, evidence: Impression, again: bool) -> list[int]:
+    def _likely(self, evidence: ClassifiedScan, again: bool) -> list[int]:
         """The submaps, the one first that is likeliest by all scans, then by this one's margins."""
         before = np.maximum(self.filter.predicted(again)[:-1], SMALLEST)
         by_all = evidence.all + np.log(before)
         ranked = [int(by_all.argmax()), *np.argsort(-evidence.all, kind="stable").tolist()]
         return [self.filter.ids[k] for k in dict.fromkeys(ranked)]
 
-    def _raw_label(self, stamp_ns: int, evidence: Impression) -> Label:
+    def _raw_label(self, stamp_ns: int, evidence: ClassifiedScan) -> Label:
         """The label of the single scan by the most votes; nothing is filtered yet."""
         order = np.argsort(-evidence.margins, kind="stable")
         ids, margins = self.filter.ids, evidence.margins[order]
@@ -193,7 +195,7 @@ class Localizer:
             probability=math.exp(evidence.raw[order[0]]),
         )
 
-    def _is_strange(self, evidence: Impression) -> bool:
+    def _is_strange(self, evidence: ClassifiedScan) -> bool:
         """Whether a scan is of no place: it fits no walls, or, if that is not known, is strange."""
         of_walls = self._doubt.of_walls
         if of_walls is None:

@@ -9,7 +9,8 @@ place believed.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,14 +18,71 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.features.virtual import WINDOW_M
-from specmap_cli.recognition.localization.filtering import LEAP, SMALLEST
-from specmap_cli.recognition.localization.hypotheses import Hypothesis, bounded, worth_following
-from specmap_cli.recognition.localization.leads import Lead
-from specmap_cli.recognition.localization.owners import Owners
-from specmap_cli.recognition.localization.place import Place
-from specmap_cli.recognition.localization.views import INDEPENDENT_M, INDEPENDENT_RAD
+from specmap_cli.recognition.localization.filtering import (
+    INDEPENDENT_M,
+    INDEPENDENT_RAD,
+    LEAP,
+    SMALLEST,
+)
+from specmap_cli.recognition.localization.places import LeadingPlace, Owners, Place
+from specmap_cli.recognition.localization.unknown import FIT_SEARCH_M
 from specmap_cli.recognition.localization.wall_fit import Fitted, View, WallFit
-from specmap_cli.recognition.localization.walls import FIT_SEARCH_M
+
+_HOPELESS = 8.0  # so much lighter than the heaviest: one in three thousand
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """The robot is where the last view was `fitted`.
+
+    `weight` is the log likelihood of all views against their being from elsewhere. `refused` is the
+    submap that the place would belong to, if its walls explained the view as well.
+    """
+
+    fitted: Fitted
+    weight: float
+    refused: int | None = None
+
+    @property
+    def place(self) -> Place:
+        """The place that is followed."""
+        return self.fitted.place
+
+    @classmethod
+    def born(cls, fitted: Fitted) -> Hypothesis:
+        """A place that a search found, by its first view."""
+        return cls(fitted, -fitted.against)
+
+    def seen(self, fitted: Fitted, share: float, refused: int | None) -> Hypothesis:
+        """After one more view, of which a `share` is new.
+
+        All of it is, when the place begins to fit or no longer does.
+        """
+        share = share if fitted.fits == self.fitted.fits else 1.0
+        return Hypothesis(fitted, self.weight - share * fitted.against, refused)
+
+
+def bounded(hypotheses: Sequence[Hypothesis], most: float) -> list[Hypothesis]:
+    """All lighter by what the heaviest has above `most`: what they differ by stays as it is."""
+    over = max((each.weight for each in hypotheses), default=most) - most
+    return [replace(each, weight=each.weight - max(0.0, over)) for each in hypotheses]
+
+
+def worth_following(
+    hypotheses: Iterable[Hypothesis], frames: Mapping[int, Pose2]
+) -> list[Hypothesis]:
+    """The hypotheses that are not far behind, the heaviest first, each place once.
+
+    `frames` are the submaps' frames in the layout: a place may be known in two submaps.
+    """
+    kept: list[Hypothesis] = []
+    for each in sorted(hypotheses, key=lambda h: -h.weight):
+        if kept and each.weight < kept[0].weight - _HOPELESS:
+            break
+        if not any(each.place.is_same(other.place, frames) for other in kept):
+            kept.append(each)
+    return kept
+
 
 _MOST = 8  # places followed at once: each costs a match a look
 # Power of the filter's odds: it sums views that are nearly the same, and may be sure of a mistake
@@ -53,7 +111,7 @@ class PlaceTracker:
 
     def restart(self) -> None:
         """Forget every place: the next pose has nothing to do with the last one."""
-        self.lead: Lead | None = None
+        self.lead: LeadingPlace | None = None
         self.hypotheses: list[Hypothesis] = []
         self._searched: dict[int, float] = {}  # where on the way each submap was
         self._driven_m, self._new = 0.0, 1.0  # the way, and the share of a view that is new on it
@@ -144,7 +202,7 @@ class PlaceTracker:
         rest = sum(p * (_MISSED if self._is_searched(i) else 1.0) for i, p in prior.items())
         return np.asarray(np.array(heavy) / (sum(heavy) + rest), dtype=np.float64)
 
-    def _leading(self, chances: FloatArray) -> Lead | None:
+    def _leading(self, chances: FloatArray) -> LeadingPlace | None:
         """The place that leads clearly and fits."""
         if not len(chances):
             return None
@@ -152,7 +210,7 @@ class PlaceTracker:
         leader = self.hypotheses[best]
         if chances[best] < self.config.lead or not leader.fitted.fits:
             return None
-        return Lead(leader.place, float(chances[best]))
+        return LeadingPlace(leader.place, float(chances[best]))
 
     def _labelled(
         self, map_from_base: Pose2, chances: FloatArray, belief: FloatArray

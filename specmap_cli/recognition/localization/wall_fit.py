@@ -1,27 +1,115 @@
 """How well a view fits the walls of a submap: where motion leads, and anywhere.
 
-In its own place nearly all of its returns lie on walls, elsewhere hardly ever.
+In its own place nearly all of its returns lie on walls, elsewhere hardly ever. And few of them lie
+behind walls: few walls of a narrow scan fit many corners of many buildings, but where a return lies
+farther away than a wall that the map has on the way to it, the scan is of another place.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap, cast_rays
 from specmap_cli.grids.matching import Match, refine, search_everywhere
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
-from specmap_cli.recognition.localization.place import Place
-from specmap_cli.recognition.localization.sight import Sightlines
-from specmap_cli.recognition.localization.surroundings import Surroundings
+from specmap_cli.recognition.localization.places import Place
+
+
+class Surroundings:
+    """Score fields of submaps, each in its own frame; made when asked for.
+
+    `frames` are the frames of the grids in the layout. A submap without one stands alone.
+    """
+
+    def __init__(
+        self,
+        grids: Mapping[int, GridMap],
+        adjacency: Mapping[int, Collection[int]],
+        frames: Mapping[int, Pose2],
+    ) -> None:
+        self.grids = grids
+        self.adjacency = adjacency
+        self.frames = frames
+        self._fields: dict[int, ScoreField] = {}
+
+    def field(self, submap: int) -> ScoreField:
+        """The walls in and around a submap, as far as its grid reaches."""
+        if submap not in self._fields:
+            self._fields[submap] = ScoreField.from_grid(self._completed(submap))
+        return self._fields[submap]
+
+    def _completed(self, submap: int) -> GridMap:
+        """The grid of a submap with the walls of its neighbours in the cells that it never saw."""
+        own = self.grids[submap]
+        cells = own.cells.copy()
+        for other in sorted(self.adjacency.get(submap, ())):
+            if other != submap and {submap, other} <= self.frames.keys():
+                own_from_other = self.frames[submap].inverse() @ self.frames[other]
+                _draw(cells, own, self.grids[other], own_from_other)
+        return GridMap(cells, own.resolution, own.origin)
+
+
+def _draw(cells: CellArray, own: GridMap, other: GridMap, own_from_other: Pose2) -> None:
+    """Draw the walls of another grid into the unknown cells (H, W) of one's own."""
+    walls = own_from_other.apply(other.centres_of(np.argwhere(other.occupied)))
+    places = own.cells_of(walls)
+    rows, columns = places[own.inside(places)].T
+    unseen = cells[rows, columns] == UNKNOWN
+    cells[rows[unseen], columns[unseen]] = OCCUPIED
+
+
+_MOST_RAYS = 120  # of a scan, one every three degrees all round: what is cast costs grows with them
+# What the pose of a match and the cells of a grid leave open, in heading and sideways. Along a wall
+# that moves the end of a ray by metres: so a ray may reach as far as any that passes so near.
+_SLANT_RAD, _SIDE_M = math.radians(3.0), 0.15
+_BEHIND_M = 0.3  # farther than a match is off, and than a wall is thick in a grid
+
+
+class Sightlines:
+    """Casts rays in the grids of submaps, in their frames, as far as `reach_m`."""
+
+    def __init__(self, grids: Mapping[int, GridMap], reach_m: float) -> None:
+        self.grids = grids
+        self.reach_m = reach_m
+        self._distances: dict[int, FloatArray] = {}
+
+    def behind(self, submap: int, posed: PosedScan, submap_from_base: Pose2) -> float:
+        """Share of a scan's returns that lie behind walls within reach; 0 without returns.
+
+        A wall counts when the rays beside it meet walls, too: one that ends there may be passed.
+        """
+        planar = posed.planar
+        returned = np.isfinite(planar.ranges)
+        bearings = evenly(planar.bearings[returned], _MOST_RAYS)
+        if not len(bearings):
+            return 0.0
+        laser = submap_from_base @ posed.base_from_laser
+        walls = self._walls(submap, laser, bearings)
+        farther = evenly(planar.ranges[returned], _MOST_RAYS) > walls + _BEHIND_M
+        return float(np.mean(farther))
+
+    def _walls(self, submap: int, laser: Pose2, bearings: FloatArray) -> FloatArray:
+        """(N,) the farthest range that a ray near each bearing (N,) may have, inf past reach."""
+        if submap not in self._distances:
+            self._distances[submap] = self.grids[submap].obstacle_distance()
+        origins = np.tile([laser.x, laser.y], (len(bearings), 1))
+        grid, angles = self.grids[submap], bearings + laser.theta
+        ranges = cast_rays(self._distances[submap], grid, origins, angles, self.reach_m)
+        around = np.maximum(_SLANT_RAD, _SIDE_M / np.maximum(ranges, grid.resolution))
+        first = np.searchsorted(bearings, bearings - around)
+        last = np.searchsorted(bearings, bearings + around, side="right")
+        return np.array([ranges[a:b].max() for a, b in zip(first, last, strict=True)])
+
 
 _FIT_MOST = 4.0  # log likelihood that walls give at the most
 _BEHIND_USUAL = 0.2  # share of a scan behind walls of its own place that moved

@@ -7,8 +7,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.logs.readers.alike_transforms import AlikeTransforms
-from specmap_cli.logs.readers.encoding import Transform, transforms_cdr
+from specmap_cli.logs.readers.encoding import AlikeTransforms, Transform, transforms_cdr
 
 names = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9)
 links = st.lists(st.tuples(names, names), min_size=1, max_size=3)

@@ -16,8 +16,7 @@ from specmap_cli.core.errors import LogError
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.carmen import CarmenFile
-from specmap_cli.logs.readers.carmen_lines import flaser_angles, keyword_of, parse_line
+from specmap_cli.logs.readers.carmen import CarmenFile, flaser_angles, keyword_of, parse_line
 from specmap_cli.logs.stream import SweepStream
 from tests.turning import configured
 

@@ -13,20 +13,18 @@ from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.logs.readers.encoding import (
-    cloud_cdr,
-    in_space,
-    message_definition,
-    odometry_cdr,
-    scan_cdr,
-    transform_cdr,
-)
-from specmap_cli.logs.readers.typestore import (
     LASER_SCAN,
     ODOMETRY,
     POINT_CLOUD,
     SUPPORTED_TYPES,
     TF_MESSAGE,
+    cloud_cdr,
+    in_space,
+    message_definition,
     normalized_type,
+    odometry_cdr,
+    scan_cdr,
+    transform_cdr,
     typestore,
 )
 from tests.strategies import poses

@@ -12,7 +12,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.chunks import ChunkRef, OpenedChunk
+from specmap_cli.logs.readers.chunked import ChunkRef
+from specmap_cli.logs.readers.compression import Unpacked
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message, TopicInfo
 
@@ -141,7 +142,7 @@ def test_random_damage_is_survived(
 
 
 def test_ros1_messages_in_mcap_are_read(tmp_path: Path, drive_messages: list[Message]) -> None:
-    from specmap_cli.logs.readers.typestore import typestore
+    from specmap_cli.logs.readers.encoding import typestore
 
     path = tmp_path / "log.mcap"
     with path.open("wb") as file:
@@ -299,7 +300,7 @@ def test_only_chunks_of_the_wanted_topics_are_read(
     read: list[int] = []
     opened = McapFile._open_chunk
 
-    def spy(file: McapFile, ref: ChunkRef) -> OpenedChunk:
+    def spy(file: McapFile, ref: ChunkRef) -> Unpacked:
         read.append(ref.offset)
         return opened(file, ref)
 

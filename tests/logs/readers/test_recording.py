@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.logs.readers import Contents, Message, Recording, TopicInfo, survey
-from specmap_cli.logs.readers.recording import contents_of, time_text, unreadable
-from specmap_cli.logs.readers.time_order import merge_in_time
+from specmap_cli.logs.readers.recording import contents_of, merge_in_time, time_text, unreadable
 
 entries = st.lists(
     st.tuples(st.sampled_from("abc"), st.sampled_from("XY"), st.integers(-(10**18), 10**18))

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import LogError
-from specmap_cli.logs.readers.sniffing import HEAD_BYTES, head_of, is_text
+from specmap_cli.logs.opening import HEAD_BYTES, head_of
+from specmap_cli.logs.readers.recording import is_text
 
 
 @pytest.mark.parametrize("size", [0, 1, HEAD_BYTES, HEAD_BYTES + 1])

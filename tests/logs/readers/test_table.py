@@ -15,11 +15,11 @@ import pytest
 from specmap_cli.core.errors import LogError, UsageError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs import Message, open_log
-from specmap_cli.logs.convert import convert
 from specmap_cli.logs.inspection import summarize
+from specmap_cli.logs.opening import BUILT_IN, format_names, known_readers
 from specmap_cli.logs.readers import Recording
-from specmap_cli.logs.readers.table import BUILT_IN, format_names, known_readers
 from specmap_cli.logs.stream import SweepStream
+from specmap_cli.logs.writer import convert
 
 Install = Callable[..., None]
 

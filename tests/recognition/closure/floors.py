@@ -9,7 +9,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
-from specmap_cli.recognition.closure.known_map import KnownMap
+from specmap_cli.recognition.closure.prepared import MapToAlign
 
 CELL_M = 0.05
 _WALL_M, _CORRIDOR_M, _DOOR_M, _BESIDE_M = 0.2, 2.0, 0.9, 1.0
@@ -72,7 +72,7 @@ def random_floor(seed: int, rooms: int = 6) -> Floor:
     return made.with_boxes(*boxes)
 
 
-def seen(plan: Floor, rooms: Sequence[int], plan_from_map: Pose2) -> KnownMap:
+def seen(plan: Floor, rooms: Sequence[int], plan_from_map: Pose2) -> MapToAlign:
     """The map of a robot that visited some rooms of a plan, drawn from another frame."""
     whole = _drawn(plan, [plan.rooms[k] for k in rooms], plan_from_map)
     frames, grids, tracks = {}, {}, {}
@@ -82,7 +82,7 @@ def seen(plan: Floor, rooms: Sequence[int], plan_from_map: Pose2) -> KnownMap:
         frames[number] = plan_from_map.inverse() @ middle
         grids[number] = _drawn(plan, [plan.rooms[k]], middle)
         tracks[number] = np.array([frames[number]])
-    return KnownMap(whole=whole, grids=grids, frames=frames, tracks=tracks)
+    return MapToAlign(whole=whole, grids=grids, frames=frames, tracks=tracks)
 
 
 def _drawn(plan: Floor, boxes: Sequence[Box], plan_from_map: Pose2) -> GridMap:

@@ -11,9 +11,9 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angle
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
-from specmap_cli.recognition.closure import alignment, kinship
+from specmap_cli.recognition.closure import alignment, votes
 from specmap_cli.recognition.closure.alignment import Alignment, align
-from specmap_cli.recognition.closure.known_map import KnownMap
+from specmap_cli.recognition.closure.prepared import MapToAlign
 from specmap_cli.recognition.closure.votes import Vote, votes_of
 from tests.recognition.closure.floors import CELL_M, Floor, floor, random_floor, seen
 
@@ -22,7 +22,7 @@ ALL = range(7)
 ALIKE = floor([(3.5, 4.5)] * 6, [0.5] * 6)
 
 
-def aligned(old: KnownMap, new: KnownMap) -> Alignment:
+def aligned(old: MapToAlign, new: MapToAlign) -> Alignment:
     return align(old, new, CONFIG)
 
 
@@ -81,9 +81,9 @@ def test_pairs_far_behind_the_best_of_their_new_submap_come_later(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ranks = np.array([[0.9, 0.04], [0.2, 0.5]])  # of old submaps 0 and 1, and new ones in columns
-    monkeypatch.setattr(kinship, "_ranks", lambda *_: ranks)
+    monkeypatch.setattr(votes, "_ranks", lambda *_: ranks)
     two = seen(random_floor(0), [0, 1], IDENTITY)
-    first, later = kinship.likely_pairs(two, two, 2)
+    first, later = votes.likely_pairs(two, two, 2)
     assert (first, later) == ([(0, 0), (1, 1), (1, 0)], [(0, 1)])
 
 
@@ -104,7 +104,7 @@ def test_two_rooms_in_common_may_be_of_two_buildings() -> None:
 def test_a_large_place_that_was_divided_otherwise_is_found_by_few_submaps() -> None:
     plan, frame = random_floor(6), Pose2(2.0, 0.0, 0.8)
     old, new = seen(plan, ALL, IDENTITY), seen(plan, ALL, frame)
-    whole = KnownMap(
+    whole = MapToAlign(
         whole=new.whole, grids={0: new.whole}, frames={0: IDENTITY}, tracks={0: np.zeros((1, 3))}
     )
     found = aligned(old, whole)
@@ -190,9 +190,9 @@ def test_a_floor_with_another_wing_is_refused() -> None:
 
 def test_maps_without_walls_say_so() -> None:
     empty = GridMap(np.full((40, 40), FREE, dtype=np.uint8), CELL_M)
-    bare = KnownMap(whole=empty, grids={0: empty}, frames={0: IDENTITY}, tracks={})
+    bare = MapToAlign(whole=empty, grids={0: empty}, frames={0: IDENTITY}, tracks={})
     assert "too few walls" in aligned(bare, bare).reason
-    nothing = KnownMap(
+    nothing = MapToAlign(
         whole=GridMap(np.full((1, 1), UNKNOWN, dtype=np.uint8), CELL_M),
         grids={},
         frames={},

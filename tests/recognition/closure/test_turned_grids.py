@@ -13,8 +13,7 @@ from specmap_cli.grids.correlation import Target
 from specmap_cli.grids.matching import refine
 from specmap_cli.recognition.closure import verification
 from specmap_cli.recognition.closure.prepared import PreparedGrid, prepared
-from specmap_cli.recognition.closure.transforms import TransformSearch, differ
-from specmap_cli.recognition.closure.verification import verify
+from specmap_cli.recognition.closure.verification import TransformSearch, differ, verify
 from tests.turning import turn
 
 

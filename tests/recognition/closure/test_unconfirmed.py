@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, GridMap, PackedGrid
-from specmap_cli.recognition.closure.stay import Stay
-from specmap_cli.recognition.closure.unconfirmed import UnconfirmedWay
+from specmap_cli.recognition.closure.decision import DriftGraph, Stay
 
 CONFIG = RecognitionConfig()
 EMPTY = PackedGrid.of(GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.05))
@@ -32,13 +31,13 @@ def stay(travelled_m: float, where: Pose2 | None = IDENTITY) -> Stay:
 
 
 def test_without_a_match_the_way_is_the_one_driven() -> None:
-    way = UnconfirmedWay(CONFIG)
+    way = DriftGraph(CONFIG)
     assert way.between(stay(20.0), stay(152.0)) == 132.0
     assert way.between(stay(152.0), stay(20.0)) == 132.0
 
 
 def test_a_match_that_mends_nothing_cuts_the_way_short() -> None:
-    way = UnconfirmedWay(CONFIG)
+    way = DriftGraph(CONFIG)
     way.confirm(stay(25.0), stay(110.0), 0.0)
     assert way.between(stay(20.0), stay(152.0)) == pytest.approx(5.0 + 42.0)
     assert way.between(stay(152.0), stay(20.0)) == pytest.approx(5.0 + 42.0)
@@ -47,13 +46,13 @@ def test_a_match_that_mends_nothing_cuts_the_way_short() -> None:
 
 def test_what_a_match_mends_counts_as_way() -> None:
     """On so many metres tracking drifts as much: 0.3 m on 3 m of path."""
-    way = UnconfirmedWay(CONFIG)
+    way = DriftGraph(CONFIG)
     way.confirm(stay(0.0), stay(80.0), 0.3)
     assert way.between(stay(0.0), stay(80.0)) == pytest.approx(0.3 / CONFIG.max_drift)
 
 
 def test_a_match_that_cuts_no_way_short_is_not_kept() -> None:
-    way = UnconfirmedWay(CONFIG)
+    way = DriftGraph(CONFIG)
     for mended_m in (0.2, 0.3, 0.2, 0.1):
         way.confirm(stay(0.0), stay(80.0), mended_m)
     way.confirm(stay(80.0), stay(81.0), 0.3)
@@ -61,7 +60,7 @@ def test_a_match_that_cuts_no_way_short_is_not_kept() -> None:
 
 
 def test_matches_are_followed_one_after_the_other() -> None:
-    way = UnconfirmedWay(CONFIG)
+    way = DriftGraph(CONFIG)
     way.confirm(stay(10.0), stay(50.0), 0.0)
     way.confirm(stay(52.0), stay(90.0), 0.0)
     assert way.between(stay(9.0), stay(91.0)) == pytest.approx(1.0 + 2.0 + 1.0)
@@ -78,13 +77,13 @@ def test_matches_are_followed_one_after_the_other() -> None:
     ids=["mends too much", "nothing known of one", "nothing known of the other", "after a loss"],
 )
 def test_what_confirms_nothing(old: Stay, new: Stay, mended_m: float) -> None:
-    way = UnconfirmedWay(CONFIG)
+    way = DriftGraph(CONFIG)
     way.confirm(old, new, mended_m)
     assert way.between(stay(0.0), stay(80.0)) == 80.0
 
 
 def test_across_a_loss_of_tracking_no_way_is_known() -> None:
-    way = UnconfirmedWay(CONFIG)
+    way = DriftGraph(CONFIG)
     way.confirm(stay(10.0), stay(50.0), 0.0)
     assert way.between(stay(10.0), stay(math.inf)) == math.inf
     assert math.isnan(way.between(stay(math.inf), stay(math.inf)))
@@ -97,7 +96,7 @@ places = st.floats(0.0, 500.0)
 def test_no_match_makes_a_way_longer(
     ties: list[tuple[float, float, float]], start: float, end: float
 ) -> None:
-    way = UnconfirmedWay(CONFIG)
+    way = DriftGraph(CONFIG)
     last = abs(end - start)
     for old, new, mended_m in ties:
         way.confirm(stay(old), stay(new), mended_m)

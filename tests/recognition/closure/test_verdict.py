@@ -14,9 +14,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, GridMap, PackedGrid
-from specmap_cli.recognition.closure.stay import Stay
-from specmap_cli.recognition.closure.unconfirmed import UnconfirmedWay
-from specmap_cli.recognition.closure.verdict import Verdict, verdict
+from specmap_cli.recognition.closure.decision import Decision, DriftGraph, Stay, decide
 from specmap_cli.recognition.closure.verification import Check
 from tests.turning import turn
 
@@ -35,9 +33,9 @@ def stay(number: int = 0, **known: Any) -> Stay:
     )
 
 
-def told(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig) -> Verdict:
+def told(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig) -> Decision:
     """The verdict where nothing confirmed the way between two stays."""
-    return verdict(old, new, check, UnconfirmedWay(config).between(old, new), config)
+    return decide(old, new, check, DriftGraph(config).between(old, new), config)
 
 
 @pytest.mark.parametrize(
@@ -124,8 +122,8 @@ def test_two_stays_after_a_loss_of_tracking_may_be_any_way_apart() -> None:
 def test_where_most_of_a_way_is_confirmed_the_office_next_door_is_a_twin() -> None:
     old = stay(0, map_from_stay=IDENTITY)
     new = stay(1, map_from_stay=Pose2(9.0, 0.0, 0.0), travelled_m=90.0)
-    assert verdict(old, new, SURE, 90.0, CONFIG).merged
-    assert verdict(old, new, SURE, 84.0, CONFIG).reason == TWIN
+    assert decide(old, new, SURE, 90.0, CONFIG).merged
+    assert decide(old, new, SURE, 84.0, CONFIG).reason == TWIN
 
 
 @pytest.mark.parametrize("known", [(True, False), (False, True), (False, False)])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.recognition.features import point_pairs, profile, shape, table1
+from specmap_cli.recognition.features import point_pairs, shape, table1
 from specmap_cli.recognition.features.sets import BUILT_IN, feature_names, scans_features
 from tests.recognition.features.one_scan import Function, batch_of, boundary_of, of_one
 
@@ -214,5 +214,5 @@ def test_pieces_of_two_walls() -> None:
 
 
 def test_harmonics_see_a_square_s_four_corners() -> None:
-    values = of_one(profile.harmonics, batch_of(scan_of(rectangle(4, 4, 2, 2))))
+    values = of_one(shape.harmonics, batch_of(scan_of(rectangle(4, 4, 2, 2))))
     assert int(np.argmax(values)) + 1 == 4

@@ -9,7 +9,7 @@ import pytest
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.recognition.features.lines_seen import outline, seen_from
+from specmap_cli.recognition.features.virtual import outline, seen_from
 
 HALF_M = 3.0  # of the side of a room around the origin
 

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.recognition.features import point_pairs, profile, shape, table1
+from specmap_cli.recognition.features import point_pairs, shape, table1
 from specmap_cli.recognition.features.returns import ReturnsBatch
 from tests.recognition.features.one_scan import batch_of, boundary_of, of_one
 from tests.strategies import planar_scans, seeds
@@ -111,11 +111,11 @@ def test_a_mirrored_room_differs_in_the_seventh_invariant_alone() -> None:
 def test_quantiles_rings_and_clips_are_numpy_s(scan: PlanarScan) -> None:
     returns = batch_of(scan)
     ranges = returns.ranges
-    expected = np.quantile(ranges, profile.QUANTILES)
-    assert of_one(profile.range_quantiles, returns) == pytest.approx(expected.tolist())
-    edges = [0.0, *profile.RING_EDGES_M, np.inf]
+    expected = np.quantile(ranges, shape.QUANTILES)
+    assert of_one(shape.range_quantiles, returns) == pytest.approx(expected.tolist())
+    edges = [0.0, *shape.RING_EDGES_M, np.inf]
     rings = np.histogram(ranges, edges)[0] / len(ranges)
-    assert of_one(profile.ring_histogram, returns) == pytest.approx(rings.tolist())
+    assert of_one(shape.ring_histogram, returns) == pytest.approx(rings.tolist())
     clipped = iter(of_one(shape.clipped_ranges, returns))
     for clip in shape.CLIPS_M:
         cut = np.minimum(ranges, clip)
@@ -127,18 +127,16 @@ def test_harmonics_are_the_terms_of_the_fourier_series() -> None:
     bearings = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     ranges = 5.0 + 1.0 * np.cos(3.0 * bearings - 0.7) + 0.25 * np.sin(7.0 * bearings)
     scan = PlanarScan(0, bearings, ranges, 50.0, full_circle=True)
-    values = of_one(profile.harmonics, batch_of(scan))
-    expected = [{3: 0.5, 7: 0.125}.get(k, 0.0) for k in range(1, profile.HARMONICS + 1)]
+    values = of_one(shape.harmonics, batch_of(scan))
+    expected = [{3: 0.5, 7: 0.125}.get(k, 0.0) for k in range(1, shape.HARMONICS + 1)]
     assert values == pytest.approx(expected, abs=2e-3)
 
 
 def test_ranges_beyond_the_last_ring_weigh_no_more_for_being_farther() -> None:
     near, far = (np.where(np.arange(180) < 90, 3.0, reach) for reach in (13.0, 29.0))
-    assert of_one(profile.harmonics, half_circle(far)) == of_one(
-        profile.harmonics, half_circle(near)
-    )
-    assert of_one(profile.ring_histogram, half_circle(far)) == of_one(
-        profile.ring_histogram, half_circle(near)
+    assert of_one(shape.harmonics, half_circle(far)) == of_one(shape.harmonics, half_circle(near))
+    assert of_one(shape.ring_histogram, half_circle(far)) == of_one(
+        shape.ring_histogram, half_circle(near)
     )
 
 

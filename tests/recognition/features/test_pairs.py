@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from specmap_cli.recognition.features.pairs import pair_windows
+from specmap_cli.recognition.features.returns import pair_windows
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 5, 6, 110])

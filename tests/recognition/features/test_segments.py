@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.recognition.features.segments import Segments, ratio
+from specmap_cli.recognition.features.returns import Segments, ratio
 
 pieces = st.lists(st.lists(st.floats(-5.0, 5.0), max_size=6), max_size=6)
 

@@ -12,11 +12,11 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.features.lines_seen import seen_from
 from specmap_cli.recognition.features.sets import scans_features
-from specmap_cli.recognition.learning import beside
-from specmap_cli.recognition.learning.beside import beside_samples
-from specmap_cli.recognition.learning.lessons import together
+from specmap_cli.recognition.features.virtual import seen_from
+from specmap_cli.recognition.learning import sampling
+from specmap_cli.recognition.learning.sampling import augmented_samples
+from specmap_cli.recognition.learning.training_data import together
 
 SUBMAPS = {1: list(range(0, 30)), 4: list(range(32, 38))}  # keyframes 30 and 31 are in none
 
@@ -54,19 +54,19 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[tuple[FloatArray, Pose2, Float
         calls.append((lines, pose, ranges))
         return ranges
 
-    monkeypatch.setattr(beside, "seen_from", watched)
+    monkeypatch.setattr(sampling, "seen_from", watched)
     return calls
 
 
 def test_a_submap_gets_the_scans_that_it_lacks(store: KeyframeStore) -> None:
     rng = np.random.default_rng(0)
-    found = beside_samples(store, SUBMAPS, store.poses, settings(90), rng)
+    found = augmented_samples(store, SUBMAPS, store.poses, settings(90), rng)
     # of 30 and 6 keyframes; what comes to lie in the other submap is left out
     assert 0.85 * 60 < len(found[1].keyframes) <= 60
     assert 0.5 * 84 < len(found[4].keyframes) <= 84
     assert all(set(own.keyframes) <= set(SUBMAPS[i]) for i, own in found.items())
     assert all(own.features.shape[0] == len(own.keyframes) for own in found.values())
-    enough = beside_samples(store, SUBMAPS, store.poses, settings(30), rng)
+    enough = augmented_samples(store, SUBMAPS, store.poses, settings(30), rng)
     assert not len(enough[1].keyframes)
     assert len(enough[4].keyframes)
 
@@ -74,9 +74,9 @@ def test_a_submap_gets_the_scans_that_it_lacks(store: KeyframeStore) -> None:
 def test_those_that_are_known_are_not_made_again(
     store: KeyframeStore, seen: list[tuple[FloatArray, Pose2, FloatArray]]
 ) -> None:
-    first = beside_samples(store, SUBMAPS, store.poses, settings(90), np.random.default_rng(0))
+    first = augmented_samples(store, SUBMAPS, store.poses, settings(90), np.random.default_rng(0))
     made, known = len(seen), together(first)
-    again = beside_samples(
+    again = augmented_samples(
         store, SUBMAPS, store.poses, settings(40), np.random.default_rng(1), known
     )
     assert len(seen) == made > 40
@@ -91,7 +91,7 @@ def test_they_lie_a_step_aside_and_look_as_scans_taken_there(
     request: pytest.FixtureRequest,
 ) -> None:
     rng = np.random.default_rng(1)
-    found = beside_samples(store, SUBMAPS, store.poses, settings(60), rng)
+    found = augmented_samples(store, SUBMAPS, store.poses, settings(60), rng)
     building = request.getfixturevalue("building")
     assert len(seen) == sum(len(own.keyframes) for own in found.values())
     keyframes = np.concatenate([found[i].keyframes for i in sorted(found)])
@@ -107,7 +107,7 @@ def test_they_lie_a_step_aside_and_look_as_scans_taken_there(
 
 
 def test_none_are_made_where_none_are_wanted(store: KeyframeStore) -> None:
-    found = beside_samples(store, SUBMAPS, store.poses, settings(0), np.random.default_rng(0))
+    found = augmented_samples(store, SUBMAPS, store.poses, settings(0), np.random.default_rng(0))
     width = scans_features([store.scan(0)], "table1").shape[1]
     assert [own.features.shape for own in found.values()] == [(0, width)] * 2
     assert list(found) == [1, 4]
@@ -115,7 +115,7 @@ def test_none_are_made_where_none_are_wanted(store: KeyframeStore) -> None:
 
 def test_they_are_the_same_for_a_seed_and_differ_for_another(store: KeyframeStore) -> None:
     first, again, other = (
-        beside_samples(store, SUBMAPS, store.poses, settings(50), np.random.default_rng(seed))
+        augmented_samples(store, SUBMAPS, store.poses, settings(50), np.random.default_rng(seed))
         for seed in (3, 3, 4)
     )
     assert first[1].features.tolist() == again[1].features.tolist()
@@ -123,7 +123,7 @@ def test_they_are_the_same_for_a_seed_and_differ_for_another(store: KeyframeStor
 
 
 def test_a_map_of_one_keyframe_is_seen_from_beside_it(store: KeyframeStore) -> None:
-    found = beside_samples(store, {0: [7]}, store.poses, settings(6), np.random.default_rng(0))
+    found = augmented_samples(store, {0: [7]}, store.poses, settings(6), np.random.default_rng(0))
     assert found[0].keyframes.tolist() == [7] * 5
 
 
@@ -136,8 +136,8 @@ def test_the_readings_have_the_bearings_of_the_keyframe_s_laser(
         made.extend(scans)
         return np.zeros((len(made), 1))
 
-    monkeypatch.setattr(beside, "scans_features", keep)
-    beside_samples(store, {0: [3, 4]}, store.poses, settings(6), np.random.default_rng(0))
+    monkeypatch.setattr(sampling, "scans_features", keep)
+    augmented_samples(store, {0: [3, 4]}, store.poses, settings(6), np.random.default_rng(0))
     assert len(made) == 4
     for scan in made:
         assert scan.bearings.tolist() == store.scan(3).bearings.tolist()

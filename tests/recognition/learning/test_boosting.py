@@ -16,7 +16,7 @@ from sklearn.tree import DecisionTreeClassifier
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost, booster_from_dict
-from specmap_cli.recognition.learning.quantiser import Quantiser
+from specmap_cli.recognition.learning.trees import Quantiser
 from tests.strategies import few
 
 NAMES = tuple(f"f{k}" for k in range(6))

@@ -16,9 +16,8 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.settings import Config
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.calibration import Calibration
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
-from specmap_cli.recognition.learning.sensor import Sensor
 from specmap_cli.recognition.learning.training import train
 from tests.recognition.learning.made_up import PAPER, SMALL, samples_of
 

@@ -7,10 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.recognition.learning import growing
-from specmap_cli.recognition.learning.forest import Forest
-from specmap_cli.recognition.learning.growing import Growth, Question, grown, shares
-from specmap_cli.recognition.learning.quantiser import CodeArray, Quantiser
+from specmap_cli.recognition.learning import trees
+from specmap_cli.recognition.learning.trees import (
+    CodeArray,
+    Forest,
+    Growth,
+    Quantiser,
+    Question,
+    grown,
+    shares,
+)
 from tests.strategies import few, seeds
 
 GROWTH = Growth(rounds=12, shrinkage=0.5, feature_share=0.5, seed=3)
@@ -44,7 +50,7 @@ def test_a_classifier_is_the_same_alone_and_with_others(
 ) -> None:
     codes, quantiser, questions = world()
     alone = [grown(codes, quantiser, [question], GROWTH)[0] for question in questions]
-    monkeypatch.setattr(growing, "_SAMPLES_AT_ONCE", at_once)
+    monkeypatch.setattr(trees, "_SAMPLES_AT_ONCE", at_once)
     together = grown(codes, quantiser, questions, GROWTH)
     assert all(map(same, alone, together))
     assert not same(alone[0], alone[1])
@@ -54,8 +60,8 @@ def test_batches_hold_all_questions_in_order_and_no_more_samples_than_allowed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     questions = world()[2]
-    monkeypatch.setattr(growing, "_SAMPLES_AT_ONCE", 140)
-    batches = list(growing._batches(questions))
+    monkeypatch.setattr(trees, "_SAMPLES_AT_ONCE", 140)
+    batches = list(trees._batches(questions))
     assert [question for batch in batches for question in batch] == questions
     assert len(batches) > 1
     for batch in batches:
@@ -84,7 +90,7 @@ def test_shares_sum_to_one_for_each_owner_and_sums_are_exact(seed: int, owners: 
 
 def test_what_is_left_out_of_a_search_holds_little_of_each_question_s_weight() -> None:
     questions = world()[2]
-    asked = growing._Asked.of(questions)
+    asked = trees._Asked.of(questions)
     rng = np.random.default_rng(1)
     raw = rng.random(len(asked.samples)) ** 6
     weights = shares(raw, asked.question, len(questions))

@@ -6,7 +6,8 @@ import numpy as np
 
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
-from specmap_cli.recognition.learning.holding_out import Pieces, Samples, held_out_margins
+from specmap_cli.recognition.learning.training import Pieces, held_out_margins
+from specmap_cli.recognition.learning.training_data import Samples
 
 CONFIG = RecognitionConfig(rounds=10)
 SET = "table1"

@@ -1,4 +1,4 @@
-"""Lessons of a map: kept for the keyframes that are left, and learned from again."""
+"""TrainingData of a map: kept for the keyframes that are left, and learned from again."""
 
 from __future__ import annotations
 
@@ -13,9 +13,14 @@ from specmap_cli.core.settings import Config, LocalizationConfig, RecognitionCon
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.recognition.features.sets import KeyframeFeatures
-from specmap_cli.recognition.learning.holding_out import Samples
-from specmap_cli.recognition.learning.lessons import NO_LESSONS, Lessons, of_keyframes, together
 from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
+from specmap_cli.recognition.learning.training_data import (
+    NO_TRAINING_DATA,
+    Samples,
+    TrainingData,
+    of_keyframes,
+    together,
+)
 
 SUBMAPS = {0: list(range(20)), 3: list(range(20, 60))}
 STARTS = (40,)
@@ -58,18 +63,18 @@ def grids(store: KeyframeStore) -> dict[int, GridMap]:
 
 
 def test_lessons_of_keyframes_that_are_gone_are_gone() -> None:
-    lessons = Lessons(numbered(0, 3, 7), numbered(0, 7), numbered(3), numbered(0, 7, 7))
+    lessons = TrainingData(numbered(0, 3, 7), numbered(0, 7), numbered(3), numbered(0, 7, 7))
     left = lessons.left(np.array([1, 3, 7]))
     assert left.raw.keyframes.tolist() == [1, 2]
     assert left.raw.features.ravel().tolist() == [103.0, 107.0]
     assert left.beside.keyframes.tolist() == [2]
     assert left.along.keyframes.tolist() == [1]
     assert left.cast.keyframes.tolist() == [2, 2]
-    assert len(NO_LESSONS.left(np.array([0])).raw.keyframes) == 0
+    assert len(NO_TRAINING_DATA.left(np.array([0])).raw.keyframes) == 0
 
 
 def test_only_what_was_cast_near_some_keyframes_stays() -> None:
-    lessons = Lessons(numbered(0, 1), numbered(0), numbered(0, 1), numbered(0, 1, 1))
+    lessons = TrainingData(numbered(0, 1), numbered(0), numbered(0, 1), numbered(0, 1, 1))
     near = lessons.cast_near(np.array([False, True]))
     assert near.cast.keyframes.tolist() == [1, 1]
     assert near.raw is lessons.raw
@@ -84,9 +89,9 @@ def test_samples_are_put_together_by_submap() -> None:
 
 
 def test_lessons_of_several_maps_are_one() -> None:
-    one = Lessons(numbered(0, 1), numbered(0), numbered(1), numbered())
+    one = TrainingData(numbered(0, 1), numbered(0), numbered(1), numbered())
     other = one.numbered_from(10)
-    both = Lessons.joined([one, NO_LESSONS, other])
+    both = TrainingData.joined([one, NO_TRAINING_DATA, other])
     assert both.raw.keyframes.tolist() == [0, 1, 10, 11]
     assert both.raw.features.ravel().tolist() == [100.0, 101.0, 100.0, 101.0]
     assert both.beside.keyframes.tolist() == [0, 10]

@@ -9,8 +9,7 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
-from specmap_cli.recognition.learning.boosting import StumpBoost
-from specmap_cli.recognition.learning.one_vs_all import OneVsAll
+from specmap_cli.recognition.learning.boosting import OneVsAll, StumpBoost
 from tests.recognition.learning.made_up import PAPER, SMALL, samples_of
 
 

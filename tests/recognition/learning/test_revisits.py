@@ -10,11 +10,10 @@ import pytest
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
-from specmap_cli.recognition.learning.holding_out import Samples
-from specmap_cli.recognition.learning.one_vs_all import OneVsAll
-from specmap_cli.recognition.learning.revisits import Revisits
-from specmap_cli.recognition.learning.sensor import Sensor
+from specmap_cli.recognition.learning.boosting import OneVsAll
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
+from specmap_cli.recognition.learning.training import Revisits
+from specmap_cli.recognition.learning.training_data import Samples
 
 COLUMNS = len(feature_names("table1"))
 FIRST = 2  # keyframes 0 and 1 are of the map, at (0, 0) and (10, 0), both facing along x

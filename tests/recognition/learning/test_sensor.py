@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.recognition.learning.sensor import Sensor
+from specmap_cli.recognition.learning.classifiers import Sensor
 
 CIRCLE = Sensor(beams=360, field_of_view=2.0 * math.pi, range_max=20.0, full_circle=True)
 HALF = Sensor(beams=181, field_of_view=math.pi, range_max=20.0, full_circle=False)

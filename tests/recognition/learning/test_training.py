@@ -11,13 +11,12 @@ import pytest
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
-from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.pipelines.learning import Learned, known_of, learn
-from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.learning import Learned, Prior, learn
+from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import (
     KeyframeFeatures,
     feature_names,
@@ -26,12 +25,15 @@ from specmap_cli.recognition.features.sets import (
 )
 from specmap_cli.recognition.features.virtual import cast_circles
 from specmap_cli.recognition.learning import sampling
-from specmap_cli.recognition.learning.beside import beside_samples
+from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.lessons import NO_LESSONS
-from specmap_cli.recognition.learning.one_vs_all import OneVsAll
-from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
+from specmap_cli.recognition.learning.sampling import (
+    augmented_samples,
+    cast_samples,
+    raw_samples,
+    track_samples,
+)
 from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_raw
 from specmap_cli.recognition.localization.localizer import Localizer
 from tests.turning import turn
@@ -128,7 +130,7 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
         i: scans_features([store.scan(k) for k in keyframes], "table1")
         for i, keyframes in SUBMAPS.items()
     }
-    beside = beside_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
+    beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
     assert all(len(own.keyframes) for own in beside.values())
     classifiers = OneVsAll("table1", config.recognition).fit(
         {i: np.vstack([X, beside[i].features]) for i, X in samples.items()},
@@ -148,8 +150,8 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
 def learned(store: KeyframeStore, config: Config) -> Learned:
     """What a build learns of two submaps, with the keyframes that lie between in the former."""
     labels = np.where(np.arange(len(store)) < min(SUBMAPS[2]), 0, 2)
-    known = known_of(store, NO_LESSONS, (), config)
-    return learn(store, known, labels, store.poses, config, Silent(), Stopwatch())
+    session = Session(config, store)
+    return learn(session, labels, store.poses, Prior.of(session))
 
 
 def test_virtual_classifiers_are_left_out_when_not_wanted(store: KeyframeStore) -> None:
@@ -178,7 +180,7 @@ class Cast:
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
     """What raw scans teach."""
     samples = raw_samples(store, SUBMAPS, config)
-    beside = beside_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
+    beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
     return train_raw(samples, beside, store.poses, config, np.random.default_rng(0))[0]
 
 

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.recognition.learning.forest import Forest
-from specmap_cli.recognition.learning.quantiser import BINS, CodeArray, Quantiser
-from specmap_cli.recognition.learning.trees import TreeBoost
+from specmap_cli.recognition.learning.boosting import TreeBoost
+from specmap_cli.recognition.learning.trees import BINS, CodeArray, Forest, Quantiser
 from tests.strategies import few, seeds
 
 BoolArray = NDArray[np.bool_]

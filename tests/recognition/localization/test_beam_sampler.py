@@ -14,8 +14,8 @@ from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.recognition.learning.sensor import Sensor
-from specmap_cli.recognition.localization.beam_sampler import BeamSampler
+from specmap_cli.recognition.learning.classifiers import Sensor
+from specmap_cli.recognition.localization.classification import BeamSampler
 from tests.turning import turn
 
 CONFIG = LocalizationConfig()

@@ -11,9 +11,8 @@ import pytest
 
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.recognition.localization.doubt import Doubt
-from specmap_cli.recognition.localization.walls import WallCheck
-from specmap_cli.recognition.localization.witness import Impression
+from specmap_cli.recognition.localization.classification import ClassifiedScan
+from specmap_cli.recognition.localization.unknown import UnknownOdds, WallCheck
 from tests.recognition.localization.posed import EMPTY, at
 from tests.turning import turn
 
@@ -47,13 +46,15 @@ class Saying:
         """Nothing to forget."""
 
 
-def doubt(said: Sequence[float | None], found: Sequence[int] = ()) -> Doubt:
-    return Doubt(cast("WallCheck", Saying(said, found)), CONFIG)
+def doubt(said: Sequence[float | None], found: Sequence[int] = ()) -> UnknownOdds:
+    return UnknownOdds(cast("WallCheck", Saying(said, found)), CONFIG)
 
 
-def looks(strange: float = -math.inf, shown: float = 1.0) -> Impression:
+def looks(strange: float = -math.inf, shown: float = 1.0) -> ClassifiedScan:
     none = np.zeros(1)
-    return Impression(margins=none, raw=none, all=none, strange=strange, seen=EMPTY, shown=shown)
+    return ClassifiedScan(
+        margins=none, raw=none, all=none, strange=strange, seen=EMPTY, shown=shown
+    )
 
 
 def test_scans_of_one_view_are_averaged() -> None:

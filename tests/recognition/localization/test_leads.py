@@ -7,14 +7,13 @@ from dataclasses import replace
 import pytest
 
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.recognition.localization.leads import Lead, Leads
-from specmap_cli.recognition.localization.place import Place
+from specmap_cli.recognition.localization.places import LeadHistory, LeadingPlace, Place
 from tests.recognition.localization.posed import at
 
 
 def test_the_next_lead_is_carried_back_within_reach() -> None:
-    leads = Leads()
-    late = Lead(Place(7, Pose2(5.0, 1.0, 0.0), Pose2(3.0, 0.0, 0.0)), 0.97)
+    leads = LeadHistory()
+    late = LeadingPlace(Place(7, Pose2(5.0, 1.0, 0.0), Pose2(3.0, 0.0, 0.0)), 0.97)
     for x in range(6):
         leads.add(at(float(x)), late if x == 3 else None)
     found = leads.looking_back(2.0)
@@ -25,8 +24,8 @@ def test_the_next_lead_is_carried_back_within_reach() -> None:
 
 @pytest.mark.parametrize(("restarted", "known"), [(1, [False, True]), (0, [True, True])])
 def test_it_is_not_carried_past_a_loss_of_tracking(restarted: int, known: list[bool]) -> None:
-    leads = Leads()
-    lead = Lead(Place(7, Pose2(0.0, 0.0, 0.0), Pose2(0.1, 0.0, 0.0)), 0.97)
+    leads = LeadHistory()
+    lead = LeadingPlace(Place(7, Pose2(0.0, 0.0, 0.0), Pose2(0.1, 0.0, 0.0)), 0.97)
     for k in range(2):
         scan = replace(at(0.1 * k), restarted=k == restarted)
         leads.add(scan, lead if k == 1 else None)

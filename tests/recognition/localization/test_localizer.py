@@ -13,17 +13,16 @@ import pytest
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import IDENTITY, Pose2
-from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.pipelines.learning import known_of, learn, submaps_of
-from specmap_cli.pipelines.stopwatch import Stopwatch
+from specmap_cli.pipelines.learning import Prior, learn
+from specmap_cli.pipelines.map_in_making import submaps_of
+from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.learning.lessons import NO_LESSONS
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
 from specmap_cli.recognition.localization.localizer import Localizer
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
@@ -66,8 +65,8 @@ def train(tour: list[PosedScan], labels: np.ndarray[Any, Any], config: Config) -
         for scan in compress(tour, inside):
             store.append(scan)
         frames = {i: store.pose(own[0]) for i, own in submaps_of(labels[inside]).items()}
-        known = known_of(store, NO_LESSONS, (), config)
-        found = learn(store, known, labels[inside], store.poses, config, Silent(), Stopwatch())
+        session = Session(config, store)
+        found = learn(session, labels[inside], store.poses, Prior.of(session))
     return Trained(found.classifiers, found.grids, frames)
 
 

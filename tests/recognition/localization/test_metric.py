@@ -13,7 +13,7 @@ from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.localization.metric import Fix, MetricTracker
-from specmap_cli.recognition.localization.place import Place
+from specmap_cli.recognition.localization.places import Place
 from tests.turning import turn
 
 CONFIG = LocalizationConfig()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.recognition.localization.place import Place
+from specmap_cli.recognition.localization.places import Place
 
 TRACK = Pose2(40.0, -3.0, 2.0)  # registration has a frame of its own
 PLACE = Place(1, Pose2(1.0, 2.0, 0.5), TRACK)

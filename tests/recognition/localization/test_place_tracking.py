@@ -15,10 +15,9 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, cast_rays
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 from specmap_cli.recognition.localization.filtering import LEAP
-from specmap_cli.recognition.localization.owners import Owners
-from specmap_cli.recognition.localization.surroundings import Surroundings
+from specmap_cli.recognition.localization.places import Owners
 from specmap_cli.recognition.localization.tracking import PlaceTracker
-from specmap_cli.recognition.localization.wall_fit import Ratio, View, WallFit
+from specmap_cli.recognition.localization.wall_fit import Ratio, Surroundings, View, WallFit
 
 CONFIG = LocalizationConfig()
 CELL_M = 0.05

@@ -11,7 +11,7 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.recognition.localization.sight import Sightlines
+from specmap_cli.recognition.localization.wall_fit import Sightlines
 
 CELL_M = 0.05
 REACH_M = 8.0

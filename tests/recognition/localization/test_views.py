@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.records import PosedScan
-from specmap_cli.recognition.localization.views import ViewGrouping
+from specmap_cli.recognition.localization.filtering import ViewGrouping
 from tests.recognition.localization.posed import at
 from tests.turning import turn
 

@@ -20,17 +20,17 @@ from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.matching import Match, search_everywhere
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import _USUAL_MISFIT, HeldOutMisfit, pooled
-from specmap_cli.recognition.localization.place import Place
-from specmap_cli.recognition.localization.surroundings import Surroundings
+from specmap_cli.recognition.localization.places import Place
+from specmap_cli.recognition.localization.unknown import WallCheck
 from specmap_cli.recognition.localization.wall_fit import (
     _FIT_MOST,
     _FOREIGN_MISFIT,
     _FOREIGN_MISFIT_SPREAD,
     Fitted,
     Ratio,
+    Surroundings,
     WallFit,
 )
-from specmap_cli.recognition.localization.walls import WallCheck
 from tests.turning import configured
 
 CONFIG = LocalizationConfig()

@@ -1,0 +1,250 @@
+"""What a person decided about a map: asked for, read, and made to hold.
+
+Edits are names, kinds and properties of submaps, moved borders, and forbidden doors. One that does
+not apply is told and stays in edits.toml: the submap may come back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.progress import Progress
+from specmap_cli.core.records import IntArray, Labels
+from specmap_cli.core.text import counted
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.maps import filenames
+from specmap_cli.maps.edits import (
+    EDITS,
+    Change,
+    Edits,
+    ForbidEdit,
+    MergeEdit,
+    SplitEdit,
+    SubmapEdit,
+    borders_in,
+    read_edits,
+    said_in,
+)
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.topology.navigation import Forbidden, Shut, shut_by, with_detours, with_shut
+from specmap_cli.topology.redrawing import redrawn
+from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.topological_map import (
+    BorderEdit,
+    Said,
+    Split,
+    TopologicalMap,
+    default_name,
+)
+
+_REQUESTED = replace(EDITS, error=UsageError, advice=": see `specmap edit --help`")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RequestedEdits:
+    """Edits to be made: of submaps by id, then `changes` as in edits.toml, in order.
+
+    A name that is empty, and a property that is None, are taken back; `forget` are submaps of which
+    all is taken back. `undo` are numbers of changes that were made before, from 1.
+    """
+
+    names: Mapping[int, str] = field(default_factory=dict)
+    kinds: Mapping[int, str] = field(default_factory=dict)
+    properties: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+    forget: tuple[int, ...] = ()
+    changes: tuple[Mapping[str, Any], ...] = ()
+    undo: tuple[int, ...] = ()
+
+    @property
+    def submaps(self) -> list[int]:
+        """The submaps of which something is said, ascending."""
+        return sorted({*self.names, *self.kinds, *self.properties})
+
+
+def with_requested(edits: Edits, requested: RequestedEdits) -> Edits:
+    """The edits with what is asked for. Raises UsageError for what can be no edit."""
+    submaps: dict[int, Any] = {
+        id_: edit.model_dump() for id_, edit in edits.submaps.items() if id_ not in requested.forget
+    }
+    for id_ in requested.submaps:
+        submaps[id_] = _said(submaps.get(id_, {}), id_, requested)
+    stay = [change.model_dump() for change in _not_undone(edits, requested.undo)]
+    changes = [*stay, *requested.changes]
+    return _saying(_REQUESTED.value({"submaps": submaps, "changes": changes}, "edit: "))
+
+
+def _said(before: Mapping[str, Any], id_: int, requested: RequestedEdits) -> dict[str, Any]:
+    """What is said of one submap."""
+    properties = {**before.get("properties", {}), **requested.properties.get(id_, {})}
+    said = {
+        **before,
+        "properties": {key: value for key, value in properties.items() if value is not None},
+    }
+    if id_ in requested.names:
+        said["name"] = requested.names[id_] or None
+    if id_ in requested.kinds:
+        said["kind"] = requested.kinds[id_]
+    return said
+
+
+def _not_undone(edits: Edits, undo: Collection[int]) -> list[Change]:
+    """The changes that stay. A door forbidden for a part stays so for the whole it was cut from."""
+    for number in undo:
+        if not 1 <= number <= len(edits.changes):
+            known = counted(len(edits.changes), "change")
+            raise UsageError(f"--undo {number}: there is no such change: edits.toml has {known}")
+    kept: list[Change] = []
+    was: dict[int, tuple[int, ...]] = {}
+    for number, change in enumerate(edits.changes, start=1):
+        if number not in undo:
+            kept += _renamed(change, was)
+        elif isinstance(change, SplitEdit) and change.new is not None:
+            was[change.new] = (change.split,)
+        elif isinstance(change, MergeEdit):
+            was[change.merge[0]] = change.merge
+    return kept
+
+
+def _renamed(change: Change, was: Mapping[int, tuple[int, ...]]) -> list[Change]:
+    """A change that stays when others before it are undone, where it forbids a door."""
+    if not isinstance(change, ForbidEdit):
+        return [change]
+    one, other = (was.get(end, (end,)) for end in change.forbid)
+    pairs = [(a, b) for a in one for b in other if a != b]
+    return [ForbidEdit(forbid=pair, at=change.at) for pair in pairs]
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """Keyframes with the borders of some edits: `submaps` (n,), and the `borders` that were made.
+
+    In `edits` every split that was made has the id of its new submap. `skipped` says why a change
+    could not be made, by its place in the list.
+    """
+
+    submaps: IntArray
+    borders: tuple[BorderEdit, ...]
+    next_id: int
+    edits: Edits
+    skipped: Mapping[int, str] = field(default_factory=dict)
+
+
+def edits_of_stored(stored: StoredMap) -> Edits:
+    """The edits.toml of a map, with the names and properties written into topology.json by hand.
+
+    Raises MapError when the file is damaged, and when it is gone though the map shows edits.
+    """
+    edits = read_edits(stored.path, stored.limits)
+    record = stored.record.graph.edits
+    path = stored.path / filenames.EDITS
+    if (record.submaps or record.borders) and not path.exists():
+        raise MapError(
+            f"{path}: is missing, but the map shows edits: put it back, or make it an empty file "
+            "to undo them"
+        )
+    shown = {each.id: each for each in record.submaps}
+    submaps = {id_: edit.model_dump() for id_, edit in edits.submaps.items()}
+    for node in stored.record.nodes:
+        said = submaps.setdefault(node.id, SubmapEdit().model_dump())
+        before = shown.get(node.id, Said(node.id))
+        name = "" if node.name == default_name(node.id) else node.name
+        if name != (before.name or "") == (said["name"] or ""):
+            said["name"] = name or None
+        if node.properties != before.properties and said["properties"] == before.properties:
+            said["properties"] = node.properties
+    there = {"submaps": submaps, "changes": edits.changes}
+    return _saying(EDITS.value(there, f"{stored.path / filenames.TOPOLOGY}: "))
+
+
+def _saying(edits: Edits) -> Edits:
+    """The edits without submaps of which nothing is said."""
+    said = {id_: edit for id_, edit in edits.submaps.items() if edit != SubmapEdit()}
+    return Edits(submaps=said, changes=edits.changes)
+
+
+def drawn(
+    whole: GridMap, labels: Labels, borders: Sequence[BorderEdit], edits: Edits, next_id: int
+) -> Drawn:
+    """The keyframes with the borders that the edits ask for, instead of those that they have."""
+    places = [n for n, change in enumerate(edits.changes) if not isinstance(change, ForbidEdit)]
+    found = redrawn(whole, labels, borders, borders_in(edits), next_id)
+    skipped = {places[place]: why for place, why in found.skipped.items()}
+    made = dict(zip([n for n in places if n not in skipped], found.borders, strict=True))
+    changes = tuple(_with_id(change, made.get(n)) for n, change in enumerate(edits.changes))
+    numbered = Edits(submaps=edits.submaps, changes=changes)
+    return Drawn(found.submaps, found.borders, found.next_id, numbered, skipped)
+
+
+def named(
+    topology: TopologicalMap, regions: Regions | None, edits: Edits, skipped: Mapping[int, str]
+) -> tuple[TopologicalMap, tuple[str, ...]]:
+    """The map with names, kinds, properties and forbidden links, and what does not apply, in words.
+
+    `topology` and its `regions` have the borders of the edits; `skipped` are the changes that could
+    not be made. Where the regions are known ways lead round forbidden doors.
+    """
+    said = said_in(edits)
+    shown = {each.id: each for each in said if each.id in topology.submaps}
+    submaps = {}
+    for id_, submap in topology.submaps.items():
+        own = shown.get(id_, Said(id_))
+        submaps[id_] = replace(
+            submap, name=own.name or "", kind=own.kind, properties=own.properties
+        )
+    allowed, unlinked = _forbidden(topology, regions, edits, skipped)
+    told = [
+        f"submaps.{each.id}: there is no submap {each.id}" for each in said if each.id not in shown
+    ]
+    why = sorted({**skipped, **unlinked}.items())
+    told += [f"{number_of(place)}: {reason}" for place, reason in why]
+    return replace(allowed, submaps=submaps, said=tuple(shown.values())), tuple(told)
+
+
+def number_of(place: int) -> str:
+    """What a change is called by its place in the list."""
+    return f"changes, number {place + 1}"
+
+
+def tell_unapplied(unapplied: Sequence[str], progress: Progress) -> None:
+    """Note the edits that do not apply."""
+    for line in unapplied:
+        progress.note(f"{filenames.EDITS}: not applied: {line}")
+
+
+def _with_id(change: Change, made: BorderEdit | None) -> Change:
+    """A change; a split that was made has the id of the new submap."""
+    if isinstance(change, SplitEdit) and isinstance(made, Split):
+        return SplitEdit(split=change.split, line=change.line, new=made.new)
+    return change
+
+
+def _forbidden(
+    topology: TopologicalMap, regions: Regions | None, edits: Edits, skipped: Mapping[int, str]
+) -> tuple[TopologicalMap, dict[int, str]]:
+    """The map with its forbidden doors and links, and why a change forbids none, by its place."""
+    shut = Shut()
+    unlinked: dict[int, str] = {}
+    for place, forbidden in _forbidden_in(edits, topology.borders, skipped):
+        found = shut_by(topology, forbidden)
+        if isinstance(found, str):
+            unlinked[place] = found
+        else:
+            shut |= found
+    if regions is not None:
+        topology = with_detours(topology, regions, shut.doors)
+    return with_shut(topology, shut), unlinked
+
+
+def _forbidden_in(
+    edits: Edits, borders: Sequence[BorderEdit], skipped: Mapping[int, str]
+) -> Iterator[tuple[int, Forbidden]]:
+    """What is forbidden, with the borders that were made after it was said."""
+    made = 0
+    for place, change in enumerate(edits.changes):
+        if isinstance(change, ForbidEdit):
+            yield place, Forbidden(change.forbid, change.at, tuple(borders[made:]))
+        elif place not in skipped:
+            made += 1

@@ -1,0 +1,356 @@
+"""Two maps in one: the new one laid into the old one, whose submaps keep their ids.
+
+So is what a person decided about them. What was said of the older map counts first. The merges,
+splits and forbidden doors of the newer one are said again, in their order, of what its submaps
+became.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.findings import Finding
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
+from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
+from specmap_cli.core.settings import Config
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.layout.carrying import carried, rows_of
+from specmap_cli.layout.dropping import gaps_of
+from specmap_cli.layout.healing import healed
+from specmap_cli.layout.joining import join_layouts, placed, without_guesses
+from specmap_cli.maps.edits import (
+    Change,
+    Edits,
+    ForbidEdit,
+    MergeEdit,
+    SplitEdit,
+    SubmapEdit,
+    in_words,
+)
+from specmap_cli.pipelines.laying_out import constraints_of, refute
+from specmap_cli.pipelines.map_in_making import LaidOut, thinned_of
+from specmap_cli.pipelines.session import Session
+from specmap_cli.recognition.closure.common_ground import Joint
+from specmap_cli.topology.graph import Heritage, inherited
+from specmap_cli.topology.redrawing import undone
+from specmap_cli.topology.topological_map import LogInfo, starts_of
+
+_JOINED = "the maps were joined here"
+_APART_M = 20.0  # between maps that have nothing in common: walls within it are never matched
+_FEW = 0.1  # share of the keyframes of a submap that may have got elsewhere
+_DECIMALS = 3  # of metres: a person's finger is no finer
+
+Place = tuple[float, float]
+
+
+def join(
+    session: Session, old: LaidOut, new: LaidOut, old_from_new: Pose2, found: Sequence[Closure]
+) -> LaidOut:
+    """The old map with the new one laid into it; the store holds the keyframes of both, in order.
+
+    `found` are closures between the two: `old` is the number of a stay of the old map, `new` that
+    of one of the new map. Every submap of the old map keeps its keyframes and its id. The borders
+    that a person moved in the new map are edits of the joint one, which are still to be made. It is
+    still to be drawn.
+    """
+    store, first, stay = session.store, len(old), 1 + max(old.stays, default=-1)
+    later = _renumbered(new, old_from_new, first, stay)
+    stays = {**old.stays, **later.stays}
+    logs = (*old.logs, *later.logs)
+    found = tuple(replace(closure, new=closure.new + stay) for closure in found)
+    breaks = {**old.breaks, first: None, **later.breaks}
+    constraints = constraints_of(found, stays, store)
+    recordings = np.searchsorted(np.array(starts_of(logs)), np.arange(len(store)), side="right")
+    cuts = {**gaps_of(store.poses, thinned_of(logs, recordings)), **breaks}
+    layout = join_layouts(store, old.layout, later.layout, tuple(constraints.values()), cuts)
+    # in the frame in which the old keyframes lie nearest to their places in the old map
+    layout = placed(layout, nearest_motion(layout.poses[:first, :2], old.layout.poses[:, :2]))
+    audited = healed(store, layout, cuts)
+    layout = without_guesses(audited.layout, (*old.starts, first, *later.starts))
+    plain = without_borders(new)
+    submaps = inherit(old, plain, layout.poses, old_from_new, session.config)
+    stamps = np.array(store.stamps_ns, dtype=np.int64)
+    joint = LaidOut(
+        layout=layout,
+        labels=Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps),
+        trajectory=_trajectory(old, new, layout.poses),
+        stays=stays,
+        closures=(*old.closures, *later.closures, *refute(found, constraints, layout)),
+        breaks=breaks,
+        logs=logs,
+        findings=(*old.findings, *later.findings),
+        next_id=max(old.next_id, 1 + int(submaps.max(initial=-1))),
+        audit=audited.audit,
+        edits=old.edits,
+        edits_text=old.edits_text,
+        lost=old.lost,
+        borders=old.borders,
+    )
+    return with_edits_of(joint, plain, old_from_new)
+
+
+def beside(old: GridMap, new: GridMap) -> Pose2:
+    """A place for a map that fits nowhere: to the right of the old map, with a gap between them."""
+    (left, low), (x, y) = old.origin, new.origin
+    right = left + old.cells.shape[1] * old.resolution
+    return Pose2(right + _APART_M - x, low - y, 0.0)
+
+
+def _renumbered(laid: LaidOut, old_from_new: Pose2, first: int, first_stay: int) -> LaidOut:
+    """The map in another one's frame, its keyframes and stays numbered behind those of that."""
+    return replace(
+        laid,
+        layout=placed(laid.layout, old_from_new, first),
+        stays={
+            number + first_stay: tuple(keyframe + first for keyframe in own)
+            for number, own in laid.stays.items()
+        },
+        closures=tuple(
+            replace(closure, new=closure.new + first_stay, old=closure.old + first_stay)
+            for closure in laid.closures
+        ),
+        breaks={number + first: bridge for number, bridge in laid.breaks.items() if number},
+        findings=tuple(moved_finding(finding, old_from_new) for finding in laid.findings),
+        logs=tuple(_later(log, first) for log in laid.logs),
+    )
+
+
+def _later(log: LogInfo, first: int) -> LogInfo:
+    """A recording whose keyframes are numbered from `first` on."""
+    if log.keyframes is None:
+        return log
+    start, end = log.keyframes
+    return replace(log, keyframes=(start + first, end + first))
+
+
+def moved_finding(finding: Finding, old_from_new: Pose2) -> Finding:
+    """A finding at its place in another map."""
+    if finding.where is None or finding.place is None:
+        return finding
+    x, y = old_from_new.apply(np.array([finding.place]))[0].tolist()
+    return replace(finding, where=replace(finding.where, x=x, y=y))
+
+
+def closures_between(old: LaidOut, new: LaidOut, joints: Sequence[Joint]) -> tuple[Closure, ...]:
+    """What the joints of an alignment say, as closures between the longest stays in the submaps.
+
+    Each names the stays by the numbers that they have in their own maps.
+    """
+    found = []
+    for joint in joints:
+        one, other = _longest_stay(old, joint.old), _longest_stay(new, joint.new)
+        if one is None or other is None:
+            continue
+        frames = [
+            Pose2(*laid.layout.poses[laid.stays[number][0]].tolist())
+            for laid, number in ((old, one), (new, other))
+        ]
+        found.append(
+            Closure(
+                new=other,
+                old=one,
+                xi=np.nan,
+                claims_new_by_old=np.nan,
+                claims_old_by_new=np.nan,
+                verified=True,
+                merged=True,
+                score=joint.check.score,
+                reason=_JOINED,
+                old_from_new=frames[0].inverse() @ joint.map_from_map @ frames[1],
+            )
+        )
+    return tuple(found)
+
+
+def _longest_stay(laid: LaidOut, submap: int) -> int | None:
+    """The stay with the most keyframes of a submap, the first of equals; None without any."""
+    counts = {
+        number: int(np.count_nonzero(laid.labels.submaps[list(keyframes)] == submap))
+        for number, keyframes in laid.stays.items()
+    }
+    best = max(counts, key=lambda number: (counts[number], -number), default=None)
+    return best if best is not None and counts[best] else None
+
+
+def inherit(
+    old: LaidOut, new: LaidOut, poses: FloatArray, old_from_new: Pose2, config: Config
+) -> IntArray:
+    """The submap (m,) of each keyframe of both maps, which lie at `poses` (m, 3).
+
+    Old ones stay in their submaps, new ones get into these.
+    """
+    there = compose(np.array(old_from_new.inverse()), old.labels.poses)
+    divided = np.concatenate([new.regions.owners(there), new.labels.submaps])
+    return inherited(heritage_of(old), poses, divided, config.segmentation.region_min_m)
+
+
+def heritage_of(old: LaidOut) -> Heritage:
+    """What a map hands down."""
+    return Heritage(old.labels.poses, old.labels.submaps, old.regions, old.next_id)
+
+
+def _trajectory(old: LaidOut, new: LaidOut, poses: FloatArray) -> Trajectory:
+    """All scans of both maps, moved with the keyframes, which lie at `poses` now."""
+    ways = old.trajectory, new.trajectory
+    lengths = [len(way.poses) for way in ways]
+    return Trajectory(
+        stamps_ns=np.concatenate([way.stamps_ns for way in ways]),
+        poses=np.concatenate([_carried(old, poses[: len(old)]), _carried(new, poses[len(old) :])]),
+        tilt=_both([way.tilt for way in ways], [(n, 3) for n in lengths], np.float64),
+        lost=_both([way.lost for way in ways], [(n,) for n in lengths], np.bool_),
+    )
+
+
+def _carried(laid: LaidOut, now: FloatArray) -> FloatArray:
+    """The trajectory of a map whose keyframes lie at poses `now` (n, 3)."""
+    labels = laid.labels
+    rows = rows_of(laid.trajectory, labels.stamps_ns.tolist(), labels.poses)
+    return carried(laid.trajectory.poses, rows, now[: len(rows)])
+
+
+def _both(
+    parts: Sequence[NDArray[Any] | None], shapes: Sequence[tuple[int, ...]], kind: Any
+) -> NDArray[Any] | None:
+    """Columns of both trajectories, zero where one has none; None where neither has any."""
+    if all(part is None for part in parts):
+        return None
+    filled = [
+        np.zeros(shape, dtype=kind) if part is None else part
+        for part, shape in zip(parts, shapes, strict=True)
+    ]
+    return np.concatenate(filled)
+
+
+def without_borders(laid: LaidOut) -> LaidOut:
+    """A map divided as it was before a person moved its borders."""
+    if not laid.borders:
+        return laid
+    submaps = undone(laid.labels.submaps, laid.labels.poses, laid.borders)
+    return replace(laid, labels=replace(laid.labels, submaps=submaps), borders=())
+
+
+def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:
+    """The joint map with the edits of the `new` one, beside those of the old one that it has.
+
+    The new map, whose keyframes are the last of the joint one, is divided as before a person moved
+    its borders. What says nothing of the joint map is added to what is `lost`.
+    """
+    submaps = joint.labels.submaps[len(joint) - len(new) :]
+    retelling = _Retelling(new, submaps, old_from_new, joint.next_id)
+    changes: list[Change] = list(joint.edits.changes)
+    lost = []
+    for change in new.edits.changes:
+        told = retelling.told(change)
+        if isinstance(told, str):
+            lost.append(f"{in_words(change)}: {told}")
+        else:
+            changes += told
+    said = dict(joint.edits.submaps)
+    for id_, edit in sorted(new.edits.submaps.items()):
+        if id_ not in retelling.became:
+            lost.append(f"submaps.{id_}: there is no submap {id_}")
+            continue
+        heir = retelling.became[id_][0]
+        first = said.get(heir, SubmapEdit())
+        said[heir] = _said_twice(first, edit)
+        if edit.name and said[heir].name != edit.name:
+            lost.append(f"submaps.{id_}: {edit.name!r} is {first.name!r} in an earlier map")
+    where = f"in the map of {new.logs[0].name}: "
+    return replace(
+        joint,
+        edits=Edits(submaps=said, changes=tuple(changes)),
+        next_id=retelling.next_id,
+        lost=(*joint.lost, *(where + line for line in lost)),
+    )
+
+
+def _said_twice(first: SubmapEdit, second: SubmapEdit) -> SubmapEdit:
+    """What is said of one submap twice: where the two differ the first counts."""
+    return SubmapEdit(
+        name=first.name or second.name,
+        kind=first.kind or second.kind,
+        properties={**second.properties, **first.properties},
+    )
+
+
+class _Retelling:
+    """Says the changes of one map, in order, of the submaps of another that its own became.
+
+    `became` are these by id, the one with the most keyframes first.
+    """
+
+    def __init__(self, new: LaidOut, submaps: IntArray, old_from_new: Pose2, next_id: int) -> None:
+        own = new.labels.submaps
+        ids = np.unique(own[own >= 0]).tolist()
+        self.became = {id_: _commonest(submaps[own == id_]) for id_ in ids}
+        self.next_id = next_id
+        self._submaps, self._places = submaps.copy(), new.labels.poses[:, :2]
+        self._old_from_new = old_from_new
+
+    def told(self, change: Change) -> list[Change] | str:
+        """A change said again, which may take several or none; or why it cannot be."""
+        ids = _named_in(change)
+        for id_ in ids:
+            if id_ not in self.became:
+                return f"there is no submap {id_}"
+        if isinstance(change, MergeEdit):
+            return self._merge(*ids)
+        if isinstance(change, SplitEdit):
+            return self._split(change)
+        return self._forbid(change)
+
+    def _merge(self, kept: int, gone: int) -> list[Change]:
+        """Two submaps made one; nothing is to be done where they are one already."""
+        one, other = self.became[kept][0], self.became[gone][0]
+        self.became[kept] += self.became.pop(gone)
+        self._submaps[self._submaps == other] = one
+        self.became = {
+            id_: list(dict.fromkeys(one if each == other else each for each in own))
+            for id_, own in self.became.items()
+        }
+        return [] if one == other else [MergeEdit(merge=(one, other))]
+
+    def _split(self, change: SplitEdit) -> list[Change]:
+        """The submap cut that the robot was in nearest to the middle of the line."""
+        there = np.flatnonzero(np.isin(self._submaps, self.became[change.split]))
+        away = self._places[there] - np.mean(change.line, axis=0)
+        cut = self.became[change.split][0]
+        if len(there):
+            cut = int(self._submaps[there[np.argmin((away**2).sum(axis=1))]])
+        new, self.next_id = self.next_id, self.next_id + 1
+        if change.new is not None:
+            self.became[change.new] = [new]
+        one, other = map(self._moved, change.line)
+        return [SplitEdit(split=cut, line=(one, other), new=new)]
+
+    def _forbid(self, change: ForbidEdit) -> list[Change]:
+        """The way forbidden between all that the two became."""
+        ends = [self.became[end] for end in change.forbid]
+        at = None if change.at is None else self._moved(change.at)
+        pairs = [(one, other) for one in ends[0] for other in ends[1] if one != other]
+        return [ForbidEdit(forbid=pair, at=at) for pair in pairs]
+
+    def _moved(self, place: Place) -> Place:
+        """A place of the new map in the old one's frame."""
+        x, y = np.round(self._old_from_new.apply(np.array([place]))[0], _DECIMALS).tolist()
+        return x, y
+
+
+def _named_in(change: Change) -> tuple[int, ...]:
+    """The submaps that a change is about."""
+    if isinstance(change, MergeEdit):
+        return change.merge
+    return (change.split,) if isinstance(change, SplitEdit) else change.forbid
+
+
+def _commonest(submaps: IntArray) -> list[int]:
+    """The submaps that keyframes (n,) are in, the commonest first, the others if not of a few."""
+    found, counts = np.unique(submaps, return_counts=True)
+    first, *others = np.argsort(-counts, kind="stable")
+    kept = [first, *(k for k in others if counts[k] >= _FEW * len(submaps))]
+    return [int(found[k]) for k in kept]

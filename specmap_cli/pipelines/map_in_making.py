@@ -1,0 +1,297 @@
+"""A map in the making: explored while the log lasts, laid out, finished.
+
+`Explored` is what Algorithm 1 found on the way. `LaidOut` has one pose and one submap a keyframe:
+so begins the rest of every pipeline, and a map directory is read as one. `FinishedMap` has what was
+learned of the submaps, and how they are linked: all that a map directory is written from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from specmap_cli.core.errors import InputError, MapError
+from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
+from specmap_cli.core.geometry import path_length
+from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
+from specmap_cli.core.text import counted, legible
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.layout.audit import Audit
+from specmap_cli.layout.carrying import rows_of
+from specmap_cli.layout.g2o import read_g2o
+from specmap_cli.layout.motion_edges import Bridge
+from specmap_cli.layout.relaxation import Layout
+from specmap_cli.maps import filenames
+from specmap_cli.maps.edits import Edits, edits_text
+from specmap_cli.maps.json_files import map_text
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.pipelines.edits import edits_of_stored
+from specmap_cli.quality.evidence import Evidence
+from specmap_cli.quality.verdict import LAYOUT_CODES, of_layout, quality_of
+from specmap_cli.recognition.features.sets import KeyframeFeatures
+from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.learning.training_data import TrainingData
+from specmap_cli.topology.regions import Regions, divide
+from specmap_cli.topology.topological_map import (
+    BorderEdit,
+    LogInfo,
+    TopologicalMap,
+    fences_of,
+    starts_of,
+)
+
+Breaks = Mapping[int, Bridge | None]
+_NOT_AUDITED = Audit(compared=0, disagreements=())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Explored:
+    """What Algorithm 1 found.
+
+    `regions` holds the keyframes of each region that was left, that of its frame first. `closures`
+    are all pairs of regions that were considered, in order. `breaks` are the keyframes at which
+    tracking started afresh, and how well odometry bridges each. `features` are those of the
+    keyframes, each computed once.
+    """
+
+    trajectory: Trajectory
+    regions: Mapping[int, tuple[int, ...]]
+    closures: tuple[Closure, ...]
+    breaks: Breaks
+    features: KeyframeFeatures
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaidOut:
+    """A map with its keyframes: number i of the store is row i of `labels` and of the layout.
+
+    `stays` are the keyframes of each piece in which the robot saw the map, by number, that of its
+    frame first; `closures` name these. `breaks` are the keyframes at which tracking started afresh
+    or another recording begins. `findings` are those about the recordings. `next_id` and what
+    follows it are ids that no submap ever had.
+
+    `drawn` is the grid of all keyframes, None until it is drawn; `beyond` of them did not fit into
+    it. `audit` is that of the layout. `counts` are of messages and scans.
+
+    `edits` are what a person decided, `edits_text` how it was written down, `borders` what of it
+    the labels show, and `lost`, in words, what was decided about maps that are in this one and says
+    nothing of it.
+    """
+
+    layout: Layout
+    labels: Labels
+    trajectory: Trajectory
+    stays: Mapping[int, tuple[int, ...]]
+    closures: tuple[Closure, ...]
+    breaks: Breaks
+    logs: tuple[LogInfo, ...]
+    findings: tuple[Finding, ...]
+    next_id: int
+    drawn: GridMap | None = None
+    beyond: int = 0
+    audit: Audit = _NOT_AUDITED
+    counts: Mapping[str, int] = field(default_factory=dict)
+    edits: Edits = field(default_factory=Edits)
+    edits_text: str = ""
+    lost: tuple[str, ...] = ()
+    borders: tuple[BorderEdit, ...] = ()
+
+    def __len__(self) -> int:
+        """How many keyframes it has."""
+        return len(self.labels.stamps_ns)
+
+    @property
+    def whole(self) -> GridMap:
+        """The grid of all keyframes, which was drawn."""
+        assert self.drawn is not None
+        return self.drawn
+
+    @cached_property
+    def regions(self) -> Regions:
+        """The division of the cells of the whole grid among the submaps."""
+        return divide(self.whole, self.labels, fences_of(self.borders))
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """The keyframes with which the recordings after the first one begin."""
+        return starts_of(self.logs)
+
+    @property
+    def recordings(self) -> IntArray:
+        """(n,) the recording, 0, 1, ..., of each keyframe."""
+        number = np.arange(len(self))
+        return np.searchsorted(np.array(self.starts, dtype=np.int64), number, side="right")
+
+    @property
+    def ways_m(self) -> list[float]:
+        """Metres driven in each recording, over its keyframes and over lost scans.
+
+        Between keyframes a robot at rest would seem to move: its poses shiver.
+        """
+        way = self.trajectory
+        counts = np.isin(way.stamps_ns, self.labels.stamps_ns)
+        if way.lost is not None:
+            counts |= way.lost
+        starts = np.cumsum([log.scans for log in self.logs])[:-1]
+        parts = np.split(np.arange(len(counts)), starts)
+        return [path_length(way.poses[part][counts[part]]) for part in parts]
+
+    @property
+    def path_m(self) -> float:
+        """Metres driven in all recordings; of one that lost keyframes it is known from before."""
+        pairs = zip(self.ways_m, self.logs, strict=True)
+        return sum(way if log.path_m is None else log.path_m for way, log in pairs)
+
+    @property
+    def quality(self) -> Quality:
+        """What is thought of the map."""
+        evidence = Evidence(
+            trajectory=self.trajectory,
+            keyframes_ns=tuple(self.labels.stamps_ns.tolist()),
+            breaks=tuple(self.breaks),
+            layout=self.layout,
+            audit=self.audit,
+            beyond=self.beyond,
+            warnings=(),
+        )
+        return quality_of([*self.findings, *of_layout(evidence)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FinishedMap:
+    """A map ready to be written.
+
+    `lessons` are what the classifiers learned from; `unapplied` tells what a person decided and
+    does not apply.
+    """
+
+    laid: LaidOut
+    topology: TopologicalMap
+    classifiers: ClassifierSet
+    lessons: TrainingData
+    quality: Quality
+    unapplied: tuple[str, ...] = ()
+
+    @property
+    def labels(self) -> Labels:
+        """The pose and the submap of each keyframe."""
+        return self.laid.labels
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The poses of all scans."""
+        return self.laid.trajectory
+
+    @property
+    def regions(self) -> Regions:
+        """The division of the whole grid."""
+        return self.laid.regions
+
+
+def recording(name: str, trajectory: Trajectory, keyframes: int) -> LogInfo:
+    """The recording of a file `name`, which gave a trajectory and some keyframes."""
+    stamps = trajectory.stamps_ns
+    return LogInfo(
+        name=legible(Path(name).name),
+        start_ns=int(stamps.min()),
+        end_ns=int(stamps.max()),
+        scans=len(stamps),
+        keyframes=(0, keyframes - 1),
+    )
+
+
+def submaps_of(labels: IntArray) -> dict[int, list[int]]:
+    """The keyframes of each submap, ascending, from the submap (n,) of each keyframe."""
+    return {int(id_): np.flatnonzero(labels == id_).tolist() for id_ in np.unique(labels)}
+
+
+def thinned_of(logs: Sequence[LogInfo], recordings: IntArray) -> IntArray:
+    """(n,) the recordings of keyframes, -1 for those of which a map keeps all."""
+    whole = [log.path_m is None for log in logs if log.keyframes is not None]
+    return np.where(np.array(whole)[recordings], -1, recordings)
+
+
+def laid_out_of_stored(stored: StoredMap) -> LaidOut:
+    """A map directory. Raises MapError when a file that it takes is missing or damaged."""
+    topology = stored.topology
+    return LaidOut(
+        layout=_layout(stored),
+        labels=stored.labels,
+        trajectory=_trajectory(stored),
+        stays={stay.number: stay.from_origin for stay in topology.stays},
+        closures=topology.closures,
+        breaks=_breaks(topology, stored.logs),
+        logs=stored.logs,
+        findings=tuple(
+            one for one in quality_of_stored(stored).findings if one.code not in LAYOUT_CODES
+        ),
+        next_id=topology.next_id,
+        drawn=stored.map_grid,
+        counts=stored.counts,
+        edits=edits_of_stored(stored),
+        edits_text=edits_text(stored.path, stored.limits),
+        borders=topology.borders,
+    )
+
+
+def quality_of_stored(stored: StoredMap) -> Quality:
+    """What was thought of a map when it was made."""
+    quality = stored.record.graph.quality
+    return UNDOUBTED if quality is None else quality_of(quality.findings)
+
+
+def _layout(stored: StoredMap) -> Layout:
+    """The layout of a map directory, with the links that are more than the way between nodes."""
+    path, labels = stored.path / filenames.POSE_GRAPH, stored.labels
+    text = map_text(path, stored.limits)
+    try:
+        poses, links = read_g2o(text)
+    except InputError as error:
+        raise MapError(f"{path}: {error}: build the map again") from None
+    nodes = np.array(sorted(poses), dtype=np.int64)
+    ends = {end for link in links for end in (link.source, link.target)}
+    if not ends <= poses.keys() <= set(range(len(labels.poses))):
+        raise MapError(
+            f"{path}: its vertices are not among the {counted(len(labels.poses), 'keyframe')} of "
+            f"{filenames.LABELS}: build the map again"
+        )
+    after = dict(pairwise(nodes.tolist()))
+    return Layout(
+        poses=labels.poses,
+        nodes=nodes,
+        kept=tuple(link for link in links if after.get(link.source) != link.target),
+    )
+
+
+def _trajectory(stored: StoredMap) -> Trajectory:
+    """The trajectory of a map directory, which leads through its keyframes."""
+    path, labels = stored.path / filenames.TRAJECTORY, stored.labels
+    trajectory = read_trajectory(path, stored.limits)
+    found = rows_of(trajectory, labels.stamps_ns.tolist(), labels.poses)
+    if len(found) != len(labels.stamps_ns) or len(trajectory.stamps_ns) != sum(
+        log.scans for log in stored.logs
+    ):
+        raise MapError(
+            f"{path}: is not the way through the keyframes of {filenames.LABELS} and the logs of "
+            f"{filenames.TOPOLOGY}: build the map again"
+        )
+    return trajectory
+
+
+def _breaks(topology: TopologicalMap, logs: Sequence[LogInfo]) -> dict[int, Bridge | None]:
+    """Where tracking started afresh, and where recordings begin."""
+    return {
+        **dict.fromkeys(starts_of(logs)),
+        **{
+            each.keyframe: None
+            if each.position_m is None or each.heading_rad is None
+            else Bridge(each.position_m, each.heading_rad)
+            for each in topology.breaks
+        },
+    }

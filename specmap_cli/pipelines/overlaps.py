@@ -1,0 +1,123 @@
+"""Where maps of one building lie in one another: what aligns two, which of several overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import networkx as nx
+
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.process import one_blas_thread
+from specmap_cli.core.settings import Config
+from specmap_cli.maps.filenames import CLASSIFIERS
+from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.pipelines.learning import submap_grids
+from specmap_cli.pipelines.localize import classifiers_of
+from specmap_cli.pipelines.map_in_making import LaidOut, submaps_of
+from specmap_cli.pipelines.session import Session
+from specmap_cli.recognition.closure.alignment import Alignment, align
+from specmap_cli.recognition.closure.prepared import MapToAlign
+
+Overlaps = Mapping[tuple[int, int], Alignment]  # of maps i < j: where j lies in i
+
+
+@dataclass(frozen=True, slots=True)
+class PairOfMaps:
+    """Two map directories, and the settings to align them with; it can be handed to a worker."""
+
+    old: Path
+    new: Path
+    config: Config
+
+
+# What a function says of each of many pairs, in their order.
+Spread = Callable[[Callable[[PairOfMaps], Alignment], Sequence[PairOfMaps]], Iterable[Alignment]]
+
+
+def known_map(stored: StoredMap, *, learned: bool = True) -> MapToAlign:
+    """A stored map as the alignment takes it, with its classifiers where it has `learned`.
+
+    Raises MapError for a damaged map.
+    """
+    submaps, labels = stored.topology.submaps, stored.labels
+    return MapToAlign(
+        whole=stored.map_grid,
+        grids=stored.grids,
+        frames={i: submap.map_from_submap for i, submap in submaps.items()},
+        tracks={i: labels.poses[labels.submaps == i] for i in submaps},
+        classifiers=classifiers_of(stored) if learned else None,
+    )
+
+
+def known_map_of(session: Session, laid: LaidOut) -> MapToAlign:
+    """A recording that was laid out by itself as the alignment takes it: without classifiers."""
+    submaps, poses = submaps_of(laid.labels.submaps), laid.labels.poses
+    with session.stage("grids"):
+        grids = submap_grids(session, submaps, poses, silent=True)
+    return MapToAlign(
+        whole=laid.whole,
+        grids=grids,
+        frames={id_: Pose2(*poses[own[0]].tolist()) for id_, own in submaps.items()},
+        tracks={id_: poses[own] for id_, own in submaps.items()},
+    )
+
+
+def align_maps(old: StoredMap, new: StoredMap, config: Config) -> Alignment:
+    """Where a stored map lies in another one, by their grids alone where one has no classifiers.
+
+    Raises MapError for a damaged map.
+    """
+    one, other = (known_map(it, learned=(it.path / CLASSIFIERS).exists()) for it in (old, new))
+    return align(one, other, config)
+
+
+@one_blas_thread()
+def align_pair(pair: PairOfMaps) -> Alignment:
+    """The same of two directories. Raises MapError for a damaged map."""
+    old, new = (read_map(path, pair.config.limits) for path in (pair.old, pair.new))
+    return align_maps(old, new, pair.config)
+
+
+def overlaps_of(
+    maps: Sequence[StoredMap], known: Sequence[MapToAlign], config: Config, spread: Spread | None
+) -> Overlaps:
+    """The pairs of maps that can be aligned: here, or wherever `spread` has it done."""
+    pairs = list(combinations(range(len(maps)), 2))
+    found: Iterable[Alignment]
+    if spread is None:
+        found = (align(known[i], known[j], config) for i, j in pairs)
+    else:
+        paths = [stored.path.resolve() for stored in maps]
+        found = spread(align_pair, [PairOfMaps(paths[i], paths[j], config) for i, j in pairs])
+    return {
+        pair: each for pair, each in zip(pairs, found, strict=True) if each.old_from_new is not None
+    }
+
+
+def parts_of(count: int, overlaps: Overlaps) -> list[set[int]]:
+    """The maps that hang together, the part of the first map first."""
+    graph = nx.Graph()
+    graph.add_nodes_from(range(count))
+    graph.add_edges_from(overlaps)
+    return sorted(nx.connected_components(graph), key=min)
+
+
+def steps_of(count: int, overlaps: Overlaps) -> list[tuple[int | None, int]]:
+    """The maps in the order of joining, each with the one that it is laid into; None: beside all.
+
+    Along the alignments that most wall speaks for (a maximum spanning tree).
+    """
+    graph = nx.Graph()
+    graph.add_nodes_from(range(count))
+    for (i, j), alignment in overlaps.items():
+        walls_m = 0.0 if alignment.ground is None else alignment.ground.confirmed_m
+        graph.add_edge(i, j, weight=walls_m)
+    tree = nx.maximum_spanning_tree(graph)
+    steps: list[tuple[int | None, int]] = []
+    for part in parts_of(count, overlaps):
+        first = min(part)
+        steps += [(None, first), *nx.bfs_edges(tree, first, sort_neighbors=sorted)]
+    return steps

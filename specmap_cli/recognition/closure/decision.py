@@ -1,0 +1,190 @@
+"""What a match of two stays is worth: nothing, a constraint between two frames, or one submap.
+
+A match must be as good as the grids demand, and tracking must not rule it out. Drift grows along
+the way. Where the grids of two stays match just where tracking has them, it had not drifted between
+these two, however long the way; what may have drifted is the rest.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.grids.gridmap import GridMap, PackedGrid
+from specmap_cli.recognition.closure.verification import (
+    LEAST_OVERLAP,
+    MIN_LEAD,
+    MIN_OVERLAP,
+    MIN_WALL_M,
+    Check,
+    tracks_overlap,
+)
+
+
+@dataclass(frozen=True, kw_only=True)  # without slots: the area is computed once
+class Stay:
+    """What loop closure needs of a region that the robot has just left.
+
+    The first stay in a place is a submap of its own; one that is recognised becomes part of an old
+    submap. `features` (n, F) are those of its raw scans; `packed` and `track` (k, 3), its grid and
+    its poses, are in its own frame. Where known, `map_from_stay` is that frame as registered and
+    `travelled_m` the path driven before it (infinite across a loss of tracking): they tell twin
+    rooms apart, and nothing else.
+    """
+
+    number: int
+    features: NDArray[Any]
+    packed: PackedGrid
+    track: FloatArray
+    map_from_stay: Pose2 | None = None
+    travelled_m: float = 0.0
+
+    @property
+    def grid(self) -> GridMap:
+        """The grid of what was seen."""
+        return self.packed.grid
+
+    @cached_property
+    def area_m2(self) -> float:
+        """The free area that was seen."""
+        return self.grid.free_area_m2
+
+
+_MERGE_OVERLAP = 0.4  # shared part of both tracks, for a merge
+_MERGE_REACH_M = 1.0  # tracks this close overlap
+TWIN_MARGIN_M = 0.5  # a match that mends so much more than drift explains is of twin rooms
+
+# Rooms have right angles: a wrong match is turned by a quarter or by half. Tracking is not, unless
+# it turned a little with every metre of a long way.
+_MOST_TURN_RAD, _TURN_RAD_PER_M = math.pi / 4, 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """Whether the grids match, whether they are of one submap, and why or why not."""
+
+    verified: bool
+    merged: bool
+    reason: str
+
+
+NO_WALLS = Decision(False, False, "a grid shows too few walls to match")
+
+
+def decide(
+    old: Stay, new: Stay, check: Check | None, way_m: float, config: RecognitionConfig
+) -> Decision:
+    """What the best match of two stays' grids is worth; `check` None is no match at all.
+
+    `way_m` is that between the stays on which tracking may have drifted.
+    """
+    if check is None or check.score < config.min_score:
+        return Decision(False, False, "the grids do not match")
+    if check.confirmed_m < MIN_WALL_M:
+        return Decision(False, False, "too little wall matches")
+    if check.overlap < MIN_OVERLAP or check.least_overlap < LEAST_OVERLAP:
+        return Decision(False, False, "the grids overlap too little")
+    if check.lead < MIN_LEAD:
+        return Decision(False, False, "ambiguous: the grids match in more than one way")
+    if not plausible(old, new, check.old_from_new, way_m, config):
+        return Decision(False, False, "ambiguous: looks the same but is too far away, a twin")
+    shared = tracks_overlap(old.track, new.track, check.old_from_new, _MERGE_REACH_M)
+    if shared < _MERGE_OVERLAP:
+        return Decision(True, False, "the grids match, the robot's tracks do not overlap")
+    return Decision(True, True, "the grids match and the tracks overlap")
+
+
+def expected_overlap(old: Stay, new: Stay, reach_m: float) -> float:
+    """The smaller share of either track that passes near the other one as both were tracked.
+
+    0 where that says nothing: poses are not known, or tracking was lost between them.
+    """
+    if old.map_from_stay is None or new.map_from_stay is None:
+        return 0.0
+    if not math.isfinite(new.travelled_m - old.travelled_m):
+        return 0.0
+    expected = old.map_from_stay.inverse() @ new.map_from_stay
+    return tracks_overlap(old.track, new.track, expected, reach_m)
+
+
+def mended_m(old: Stay, new: Stay, old_from_new: Pose2) -> float:
+    """How far tracking was off where the new stay begins if a match is right; 0 if unknown."""
+    if old.map_from_stay is None or new.map_from_stay is None:
+        return 0.0
+    expected = old.map_from_stay.inverse() @ new.map_from_stay
+    return math.hypot(expected.x - old_from_new.x, expected.y - old_from_new.y)
+
+
+def plausible(
+    old: Stay, new: Stay, old_from_new: Pose2, way_m: float, config: RecognitionConfig
+) -> bool:
+    """Whether registration can have drifted, on a way, as far as a merge would say it has."""
+    most_m = TWIN_MARGIN_M + config.max_drift * way_m
+    # not to be turned round: a way of NaN says nothing
+    return not (
+        mended_m(old, new, old_from_new) > most_m
+        or _mended_rad(old, new, old_from_new) > _MOST_TURN_RAD + _TURN_RAD_PER_M * way_m
+    )
+
+
+def _mended_rad(old: Stay, new: Stay, old_from_new: Pose2) -> float:
+    """The same of the heading."""
+    if old.map_from_stay is None or new.map_from_stay is None:
+        return 0.0
+    expected = old.map_from_stay.inverse() @ new.map_from_stay
+    return abs(wrap_angle(expected.theta - old_from_new.theta))
+
+
+_Tie = tuple[float, float, float]  # two places along the way, and the metres that part them
+
+
+class DriftGraph:
+    """The ways between stays, cut short by the matches that confirmed them."""
+
+    def __init__(self, config: RecognitionConfig) -> None:
+        self.config = config
+        self._ties: list[_Tie] = []
+
+    def confirm(self, old: Stay, new: Stay, mended_m: float) -> None:
+        """The grids of two stays match `mended_m` from where tracking has them.
+
+        As far as that is no twin whatever the way, they are as near as the way on which drift makes
+        as much. A match that cuts no way short is not kept: a robot that patrols makes many.
+        """
+        ends = old.travelled_m, new.travelled_m
+        known = old.map_from_stay is not None and new.map_from_stay is not None
+        if known and all(map(math.isfinite, ends)) and mended_m <= TWIN_MARGIN_M:
+            drift = self.config.max_drift
+            metres = mended_m / drift if drift > 0.0 else 0.0
+            if metres < self.between(old, new):
+                self._ties.append((*ends, metres))
+
+    def between(self, old: Stay, new: Stay) -> float:
+        """Metres of the shortest way between two stays; not finite across a loss of tracking."""
+        start, end = old.travelled_m, new.travelled_m
+        if not self._ties or not (math.isfinite(start) and math.isfinite(end)):
+            return abs(end - start)
+        return _shortest(start, end, self._ties)
+
+
+def _shortest(start: float, end: float, ties: list[_Tie]) -> float:
+    """Metres between two places along a way with ties between others."""
+    places = sorted({start, end, *(place for tie in ties for place in tie[:2])})
+    number = {place: k for k, place in enumerate(places)}
+    metres = {(k, k + 1): b - a for k, (a, b) in enumerate(pairwise(places))}
+    for a, b, tied_m in ties:
+        i, j = sorted((number[a], number[b]))
+        metres[i, j] = min(tied_m, metres.get((i, j), math.inf))
+    ends = np.array(list(metres), dtype=np.int32).T  # csgraph wants 32 bits
+    graph = csr_array((list(metres.values()), tuple(ends)), shape=(len(places), len(places)))
+    return float(dijkstra(graph, directed=False, indices=number[start])[number[end]])

@@ -1,0 +1,157 @@
+"""What the classifiers and the exemplars of a map say of each scan of a log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.errors import InputError
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.recognition.features.sets import scans_features
+from specmap_cli.recognition.features.virtual import RecentScans
+from specmap_cli.recognition.learning.calibration import Calibration
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Sensor
+
+_VIEW_SLACK_RAD = 0.0873  # a laser is refused that sees by more than this less
+_RANGE_SHARE = 0.5  # a laser is refused that sees less far than this share of the map's laser
+
+
+class BeamSampler:
+    """Makes scans of the laser `seen` look like those of `known`, which the classifiers know.
+
+    Raises InputError when the laser seen sees less than that of the map did.
+    """
+
+    def __init__(self, seen: Sensor, known: Sensor) -> None:
+        self.known = known
+        self.same = seen.sees_as(known)
+        self.note = (
+            "" if self.same else f"the log's laser ({seen}) is resampled to the map's ({known})"
+        )
+        narrower = seen.field_of_view < known.field_of_view - _VIEW_SLACK_RAD
+        if narrower or seen.range_max < _RANGE_SHARE * known.range_max:
+            raise InputError(
+                f"the log's laser ({seen}) sees less than the laser of the map ({known}); "
+                "build the map again with this laser"
+            )
+
+    def apply(self, scan: PlanarScan) -> PlanarScan:
+        """The scan at the known laser's bearings, cut to its range."""
+        if self.same or not len(scan.bearings):
+            return scan
+        wanted = self.known.bearings()
+        ranges = scan.ranges[_nearest(scan.bearings, wanted)]
+        with np.errstate(invalid="ignore"):
+            ranges = np.where(ranges >= self.known.range_max, np.inf, ranges)
+        return PlanarScan(
+            stamp_ns=scan.stamp_ns,
+            bearings=wanted,
+            ranges=ranges,
+            range_max=self.known.range_max,
+            full_circle=self.known.full_circle,
+        )
+
+
+def _nearest(bearings: FloatArray, wanted: FloatArray) -> NDArray[np.intp]:
+    """(W,) index of the bearing (B,) ascending nearest to each wanted one, around the circle."""
+    turn = 2.0 * math.pi
+    around = np.concatenate([bearings - turn, bearings, bearings + turn])
+    right = np.clip(np.searchsorted(around, wanted), 1, len(around) - 1)
+    left_is_nearer = wanted - around[right - 1] < around[right] - wanted
+    return np.asarray((right - left_is_nearer) % len(bearings), dtype=np.intp)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClassifiedScan:
+    """What is said of one scan, and of the virtual one of the window before it.
+
+    `raw` (m,) log probabilities of the submaps by the single scan, `margins` (m,) its votes, `all`
+    (m,) log probabilities with the virtual scan; `strange` is how little it looks like any place of
+    the map: above one where nothing fits, -inf when not known.
+    `seen` is what is matched with walls: the scan of a laser that sees all round, else the virtual
+    one; `shown` in [0, 1] is how much of the robot's surroundings the virtual one holds.
+    """
+
+    margins: FloatArray
+    raw: FloatArray
+    all: FloatArray
+    strange: float
+    seen: PlanarScan
+    shown: float
+
+
+class ScanClassifier:
+    """Asks the classifiers of a map of the scans of a log, in turn."""
+
+    def __init__(self, classifiers: ClassifierSet, config: LocalizationConfig) -> None:
+        self.classifiers = classifiers
+        self.config = config
+        self._calibration = classifiers.calibration or Calibration()
+        self._recent = RecentScans()
+        self._sampler: BeamSampler | None = None
+
+    @property
+    def note(self) -> str:
+        """How the log's laser is made to fit the classifiers; empty when it is the same."""
+        return self._sampler.note if self._sampler is not None else ""
+
+    def classified(self, scans: Sequence[PosedScan]) -> list[ClassifiedScan]:
+        """What is said of the next scans, in turn; many at once are cheaper than one by one.
+
+        Where tracking starts afresh the window does, too. Raises InputError when the laser sees too
+        little.
+        """
+        raw = self.classifiers.raw
+        features = scans_features([self._resampled(s.planar) for s in scans], raw.feature_set)
+        margins, strange = raw.margins(features), raw.strangeness(features)
+        alone = self._calibration.alone(margins)
+        virtual = self.classifiers.virtual
+        if virtual is None or not self.config.virtual:
+            return [
+                ClassifiedScan(
+                    margins=margins[k],
+                    raw=alone[k],
+                    all=alone[k],
+                    strange=float(strange[k]),
+                    seen=posed.planar,
+                    shown=1.0,
+                )
+                for k, posed in enumerate(scans)
+            ]
+        windows = [self._window(posed) for posed in scans]
+        features = scans_features([seen for seen, _ in windows], virtual.feature_set)
+        both = self._calibration.together(margins, virtual.margins(features))
+        if virtual.familiarity is not None:
+            strange = virtual.strangeness(features)
+        view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
+        return [
+            ClassifiedScan(
+                margins=margins[k],
+                raw=alone[k],
+                all=both[k],
+                strange=float(strange[k]),
+                seen=posed.planar if posed.planar.full_circle else windows[k][0],
+                shown=max(windows[k][1], view),
+            )
+            for k, posed in enumerate(scans)
+        ]
+
+    def _resampled(self, scan: PlanarScan) -> PlanarScan:
+        """The scan as the laser of the map would have taken it."""
+        if self._sampler is None:
+            self._sampler = BeamSampler(Sensor.of(scan), self.classifiers.sensor)
+        return self._sampler.apply(scan)
+
+    def _window(self, posed: PosedScan) -> tuple[PlanarScan, float]:
+        """What a full circle would have seen from here, of the last metres; how full these are."""
+        if posed.restarted:  # this pose has nothing to do with the last one
+            self._recent.clear()
+        if not posed.lost:
+            self._recent.add(posed)
+        return self._recent.scan(posed.stamp_ns, posed.map_from_laser), self._recent.filled
