@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
-from specmap_cli.core.records import IntArray
+from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.grids.correlation import Target, cell_counts, local_maxima, peaks
 from specmap_cli.grids.occupancy import SURFACE_GAP_M
 from specmap_cli.grids.score_field import ScoreField, descend
@@ -272,11 +272,8 @@ def observability(points: FloatArray, range_noise_m: float) -> FloatArray:
     """
     if len(points) < 3:
         return np.zeros((3, 3))
-    tangent = points[2:] - points[:-2]
-    length = np.hypot(tangent[:, 0], tangent[:, 1])
-    good = (length > _DISTINCT_M) & (length < 2 * SURFACE_GAP_M)
-    tangent, p = tangent[good] / length[good, None], points[1:-1][good]
-    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    good, normal = _normals(points, SURFACE_GAP_M)
+    p = points[1:-1][good]
     rows = np.column_stack([normal, p[:, 0] * normal[:, 1] - p[:, 1] * normal[:, 0]])
     return product(rows.T, rows) / range_noise_m**2
 
@@ -327,9 +324,17 @@ def _smoothed_surfaces(points: FloatArray) -> tuple[FloatArray, FloatArray, Floa
     piece = np.floor(np.concatenate([[0.0], np.cumsum(apart)]) / _PIECE_M)
     _, start, count = np.unique(piece, return_index=True, return_counts=True)
     middle = np.add.reduceat(points, start, axis=0) / count[:, None]
-    tangent = middle[2:] - middle[:-2]
-    length = np.hypot(tangent[:, 0], tangent[:, 1])
-    good = (length > _DISTINCT_M) & (length < 2 * _SMOOTHED_GAP_M)
-    tangent = tangent[good] / length[good, None]
-    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    good, normal = _normals(middle, _SMOOTHED_GAP_M)
     return middle[1:-1][good], normal, count[1:-1][good].astype(np.float64)
+
+
+def _normals(points: FloatArray, gap_m: float) -> tuple[BoolArray, FloatArray]:
+    """Which inner ones (n - 2,) of points (n, 2) lie on one surface with both neighbours.
+
+    And the unit normals (k, 2) of the surface at these.
+    """
+    tangent = points[2:] - points[:-2]
+    length = np.hypot(tangent[:, 0], tangent[:, 1])
+    good = (length > _DISTINCT_M) & (length < 2 * gap_m)
+    tangent = tangent[good] / length[good, None]
+    return np.asarray(good), np.column_stack([-tangent[:, 1], tangent[:, 0]])
