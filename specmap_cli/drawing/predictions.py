@@ -227,7 +227,7 @@ def _draw_classes(canvas: Canvas, counts: NDArray[np.float64], table: _Table) ->
         if text_width(name, letters) > cell - 4:
             canvas.upright_text(x, y, name, letters)
         else:
-            canvas.text(x, y - letters / 2, name, letters, anchor="centre")
+            canvas.text(x, y - letters / 2, name, letters, align="centre")
 
 
 def _draw_cells(canvas: Canvas, counts: NDArray[np.float64], table: _Table) -> None:

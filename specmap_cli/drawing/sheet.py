@@ -177,7 +177,7 @@ class Sheet:
         self.canvas.text(MARGIN, y, "0", _LETTERS)
         first, end = f"{length / parts:g}", f"{length:g}"
         if text_width(first, _LETTERS) < step:
-            self.canvas.text(MARGIN + step, y, first, _LETTERS, anchor="centre")
+            self.canvas.text(MARGIN + step, y, first, _LETTERS, align="centre")
         x = MARGIN + parts * step - text_width(end, _LETTERS) / 2
         self.canvas.text(x, y, f"{end} m", _LETTERS)
 
