@@ -23,7 +23,7 @@ class LocalMotion:
 
 @dataclass(frozen=True, slots=True)
 class BentMotion:
-    """`rigid` from one map to another, and at some places the motion that holds there; between them it blends."""
+    """`rigid` from one map to another, with the motions that hold at some places; it blends."""
 
     rigid: Pose2
     local: tuple[LocalMotion, ...] = ()
