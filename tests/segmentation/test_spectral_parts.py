@@ -35,9 +35,7 @@ from specmap_cli.segmentation.spectral import (
     with_fixed_signs,
 )
 from specmap_cli.segmentation.visibility import LabelArray, VisibilityGraph, near_pairs
-from tests.strategies import few
-
-seeds = st.integers(0, 10_000)
+from tests.strategies import few, seeds
 
 
 def blobs(seed: int, clusters: int = 3, each: int = 25) -> VisibilityGraph:
