@@ -36,13 +36,13 @@ from specmap_cli.topology.topological_map import TopologicalMap
 _BORDER_M = 1.0  # of paper round the trajectory
 _CLEAR_OF_BADGES = 3.0 * symbols.BADGE_RADIUS  # of an id on the ground
 _SAME_ID_GAP = 5.0  # badges of one submap are this many times farther apart than others
+
 # Pixels, chosen by eye for a page as wide as a screen.
 _SIDE = 1400  # of all cells of the longer side together, while they are of a size to be seen
 _SMALLEST_CELL, _LARGEST_CELL = 14, 72
 _SMALLEST_LETTERS, _LARGEST_LETTERS = 8.0, 15.0
 _FIGURES_FROM = 26  # a smaller cell has no room for its percent
 _MARGIN, _TITLE, _GAP, _COUNTS, _NARROWEST = 48, 96, 12, 110, 700
-RIGHT: Colour = RIGHT
 _MISTAKES: Colour = (40, 24, 200)
 _PALEST = 0.12  # weight of the hue in the cell of a single scan: it must be seen
 _DARK = 0.45  # share from which letters are white

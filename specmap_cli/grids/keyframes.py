@@ -35,6 +35,7 @@ _AT_ONCE = 32  # keyframes read and integrated in one go: bounds the memory, and
 # A pass leaves some six keyframes in a place, so that two or three passes are taken in whole.
 PLACE_M, DIRECTION_RAD, ENOUGH_VIEWS = 0.5, math.pi / 6.0, 16
 _READING = np.dtype(np.float32)  # a bearing or a range on disk: good to a micrometre in 10 m
+
 _ROUNDING = 1e-9  # of shares that add up to one
 _LASER_M = 1.0  # how far from the middle of the robot a laser may stand
 _STRIDE = 8  # neighbours show the same: first one of so many is asked, then the others

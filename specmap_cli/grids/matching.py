@@ -35,16 +35,20 @@ from specmap_cli.grids.score_field import ScoreField, descend
 
 REFINE_ITERATIONS = 20  # of Gauss-Newton, which ends by itself after some five near the truth
 REFINE_SHIFT_M = 0.3  # three sigma of the usual field: it pulls from no farther
+
 # the score surface round a match: 2 % of the score is what a change of a few points makes
 SPREAD_TEMPERATURE = 0.02
 SPREAD_M, SPREAD_RAD = 0.3, 0.09  # looked at: beyond the errors of a match that is right
 _SPREAD_STEPS = 6  # of the lattice, from the match to either end
+
 PLACES, PLACES_STEP_M = 5, 0.2  # looked for everywhere: a wall is still seen in cells of 0.2 m
 APART_M = 1.0  # of two places found: nearer ones lead `refine` to the same pose
 _APART_RAD = 0.3  # likewise of two headings
+
 _FAR_PERCENTILE = 80.0  # of the ranges: the few farthest points may move by more than a step
 _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.01, 0.05  # between two angles that are tried
 _SLACK = 1e-9  # scores and lengths this close are equal
+
 _DISTINCT_M = 1e-6  # between points of which the direction of a surface can be had
 # Of smoothed surfaces: pieces so long that 3 cm of noise turn their normals by less than 0.1 rad,
 # which makes a hundredth of the information; whoever stands in a room has ten times that.

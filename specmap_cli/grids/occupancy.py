@@ -20,14 +20,16 @@ from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, slices_near, window_of
 
+Cell = tuple[int, int]  # column and row
+_Indices = NDArray[np.intp]
+
 _OCCUPIED_SHARE = 0.25  # hits / (hits + misses) of a wall
 _FREE, _OCCUPIED, _UNKNOWN = (np.uint8(state) for state in (FREE, OCCUPIED, UNKNOWN))
 _ONCE = np.float32(1.0)
 _GROWTH_CELLS = 128  # added on a side that grows: some 6 m at once, so that it seldom does
+
 SURFACE_GAP_M = 0.3  # returns this close bound one surface
 SUBPIXEL_BITS = 4  # OpenCV draws on a lattice of 1/16 cell, finer than a laser's noise
-Cell = tuple[int, int]  # column and row
-_Indices = NDArray[np.intp]
 
 
 class OccupancyGrid:

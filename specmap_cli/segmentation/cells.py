@@ -19,14 +19,17 @@ from specmap_cli.core.records import IntArray
 from specmap_cli.grids.gridmap import BoolArray, contacts, nearest_values
 from specmap_cli.segmentation.visibility import IndexArray, LabelArray
 
+Pair = tuple[int, int]
+
 RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
 _LEVELS = 126  # heights of the relief that is flooded: the sum of two of them, and one, fit a byte
 _AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)])
 _TINY = 1e-9  # cells; keeps a grid without free space from dividing by zero
-Pair = tuple[int, int]
+
 _RATIO_SLACK = 1e-9  # a border of just the ratio asked for joins, whatever the last digit
 _WIDTH_SLACK = 1e-12  # of two borders equal in proportion the first joins
 _NARROWEST = 1e-9  # cells; keeps a cluster without width from dividing by zero
+
 _SAME = 0.5  # intersection over union above which regions are the same: each has one such at most
 _HALF = 0.5  # of the cells of a region: more of them taken by others, and it is not taken itself
 
