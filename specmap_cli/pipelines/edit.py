@@ -25,8 +25,7 @@ from specmap_cli.core.settings import Config
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.overview import render_overview, render_segmentation
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
-from specmap_cli.grids.map_server import write_png
-from specmap_cli.grids.pictures import read_picture
+from specmap_cli.grids.map_server import read_picture, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words

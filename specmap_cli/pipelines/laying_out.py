@@ -30,7 +30,7 @@ from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.holes import holes_of
 from specmap_cli.quality.verdict import of_recording
-from specmap_cli.segmentation.refinement import regions_of
+from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import settle_labels
 
 _CLOSURE_SIGMA_M = 0.04  # spread of matched grids' transforms about the truth, x and y

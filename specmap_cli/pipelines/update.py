@@ -49,7 +49,7 @@ from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.closure.prepared import MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
-from specmap_cli.segmentation.refinement import regions_of
+from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import inherited
 from specmap_cli.topology.identity import border_changes
 from specmap_cli.topology.redrawing import carried
