@@ -23,7 +23,7 @@ from specmap_cli.logs.readers.encoding import SCAN_TYPES
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.map_in_making import laid_out_of_stored
-from specmap_cli.pipelines.overlaps import known_map
+from specmap_cli.pipelines.overlaps import stored_to_align
 
 CODES = {0, 2, 3, 4}  # that a command may end with on a damaged input; 1 is a bug
 _LEFT_OUT = ("unusable_scans", "other_sensor", "unusable_odometry")  # counts of a stream
@@ -321,7 +321,7 @@ def _in_keyframes(stored: StoredMap) -> int:
 
 
 def _in_layout(stored: StoredMap) -> int:
-    known_map(stored)
+    stored_to_align(stored)
     return len(laid_out_of_stored(stored).layout.poses)
 
 

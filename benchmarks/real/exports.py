@@ -63,8 +63,8 @@ def of_routes(stored: StoredMap, *, bends: bool) -> Counts:
     """The stops of the ways, and twice the metres: there and back."""
     ways = [edge for edge in stored.record.edges if is_way(edge)]
     found = routes(stored.record)
-    stops = [stop for stop in found.stops if bends or stop.kind != "bend"]
-    legs = len(found.legs) - (len(found.stops) - len(stops))
+    stops = [stop for stop in found.waypoints if bends or stop.kind != "bend"]
+    legs = len(found.legs) - (len(found.waypoints) - len(stops))
     return Counts(len(stops), 2 * legs, 2 * sum(way.length_m or 0.0 for way in ways))
 
 

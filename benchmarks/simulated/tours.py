@@ -29,7 +29,7 @@ from specmap_cli.core.records import Trajectory
 from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import read_map
-from specmap_cli.maps.tum import planar_trajectory_text
+from specmap_cli.maps.text_files import planar_trajectory_text
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import SimulationOptions, simulated_tour, stamp_of
 from specmap_cli.simulation.worlds import RoomTruth

@@ -10,7 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from specmap_cli.batch.ledger import EventRecord, Ledger
 from specmap_cli.batch.outputs import taken, write_files
@@ -33,25 +33,19 @@ _SUMMARY_EVERY_S = 60.0  # while the batch runs; each costs about a second for 1
 _ASKERS = 16  # threads that ask for the sizes of logs: a store answers each after a while
 
 
-@dataclass(frozen=True, slots=True)
-class Listener:
-    """Who is told of a batch: of its events, and how far it is after each."""
-
-    tell: Callable[[EventRecord], None] = lambda _: None
-    show: Callable[[Ledger], None] = lambda _: None
-
-
 def run_batch(
     jobs: Sequence[Job],
     terms: Terms,
     cluster: Cluster = Cluster(),
     retries: int = 1,
-    listener: Listener = Listener(),
+    tell: Callable[[EventRecord], None] = lambda _: None,
+    show: Callable[[Ledger], None] = lambda _: None,
 ) -> Ledger:
     """Do all jobs; one that fails stops none of the others. Returns what came of each.
 
-    Results that are there already stay. Raises UsageError for an output that cannot be written or
-    that another batch has, and for workers that cannot be used.
+    Results that are there already stay. Events are told to `tell`, and how far it is to `show`.
+    Raises UsageError for an output that cannot be written or that another batch has, and for
+    workers that cannot be used.
     """
     if not jobs:
         raise UsageError("no logs: name a recording, a directory, a pattern or a file of jobs")
@@ -65,7 +59,7 @@ def run_batch(
         def note(event: EventRecord | None) -> None:
             if event is not None:
                 write(event.line())
-                listener.tell(event)
+                tell(event)
 
         note(ledger.began())
         with opened(cluster) as client:
@@ -74,7 +68,7 @@ def run_batch(
                 with Workers(client, terms) as workers:
                     for event in work_off(longest_first(jobs, sizes), workers, retries, ledger):
                         note(event)
-                        listener.show(ledger)
+                        show(ledger)
                         if time.monotonic() - written > _SUMMARY_EVERY_S:
                             _write_summaries(terms.output, ledger)
                             written = time.monotonic()

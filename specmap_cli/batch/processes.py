@@ -20,7 +20,7 @@ from specmap_cli.batch.records import Kind, Limits, Step, StepOutcome
 from specmap_cli.core.errors import BROKEN_RULE, MACHINE, MEMORY, PACKAGE, UsageError
 from specmap_cli.core.text import legible
 
-_LOOK_S = 0.05  # how often memory and time are looked at: some 20 microseconds each
+_WATCH_S = 0.05  # how often memory and time are looked at: some 20 microseconds each
 _CHILDREN_S = 1.0  # how often its children are looked for, which takes longer
 _BYTES_PER_MB = 1e6
 # Run by Python as PARENT COMMAND...: it becomes the command, which on Linux dies with the process
@@ -136,14 +136,14 @@ def _need_psutil() -> None:
 def _watched(tree: _Tree, bounds: Bounds) -> Literal["memory", "time"] | None:
     """Wait until the process ends or breaks a bound: which one."""
     while not _has_ended(tree.pid):
-        held = tree.look()
+        held = tree.measure()
         if bounds.limits.memory_mb is not None and held > bounds.limits.memory_mb:
             return "memory"
         if time.monotonic() > bounds.deadline:
             return "time"
         if not bounds.wanted():
             raise GivenUpError
-        time.sleep(_LOOK_S)
+        time.sleep(_WATCH_S)
     return None
 
 
@@ -162,12 +162,12 @@ class _Tree:
         self.most_mb = 0.0
         self._gone = psutil.Error
         self._members = [psutil.Process(pid)]
-        self._looked = time.monotonic()
+        self._searched = time.monotonic()
 
-    def look(self) -> float:
+    def measure(self) -> float:
         """Megabytes now; those that have ended hold none."""
-        if time.monotonic() - self._looked > _CHILDREN_S:
-            self._looked = time.monotonic()
+        if time.monotonic() - self._searched > _CHILDREN_S:
+            self._searched = time.monotonic()
             with suppress(self._gone):
                 self._members[1:] = self._members[0].children(recursive=True)
         held = 0.0

@@ -13,9 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from specmap_cli.core.json_values import Value
+from specmap_cli.core.json_values import Record, Value
 from specmap_cli.core.schemas import ModelSchema
 
 SCHEMA_VERSION = 1
@@ -90,7 +90,7 @@ class Plan:
     known: Mapping[Command, Mapping[str, Option]] = field(default_factory=dict)
 
 
-# Megabytes at any time and seconds for all steps; what a job may use, and what it might.
+# What a job may use: megabytes at any time, seconds for all its steps together.
 @dataclass(frozen=True, slots=True)
 class Limits(Value):
     """The limits that held."""
@@ -122,11 +122,7 @@ class Turn:
     alone: bool = False
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class StepOutcome(_Record):
+class StepOutcome(Record, strict=True):
     """How one step ended."""
 
     command: Command = Field(description="the command that was run")
@@ -140,7 +136,7 @@ class StepOutcome(_Record):
     )
 
 
-class InputRecord(_Record):
+class InputRecord(Record, strict=True):
     """One log of the job as it was when the job was run."""
 
     log: str = Field(description="path or URL")
@@ -148,7 +144,7 @@ class InputRecord(_Record):
     identity: str = Field(description="hash of what it was known by: see docs/batch.md")
 
 
-class JobRecord(_Record):
+class JobRecord(Record, strict=True):
     """The whole of job.json: a folder that has it holds a complete result."""
 
     schema_version: Literal[1] = Field(description="the version of this format")

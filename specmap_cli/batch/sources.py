@@ -207,7 +207,7 @@ def _found_in_store(url: str) -> Iterator[Found]:
             if _WILDCARDS & set(root):
                 fixed = root[: min(root.index(sign) for sign in _WILDCARDS if sign in root)]
                 for match in sorted(system.glob(root)):
-                    yield from _matched(system, match, fixed.rsplit("/", 1)[0])
+                    yield from _at_match(system, match, fixed.rsplit("/", 1)[0])
             elif system.isdir(root):
                 yield from _below_in_store(system, root, root)
             elif system.exists(root):
@@ -216,7 +216,7 @@ def _found_in_store(url: str) -> Iterator[Found]:
             raise UsageError(f"{url}: no such file or directory") from None
 
 
-def _matched(system: Any, match: str, root: str) -> Iterator[Found]:
+def _at_match(system: Any, match: str, root: str) -> Iterator[Found]:
     """A file that a pattern matches, or the recordings below a directory that it does."""
     if system.isdir(match):
         yield from _below_in_store(system, match, root)
@@ -306,23 +306,18 @@ def _fetched(log: str, sources: Sequence[Source], directory: Path) -> str:
     for source in sources:
         copy = target / source.name
         copy.parent.mkdir(parents=True, exist_ok=True)
-        _copy(system, source, copy)
+        try:
+            with reaching(source.place):
+                system.get_file(store_at(source.place)[1], str(copy))
+        except FileNotFoundError:
+            raise LogError(f"{source.place}: no such file or directory") from None
+        got = copy.stat().st_size
+        if source.bytes is not None and got != source.bytes:
+            raise PlaceError(
+                f"{source.place}: {got:,} of {source.bytes:,} bytes arrived: it changed, or the "
+                "connection broke: run the job again"
+            )
     return str(directory / name)
-
-
-def _copy(system: Any, source: Source, copy: Path) -> None:
-    _, path = store_at(source.place)
-    try:
-        with reaching(source.place):
-            system.get_file(path, str(copy))
-    except FileNotFoundError:
-        raise LogError(f"{source.place}: no such file or directory") from None
-    got = copy.stat().st_size
-    if source.bytes is not None and got != source.bytes:
-        raise PlaceError(
-            f"{source.place}: {got:,} of {source.bytes:,} bytes arrived: it changed, or the "
-            "connection broke: run the job again"
-        )
 
 
 def _input(log: str, sources: Sequence[Source]) -> InputRecord:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from specmap_cli.batch.records import COMMANDS, Command, Meaning, Option, Plan, Step
 from specmap_cli.core.errors import UsageError
@@ -32,13 +32,6 @@ _FORMAT = "--format="
 _SAID = frozenset({"out", "overwrite", "json", "quiet", "log-level", "trajectory"})
 
 
-class _Given(NamedTuple):
-    """One use of an option as it stands on the command line."""
-
-    text: str
-    meaning: Meaning
-
-
 def steps_of(plan: Plan, base: Path, where: str = "") -> tuple[Step, ...]:
     """The steps of a plan; paths in its options are relative to `base`.
 
@@ -49,9 +42,8 @@ def steps_of(plan: Plan, base: Path, where: str = "") -> tuple[Step, ...]:
     steps: list[Step] = []
     taken = {MAP, REPORT, LABELS, CONFUSION, JOB, LOG_TEXT, *(f"{each}.json" for each in COMMANDS)}
     for command in plan.steps:
-        given = list(_given(command, plan, base, where))
-        made = _split(command, given, where)
-        for name in _outputs(given, made):
+        made, outputs = _made(command, plan, base, where)
+        for name in outputs:
             if name.lower() in taken:
                 raise UsageError(f"{where}options.{command}: {name} is written twice")
             taken.add(name.lower())
@@ -94,8 +86,6 @@ def _check_commands(plan: Plan, where: str) -> None:
     for name in [*plan.steps, *plan.options]:
         if name not in COMMANDS:
             raise UsageError(f"{where}{name!r:.60}: no such step: choose from {choices}")
-    if not plan.steps:
-        raise UsageError(f"{where}steps: empty: choose from {choices}")
     for place, command in enumerate(plan.steps):
         before = plan.steps[:place]
         if command in before:
@@ -112,8 +102,8 @@ def _needs_map(command: Command, options: Mapping[str, Any]) -> bool:
     return command in _OF_A_MAP
 
 
-def _given(command: Command, plan: Plan, base: Path, where: str) -> Iterator[_Given]:
-    """The options of one step as they stand on the command line."""
+def _given(command: Command, plan: Plan, base: Path, where: str) -> Iterator[tuple[str, Meaning]]:
+    """The options of one step as they stand on the command line, and what they take."""
     for name, value in plan.options.get(command, {}).items():
         place = f"{where}options.{command}.{name}"
         option = _known(plan.known.get(command, {}), name, place)
@@ -122,7 +112,7 @@ def _given(command: Command, plan: Plan, base: Path, where: str) -> Iterator[_Gi
         values = value if option.several and isinstance(value, list) else [value]
         for each in values:
             for text in _option(name, option, each, base, place):
-                yield _Given(text, option.meaning)
+                yield text, option.meaning
 
 
 def _known(options: Mapping[str, Option], name: str, place: str) -> Option:
@@ -163,12 +153,17 @@ def _input(value: str, base: Path, place: str) -> Path:
     return path.absolute()
 
 
-def _split(command: Command, given: Sequence[_Given], where: str) -> list[Step]:
-    """The steps of one command: an export for each format, else a single one."""
-    options = tuple(each.text for each in given)
-    inputs = tuple(each.text for each in given if each.meaning == "input")
+def _made(command: Command, plan: Plan, base: Path, where: str) -> tuple[list[Step], list[str]]:
+    """The steps of one command: an export for each format, else a single one.
+
+    And the files that they write by names of a person's choice.
+    """
+    given = list(_given(command, plan, base, where))
+    options = tuple(text for text, _ in given)
+    inputs = tuple(text for text, meaning in given if meaning == "input")
+    outputs = [text.partition("=")[2] for text, meaning in given if meaning == "output"]
     if command != "export":
-        return [Step(command, options, inputs)]
+        return [Step(command, options, inputs)], outputs
     formats = [each for each in options if each.startswith(_FORMAT)]
     if not formats:
         raise UsageError(f'{where}options.export.format: missing: say which, such as "nav2"')
@@ -176,10 +171,5 @@ def _split(command: Command, given: Sequence[_Given], where: str) -> list[Step]:
     for each in formats:
         if not _FILE_NAME.fullmatch(each.removeprefix(_FORMAT)):
             raise UsageError(f"{where}options.export.format: no format has the name {each!r:.60}")
-    return [Step(command, (*others, each), inputs) for each in formats]
-
-
-def _outputs(given: Sequence[_Given], steps: Sequence[Step]) -> Iterator[str]:
-    """The files that the steps of one command write by names of a person's choice."""
-    yield from (_export_name(step) for step in steps if step.command == "export")
-    yield from (each.text.partition("=")[2] for each in given if each.meaning == "output")
+    steps = [Step(command, (*others, each), inputs) for each in formats]
+    return steps, [*map(_export_name, steps), *outputs]

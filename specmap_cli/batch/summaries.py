@@ -47,11 +47,13 @@ Row = Mapping[str, Value]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column: its name, the type of its values, what they mean, and where they come from."""
+    """A column: its name, the type of its values, and where they come from.
+
+    What they mean is in docs/batch_clusters.md.
+    """
 
     name: str
     type: Literal["text", "whole", "real"]
-    meaning: str
     of: Callable[[JobRecord], Value]
 
 
@@ -73,10 +75,6 @@ def _scans_per_s(record: JobRecord) -> Value:
     return round(scans / record.wall_s, 1) if isinstance(scans, int | float) and scans else None
 
 
-def _memory(record: JobRecord) -> Value:
-    return None if record.memory_mb is None else round(record.memory_mb, 1)
-
-
 def _warnings(record: JobRecord) -> Value:
     """What the steps warned of, each once."""
     said = dict.fromkeys(each for step in record.steps for each in step.warnings)
@@ -84,36 +82,38 @@ def _warnings(record: JobRecord) -> Value:
 
 
 COLUMNS = (
-    Column("name", "text", "of the job and of its folder", lambda one: one.name),
-    Column("state", "text", "done, failed, or waiting", lambda one: one.state),
-    Column("kind", "text", "what kind of failure; see docs/batch.md", lambda one: one.kind),
-    Column("reason", "text", "why it failed", lambda one: one.reason),
-    Column("verdict", "text", "on the map: good, doubtful or poor", _figure("verdict")),
-    Column("lost_share", "real", "share of the scans that were lost", _figure("lost_share", 4)),
-    Column("submaps", "whole", "submaps of the map", _figure("submaps", 0)),
-    Column("area_m2", "real", "square metres of floor", _figure("area_m2", 2)),
-    Column("path_m", "real", "metres driven", _figure("path_m", 2)),
-    Column("scans", "whole", "scans that were read", _figure("scans", 0)),
-    Column("scans_per_s", "real", "scans in each second of the job", _scans_per_s),
-    Column("wall_s", "real", "seconds that the job took", lambda one: round(one.wall_s, 2)),
-    Column("memory_mb", "real", "most megabytes that a step held", _memory),
-    Column("attempts", "whole", "how many times it was tried", lambda one: one.attempts),
-    Column("warnings", "text", "what its steps warned of", _warnings),
-    Column("digest", "text", "SHA-256 of all that decides the result", lambda one: one.digest),
+    Column("name", "text", lambda one: one.name),
+    Column("state", "text", lambda one: one.state),
+    Column("kind", "text", lambda one: one.kind),
+    Column("reason", "text", lambda one: one.reason),
+    Column("verdict", "text", _figure("verdict")),
+    Column("lost_share", "real", _figure("lost_share", 4)),
+    Column("submaps", "whole", _figure("submaps", 0)),
+    Column("area_m2", "real", _figure("area_m2", 2)),
+    Column("path_m", "real", _figure("path_m", 2)),
+    Column("scans", "whole", _figure("scans", 0)),
+    Column("scans_per_s", "real", _scans_per_s),
+    Column("wall_s", "real", lambda one: round(one.wall_s, 2)),
+    Column("memory_mb", "real", lambda one: one.memory_mb and round(one.memory_mb, 1)),
+    Column("attempts", "whole", lambda one: one.attempts),
+    Column("warnings", "text", _warnings),
+    Column("digest", "text", lambda one: one.digest),
 )
 
 
-def row_of(name: str, record: JobRecord | None) -> Row:
-    """A row of the summary; of a job without a result its name and that it waits."""
-    if record is None:
-        row: dict[str, Value] = dict.fromkeys((column.name for column in COLUMNS), None)
-        return row | {"name": name, "state": WAITING}
-    return {column.name: column.of(record) for column in COLUMNS}
-
-
 def rows_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> list[Row]:
-    """A row of the summary for each job, in order of names."""
-    return [row_of(name, records.get(name)) for name in sorted(names)]
+    """A row of the summary for each job, in order of names.
+
+    Of a job without a record it has the name and that it waits.
+    """
+    return [_row(name, records.get(name)) for name in sorted(names)]
+
+
+def _row(name: str, record: JobRecord | None) -> Row:
+    if record is not None:
+        return {column.name: column.of(record) for column in COLUMNS}
+    row: dict[str, Value] = dict.fromkeys((column.name for column in COLUMNS), None)
+    return row | {"name": name, "state": WAITING}
 
 
 def as_csv(rows: Sequence[Row]) -> bytes:

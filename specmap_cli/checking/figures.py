@@ -12,7 +12,7 @@ from typing import Any
 import networkx as nx
 
 from specmap_cli.maps import filenames
-from specmap_cli.maps.comparison import ComparisonRecord, ThingRecord
+from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.topology.topological_map import driven_m, starts_of
 
@@ -77,9 +77,10 @@ def figures_against(record: ComparisonRecord | None) -> dict[str, float | None]:
     if record is None:
         return {name: None for name in MEANINGS if name.startswith(GOLDEN)} | {"golden.aligned": 0}
     old, new = record.old, record.new
+    same = len(record.submaps.same) / old.submaps if old.submaps else None
     return {
         "golden.aligned": 1,
-        "golden.same_share": 1.0 if record.identical else _share(record),
+        "golden.same_share": 1.0 if record.identical else same,
         "golden.gone": len(record.submaps.gone),
         "golden.unseen": len(record.submaps.unseen),
         "golden.new": len(record.submaps.new),
@@ -87,17 +88,9 @@ def figures_against(record: ComparisonRecord | None) -> dict[str, float | None]:
         "golden.closed": len(record.doors.closed),
         "golden.opened": len(record.doors.opened),
         "golden.off_m": record.alignment.residual_m,
-        "golden.appeared_m2": _area(record.things.appeared),
-        "golden.vanished_m2": _area(record.things.vanished),
+        "golden.appeared_m2": sum(one.area_m2 for one in record.things.appeared),
+        "golden.vanished_m2": sum(one.area_m2 for one in record.things.vanished),
     }
-
-
-def _share(record: ComparisonRecord) -> float | None:
-    return len(record.submaps.same) / record.old.submaps if record.old.submaps else None
-
-
-def _area(things: list[ThingRecord]) -> float:
-    return sum(thing.area_m2 for thing in things)
 
 
 def _of_run(stored: StoredMap) -> dict[str, float | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -13,8 +14,7 @@ from specmap_cli.cli.options import Common, Settings, cluster_of, options_of, ou
 from specmap_cli.core.errors import BROKEN_RULE
 
 if TYPE_CHECKING:
-    from specmap_cli.batch.batch import Listener
-    from specmap_cli.batch.ledger import Ledger
+    from specmap_cli.batch.ledger import EventRecord, Ledger
     from specmap_cli.batch.records import Command, Option, Plan
     from specmap_cli.cli.console import ConsoleProgress
 
@@ -99,7 +99,7 @@ def batch(
     )
     with common.progress() as progress:
         progress.start(f"0 of {len(jobs)} jobs", len(jobs))
-        ledger = run_batch(jobs, terms, cluster, retries, _listener(common, progress))
+        ledger = run_batch(jobs, terms, cluster, retries, *_listeners(common, progress))
     if not common.as_json:
         common.show({}, _lines(out, ledger))
     if ledger.failed:
@@ -131,10 +131,10 @@ def known_options() -> dict[Command, dict[str, Option]]:
     return {command: options_of(commands[command]) for command in COMMANDS}
 
 
-def _listener(common: Common, progress: ConsoleProgress) -> Listener:
+def _listeners(
+    common: Common, progress: ConsoleProgress
+) -> tuple[Callable[[EventRecord], None], Callable[[Ledger], None]]:
     """Events as lines of JSON on stdout; what a person should know, and a bar, on stderr."""
-    from specmap_cli.batch.batch import Listener
-    from specmap_cli.batch.ledger import EventRecord
     from specmap_cli.cli.entry import print_text
 
     def tell(event: EventRecord) -> None:
@@ -149,7 +149,7 @@ def _listener(common: Common, progress: ConsoleProgress) -> Listener:
     def show(ledger: Ledger) -> None:
         progress.reach(len(ledger.results), ledger.headline())
 
-    return Listener(tell, show)
+    return tell, show
 
 
 def _lines(out: str, ledger: Ledger) -> list[str]:

@@ -15,7 +15,7 @@ from specmap_cli.drawing.sheet import Sheet, extent_of
 from specmap_cli.drawing.symbols import Legend, Symbol
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.differences import Crossing, Differences, Thing, walls_in_common
+from specmap_cli.topology.differences import Crossing, Differences, Obstacle, walls_in_common
 from specmap_cli.topology.regions import NOBODY, Regions
 
 OLD: Colour = (196, 110, 30)
@@ -45,9 +45,9 @@ def render_comparison(
     _draw_walls(sheet, both.grid, old.grid, new.grid, old_from_new)
     _draw_ids(sheet, old, new, old_from_new, found)
     for one in found.vanished:
-        _box(sheet.canvas, sheet.pixels(_widened(one.thing)), OLD)
+        _box(sheet.canvas, sheet.pixels(_widened(one)), OLD)
     for one in found.appeared:
-        _box(sheet.canvas, sheet.pixels(_widened(one.thing)), NEW)
+        _box(sheet.canvas, sheet.pixels(_widened(one)), NEW)
     _draw_ways(sheet, found.closed, WRONG)
     _draw_ways(sheet, found.opened, OPENED)
     sheet.title(f"{names[1]} against {names[0]}", _figures(found))
@@ -117,11 +117,11 @@ def _id(sheet: Sheet, place: FloatArray, id_: int, colour: Colour) -> None:
     sheet.canvas.text(x, y, str(id_), _ID_LETTERS, colour, "centre", bold=True)
 
 
-def _widened(thing: Thing) -> FloatArray:
+def _widened(obstacle: Obstacle) -> FloatArray:
     """The corners (4, 2) of a box round a thing that leaves its walls to be seen."""
-    away = thing.corners - thing.centre
+    away = obstacle.corners - obstacle.centre
     length = np.maximum(np.hypot(away[:, 0], away[:, 1]), _BOX_MARGIN_M)[:, None]
-    return np.asarray(thing.centre + away * (1.0 + 1.5 * _BOX_MARGIN_M / length))
+    return np.asarray(obstacle.centre + away * (1.0 + 1.5 * _BOX_MARGIN_M / length))
 
 
 def _box(canvas: Canvas, corners: NDArray[np.float64], colour: Colour) -> None:

@@ -3,12 +3,14 @@
 Messages are Foxglove's own, in protobuf, as its SDK writes them: JSON has no word for the infinite
 range of a beam without return. What does not change is told once, with the first keyframe. The
 frame `base_link` moves in the frame of the map, and each scan lies where its laser is mounted.
+Submaps and graph are scenes of lines, points and names: a click on one of them shows what the map
+knows of it. Colours are those of overview.png.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import IO, Any
 
 import numpy as np
@@ -16,23 +18,46 @@ from mcap.writer import CompressionType, Writer
 
 from specmap_cli import __version__
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.json_values import Point
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.exports.fields import Fields
-from specmap_cli.exports.foxglove_scene import graph_scene, submap_scene
-from specmap_cli.exports.foxglove_schemas import FOXGLOVE, UINT8
+from specmap_cli.drawing.palette import darker
+from specmap_cli.exports.flat_formats import (
+    DOOR,
+    LINK,
+    Fields,
+    centre_of,
+    fields_of,
+    known,
+    link_line,
+    told_of,
+)
+from specmap_cli.exports.foxglove_schemas import (
+    LINE_LOOP,
+    LINE_STRIP,
+    UINT8,
+    description,
+    encode,
+    full_name,
+)
 from specmap_cli.exports.layers import (
     LAYER_STEP_M,
+    WAY,
     Layer,
+    Rgb,
     colours,
+    door_colour,
     driven,
     layers,
+    link_colour,
     scans_of,
     start_of,
 )
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.even_bearings import EvenSpacing
+from specmap_cli.maps.schema import NodeRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.topology.topological_map import Edge
 
 BASE_FRAME = "base_link"
 _CHUNK_BYTES = 512 * 1024
@@ -81,7 +106,7 @@ class _Log:
 
     def add(self, topic: str, schema: str, message: Mapping[str, Any]) -> None:
         """One message of a schema of Foxglove."""
-        data = FOXGLOVE.encode(f"foxglove.{schema}", message)
+        data = encode(schema, message)
         self._writer.add_message(self._channel(topic, schema), self._time_ns, data, self._time_ns)
 
     def finish(self) -> None:
@@ -90,9 +115,9 @@ class _Log:
 
     def _channel(self, topic: str, schema: str) -> int:
         if schema not in self._schemas:
-            name = f"foxglove.{schema}"
-            data = FOXGLOVE.description(name)
-            self._schemas[schema] = self._writer.register_schema(name, "protobuf", data)
+            self._schemas[schema] = self._writer.register_schema(
+                full_name(schema), "protobuf", description(schema)
+            )
         if topic not in self._channels:
             self._channels[topic] = self._writer.register_channel(
                 topic, "protobuf", self._schemas[schema]
@@ -170,3 +195,111 @@ def _pose(pose: Pose2, z: float = 0.0) -> dict[str, Any]:
 def _time(stamp_ns: int) -> Fields:
     seconds, nanos = divmod(max(stamp_ns, 0), _NS)  # the format has no times before 1970
     return {"seconds": seconds, "nanos": nanos}
+
+
+_LINE_PX, _NO_WAY_PX, _OUTLINE_PX, _TEXT_PX = 3.0, 1.0, 2.0, 14.0
+_ANCHOR_M = 0.25
+# Heights at which things lie above the map, metres: each is seen on those below.
+_OUTLINE_Z, _WAY_Z, _ANCHOR_Z, _TEXT_Z = 0.02, 0.04, 0.06, 0.5
+
+
+def submap_scene(record: TopologyRecord, stamp: Fields, fills: Mapping[int, Rgb]) -> dict[str, Any]:
+    """The outline and the name of each submap."""
+    frame = record.graph.frame
+    return {
+        "entities": [
+            {
+                **_entity(f"submap {node.id}", frame, stamp, told_of(node)),
+                "lines": [
+                    _line(node.polygon, darker(fills[node.id]), _OUTLINE_PX, _OUTLINE_Z, LINE_LOOP)
+                ]
+                if node.polygon
+                else [],
+                "texts": [_name(node, fills[node.id])],
+            }
+            for node in record.nodes
+        ]
+    }
+
+
+def graph_scene(record: TopologyRecord, stamp: Fields) -> dict[str, Any]:
+    """Anchors, ways and doors; a link without a way leads straight over its crossing, thin."""
+    frame = record.graph.frame
+    nodes = {node.id: node for node in record.nodes}
+    return {
+        "entities": [
+            *_anchors(record, frame, stamp),
+            *(
+                {
+                    **_entity(
+                        f"link {edge.source}-{edge.target}", frame, stamp, fields_of(edge, LINK)
+                    ),
+                    "lines": [_way(edge, nodes)],
+                }
+                for edge in record.edges
+            ),
+            *(
+                {
+                    **_entity(f"door {door.id}", frame, stamp, fields_of(door, DOOR)),
+                    "lines": [_line(door.sides, door_colour(door), 2.0 * _LINE_PX, _WAY_Z)],
+                }
+                for door in record.graph.doors
+            ),
+        ]
+    }
+
+
+def _anchors(record: TopologyRecord, frame: str, stamp: Fields) -> Iterator[dict[str, Any]]:
+    size = {"x": _ANCHOR_M, "y": _ANCHOR_M, "z": 0.01}
+    for node in record.nodes:
+        if node.anchor is not None:
+            pose = _at(node.anchor, _ANCHOR_Z)
+            sphere = {"pose": pose, "size": size, "color": _colour(WAY)}
+            told = {"clearance_m": node.anchor_clearance_m}
+            yield {**_entity(f"anchor {node.id}", frame, stamp, told), "spheres": [sphere]}
+
+
+def _entity(id_: str, frame: str, stamp: Fields, told: Fields) -> dict[str, Any]:
+    """What all entities have; what they tell stands in their metadata."""
+    pairs = [{"key": key, "value": str(value)} for key, value in known(told).items()]
+    return {"timestamp": stamp, "frame_id": frame, "id": id_, "metadata": pairs}
+
+
+def _name(node: NodeRecord, fill: Rgb) -> dict[str, Any]:
+    return {
+        "pose": _at(node.anchor or centre_of(node), _TEXT_Z),
+        "billboard": True,
+        "font_size": _TEXT_PX,
+        "scale_invariant": True,
+        "color": _colour(darker(fill)),
+        "text": node.name,
+    }
+
+
+def _way(edge: Edge, nodes: Mapping[int, NodeRecord]) -> dict[str, Any]:
+    width_px = _LINE_PX if edge.corners else _NO_WAY_PX
+    return _line(link_line(edge, nodes), link_colour(edge), width_px, _WAY_Z)
+
+
+def _line(
+    points: Sequence[Point], colour: Rgb, thickness_px: float, z: float, kind: int = LINE_STRIP
+) -> dict[str, Any]:
+    """A line as wide on the screen at any distance."""
+    return {
+        "type": kind,
+        "pose": _at((0.0, 0.0), 0.0),
+        "thickness": thickness_px,
+        "scale_invariant": True,
+        "points": [{"x": x, "y": y, "z": z} for x, y in points],
+        "color": _colour(colour),
+    }
+
+
+def _at(place: Point, z: float) -> dict[str, Any]:
+    x, y = place
+    return {"position": {"x": x, "y": y, "z": z}, "orientation": {"w": 1.0}}
+
+
+def _colour(rgb: Rgb) -> dict[str, float]:
+    red, green, blue = (channel / 255.0 for channel in rgb)
+    return {"r": red, "g": green, "b": blue, "a": 1.0}

@@ -1,19 +1,30 @@
 """Foxglove's schemas as protobuf: all fields of the messages that a map needs, in their order.
 
 Foxglove knows a message by its name and expects each field of it, so unused ones are described,
-too. A test compares them with those of Foxglove's own SDK.
+too. A test compares them with those of Foxglove's own SDK. No file needs to be compiled: Google's
+library builds the messages from their description.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any
 
-from specmap_cli.exports.protobuf import Schema
+from google.protobuf.descriptor_pb2 import (
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
 
 _TIME, _DURATION = "google.protobuf.Timestamp", "google.protobuf.Duration"
 _XYZ = "x:double y:double z:double"
 
-# Messages without a package are Foxglove's.
+# A line of text for each message, `name:kind` for the fields 1, 2, 3 and so on. A kind is a scalar,
+# the name of a message, or `enum/NAME`; `*` before it is for a list. Messages without a package are
+# Foxglove's.
 _MESSAGES: Mapping[str, str] = {
     _TIME: "seconds:int64 nanos:int32",
     _DURATION: "seconds:int64 nanos:int32",
@@ -63,21 +74,71 @@ UINT8 = 1  # of NumericType
 LINE_STRIP, LINE_LOOP = 0, 1
 
 
-def _full(name: str) -> str:
-    return name if "." in name else f"foxglove.{name}"
+def encode(message: str, value: Mapping[str, Any]) -> bytes:
+    """A message; what `value` lacks has its default. ValueError for a field that is none."""
+    kind = GetMessageClass(_pool().FindMessageTypeByName(full_name(message)))
+    return bytes(kind(**value).SerializeToString())
 
 
-def _full_line(line: str) -> str:
-    """The fields of a message, the kinds that are messages by their full names."""
-    words = []
-    for word in line.split():
-        name, kind = word.split(":")
-        star, bare = ("*" if kind.startswith("*") else ""), kind.removeprefix("*")
-        words.append(f"{name}:{star}{_full(bare) if bare in _MESSAGES else bare}")
-    return " ".join(words)
+def description(message: str) -> bytes:
+    """The FileDescriptorSet of a message and of all that it is made of, a file each."""
+    return bytes(FileDescriptorSet(file=_files(message)).SerializeToString())
 
 
-FOXGLOVE = Schema(
-    {_full(name): _full_line(line) for name, line in _MESSAGES.items()},
-    {f"foxglove.{name}": values for name, values in _ENUMS.items()},
-)
+def full_name(message: str) -> str:
+    """The name of a message with its package."""
+    return message if "." in message else f"foxglove.{message}"
+
+
+@cache
+def _pool() -> DescriptorPool:
+    pool = DescriptorPool()
+    for message in _MESSAGES:
+        for file in _files(message):
+            pool.AddSerializedFile(file.SerializeToString())
+    return pool
+
+
+def _files(message: str) -> list[FileDescriptorProto]:
+    """A file for each message that one is made of, after those that it needs."""
+    found = {file.name: file for part in _parts(message) for file in _files(part)}
+    return [*found.values(), _file(message)]
+
+
+def _parts(message: str) -> list[str]:
+    """The messages that the fields of one are."""
+    kinds = {word.split(":")[1].removeprefix("*") for word in _MESSAGES[message].split()}
+    return sorted(kinds & _MESSAGES.keys())
+
+
+def _file(message: str) -> FileDescriptorProto:
+    package, _, name = full_name(message).rpartition(".")
+    file = FileDescriptorProto(
+        name=_file_name(message),
+        package=package,
+        dependency=[_file_name(part) for part in _parts(message)],
+        syntax="proto3",
+    )
+    described = file.message_type.add(name=name)
+    for number, word in enumerate(_MESSAGES[message].split(), start=1):
+        field_name, kind = word.split(":")
+        label = "LABEL_REPEATED" if kind.startswith("*") else "LABEL_OPTIONAL"
+        kind, _, enum = kind.removeprefix("*").partition("/")
+        field = described.field.add(name=field_name, number=number)
+        field.label = FieldDescriptorProto.Label.Value(label)
+        if enum:
+            field.type_name = f".{full_name(message)}.{enum}"
+            values = described.enum_type.add(name=enum).value
+            for count, value in enumerate(_ENUMS[f"{message}.{enum}"]):
+                values.add(name=value, number=count)
+        elif kind in _MESSAGES:
+            field.type_name, kind = f".{full_name(kind)}", "message"
+        field.type = FieldDescriptorProto.Type.Value(f"TYPE_{kind.upper()}")
+    return file
+
+
+def _file_name(message: str) -> str:
+    package, _, name = full_name(message).rpartition(".")
+    # those of Google's own messages are written small
+    plain = name.lower() if package == "google.protobuf" else name
+    return f"{package.replace('.', '/')}/{plain}.proto"

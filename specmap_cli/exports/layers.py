@@ -26,7 +26,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.maps.text_files import read_trajectory
 from specmap_cli.topology.topological_map import Door, Edge
 
 RgbaArray = NDArray[np.uint8]

@@ -13,8 +13,8 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.layout.g2o import graph_text, read_g2o
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.maps import filenames
-from specmap_cli.maps.json_files import map_text
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.text_files import map_text
 
 
 class PoseGraph:

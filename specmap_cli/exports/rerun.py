@@ -21,16 +21,15 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import encodable
 from specmap_cli.drawing.palette import darker
-from specmap_cli.exports.fields import (
+from specmap_cli.exports.flat_formats import (
     DOOR,
     LINK,
-    SUBMAP,
     Fields,
     centre_of,
     fields_of,
     known,
     link_line,
-    noted_fields,
+    told_of,
 )
 from specmap_cli.exports.layers import (
     LAYER_STEP_M,
@@ -156,9 +155,8 @@ def _write_submaps(recording: _Recording, record: TopologyRecord, fills: Mapping
         if node.polygon:
             ring = [*node.polygon, node.polygon[0]]
             recording.line(f"{entity}/outline", ring, colour, _OUTLINE_Z, {})
-        told = {"id": node.id, **fields_of(node, SUBMAP), **noted_fields(node)}
         place = node.anchor or centre_of(node)
-        recording.point(entity, place, colour, encodable(node.name), told)
+        recording.point(entity, place, colour, encodable(node.name), told_of(node))
 
 
 def _write_graph(recording: _Recording, record: TopologyRecord) -> None:

@@ -1,14 +1,14 @@
-"""The graph that a robot drives: stops joined by straight legs, which run along the ways of a map.
+"""The graph that a robot drives: waypoints joined by straight legs along the ways of a map.
 
-Stops stand at the anchors of submaps, where ways go through doors, and where they bend: so each
+Waypoints stand at the anchors of submaps, where ways go through doors, and where they bend: so each
 leg is a straight line through free cells, and the legs of a way are as long as the way. Links
-without a way and forbidden ones have no legs. A stop belongs to one way, an anchor to all of its
-submap.
+without a way and forbidden ones have no legs. A waypoint belongs to one way, an anchor to all of
+its submap. What would mislead a robot that follows the graph is told before it is written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, pairwise
 from typing import Literal
@@ -16,21 +16,26 @@ from typing import Literal
 import networkx as nx
 import numpy as np
 
+from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.progress import Progress
+from specmap_cli.core.text import counted
 from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.topology.navigation import crossing_of
 from specmap_cli.topology.topological_map import Door, Edge
 
-StopKind = Literal["anchor", "door", "bend"]
+WaypointKind = Literal["anchor", "door", "bend"]
 
 _SAME_M = 1e-3  # a corner of a way this near to a door's line lies on it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stop:
+class Waypoint:
     """A place on the ways: the anchor of `submap`, the passage of `door`, or a bend, of neither."""
 
     id: int
-    kind: StopKind
+    kind: WaypointKind
     x: float
     y: float
     submap: int | None = None
@@ -39,7 +44,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leg:
-    """A straight line from one stop to another, by their ids, along the way of a link."""
+    """A straight line from one waypoint to another, by their ids, along the way of a link."""
 
     start: int
     end: int
@@ -49,9 +54,9 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Routes:
-    """All stops, in the order of their ids, and the legs, each once: all are driven both ways."""
+    """All waypoints by id, and the legs, each once: all are driven both ways."""
 
-    stops: tuple[Stop, ...]
+    waypoints: tuple[Waypoint, ...]
     legs: tuple[Leg, ...]
 
 
@@ -70,86 +75,65 @@ def parts(record: TopologyRecord) -> list[list[int]]:
 
 
 def routes(record: TopologyRecord) -> Routes:
-    """The stops and the legs of a map.
+    """The waypoints and the legs of a map.
 
-    An anchor's stop has the id of its submap, which stays when the map is updated; other ids are
-    given afresh, beyond all ids of submaps.
+    An anchor's waypoint has the id of its submap, which stays when the map is updated; other ids
+    are given afresh, beyond all ids of submaps.
     """
     anchors = {
-        node.id: Stop(id=node.id, kind="anchor", x=x, y=y, submap=node.id)
+        node.id: Waypoint(id=node.id, kind="anchor", x=x, y=y, submap=node.id)
         for node in record.nodes
         for x, y in ([node.anchor] if node.anchor is not None else [])
     }
     doors = {door.id: door for door in record.graph.doors}
-    stops, legs, ids = list(anchors.values()), list[Leg](), count(record.graph.next_id)
+    waypoints, legs, ids = list(anchors.values()), list[Leg](), count(record.graph.next_id)
     for edge in record.edges:
         if not is_way(edge) or not {edge.source, edge.target} <= anchors.keys():
             continue
         between = list(_between(edge, doors, ids))
         chain = [anchors[edge.source], *between, anchors[edge.target]]
-        stops += between
+        waypoints += between
         legs += [_leg(start, end, edge) for start, end in pairwise(chain)]
-    return Routes(tuple(stops), tuple(legs))
+    return Routes(tuple(waypoints), tuple(legs))
 
 
 def without_bends(found: Routes) -> Routes:
     """The same for who plans around corners: legs from anchors to doors, as long as their ways."""
-    bends = {stop.id for stop in found.stops if stop.kind == "bend"}
+    bends = {waypoint.id for waypoint in found.waypoints if waypoint.kind == "bend"}
     legs: list[Leg] = []
     for leg in found.legs:
         if leg.start in bends:  # goes on where the leg before ended
             before = legs.pop()
             leg = replace(before, end=leg.end, length_m=before.length_m + leg.length_m)
         legs.append(leg)
-    return Routes(tuple(stop for stop in found.stops if stop.id not in bends), tuple(legs))
+    return Routes(
+        tuple(waypoint for waypoint in found.waypoints if waypoint.id not in bends), tuple(legs)
+    )
 
 
-def _leg(start: Stop, end: Stop, edge: Edge) -> Leg:
+def _leg(start: Waypoint, end: Waypoint, edge: Edge) -> Leg:
     length = float(np.hypot(end.x - start.x, end.y - start.y))
     return Leg(start=start.id, end=end.id, length_m=length, link=edge)
 
 
-def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Iterator[Stop]:
-    """The stops of a way between its two anchors, in their order."""
+def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Iterator[Waypoint]:
+    """The waypoints of a way between its two anchors, in their order."""
     path = np.array(edge.path, dtype=np.float64)
     marks: dict[float, int | None] = dict.fromkeys(map(float, range(1, len(path) - 1)))
     for door in edge.doors:
-        marks[_on_corner(path, _passage(path, doors[door]))] = door
+        crossing = crossing_of(path, doors[door])
+        where = _nearest(path, doors[door]) if crossing is None else sum(crossing)
+        marks[_on_corner(path, where)] = door
     for place, passed in sorted(marks.items()):
         if 0.0 < place < len(path) - 1:  # at an end stands an anchor
             x, y = _point(path, place).tolist()
-            kind: StopKind = "bend" if passed is None else "door"
-            yield Stop(id=next(ids), kind=kind, x=x, y=y, door=passed)
+            kind: WaypointKind = "bend" if passed is None else "door"
+            yield Waypoint(id=next(ids), kind=kind, x=x, y=y, door=passed)
 
 
-def _passage(path: FloatArray, door: Door) -> float:
-    """Where a path (N, 2) crosses the line of a door, else where it comes nearest to its middle.
-
-    In corners: 2.5 is half way from corner 2 to corner 3.
-    """
-    right, left = (np.array(side) for side in door.sides)
-    for number, (start, end) in enumerate(pairwise(path)):
-        share = _crossing(start, end, right, left)
-        if share is not None:
-            return number + share
-    return _nearest(path, np.array([door.x, door.y]))
-
-
-def _crossing(
-    start: FloatArray, end: FloatArray, right: FloatArray, left: FloatArray
-) -> float | None:
-    """The share of the way from `start` to `end` at which it crosses a line; None: it does not."""
-    way, line, gap = end - start, left - right, right - start
-    turn = way[0] * line[1] - way[1] * line[0]
-    if turn == 0.0:
-        return None
-    along = (gap[0] * line[1] - gap[1] * line[0]) / turn
-    across = (gap[0] * way[1] - gap[1] * way[0]) / turn
-    return float(along) if 0.0 <= along <= 1.0 and 0.0 <= across <= 1.0 else None
-
-
-def _nearest(path: FloatArray, place: FloatArray) -> float:
-    """Where a path comes nearest to a place, in corners."""
+def _nearest(path: FloatArray, door: Door) -> float:
+    """Where a path comes nearest to the middle of a door, in corners; 2.5 lies between 2 and 3."""
+    place = np.array([door.x, door.y])
     starts, ways = path[:-1], np.diff(path, axis=0)
     squares = np.maximum((ways**2).sum(axis=1), np.finfo(float).tiny)
     shares = np.clip(((place - starts) * ways).sum(axis=1) / squares, 0.0, 1.0)
@@ -170,3 +154,93 @@ def _on_corner(path: FloatArray, place: float) -> float:
     corner = round(place)
     apart = float(np.hypot(*(_point(path, place) - path[corner])))
     return float(corner) if apart <= _SAME_M else place
+
+
+_MOST = 5  # submaps, links or parts that a message names
+
+
+def check_routes(stored: StoredMap, progress: Progress) -> None:
+    """Tell what would mislead a robot that follows the ways of a map.
+
+    Raises MapError for a map without any way: nothing could be planned with it.
+    """
+    record = stored.record
+    if not any(map(is_way, record.edges)):
+        raise MapError(f"{stored.path}: nothing to plan a route with: {_why_no_way(record)}")
+    for warning in _warnings(record):
+        progress.warn(warning)
+    for note in _left_out(record):
+        progress.note(note)
+
+
+def _why_no_way(record: TopologyRecord) -> str:
+    """Why there is nothing to drive along, and what to do."""
+    if record.graph.robot_radius_m is None:
+        return "nobody looked for ways when it was made: build the map again"
+    if len(record.nodes) < 2:
+        return (
+            "it has one submap: record a drive through more rooms, or cut it with "
+            "`specmap edit --split`"
+        )
+    if any(edge.forbidden and edge.corners for edge in record.edges):
+        return "those that there are were forbidden: allow one with `specmap edit`"
+    radius = record.graph.robot_radius_m
+    return (
+        f"all are too narrow for a robot of {radius:g} m radius: build the map again with a "
+        "smaller ways.robot_radius_m, if the robot is smaller"
+    )
+
+
+def _warnings(record: TopologyRecord) -> list[str]:
+    """What is in the file, or missing in it, and would mislead."""
+    found = []
+    quality = record.graph.quality
+    if quality is not None and quality.verdict != "good":
+        found.append(
+            f"the map is judged {quality.verdict}: a robot that follows its ways may meet walls"
+        )
+    unanchored = [node.id for node in record.nodes if node.anchor is None]
+    if unanchored:
+        found.append(f"no place to stand in {_submaps(unanchored)}: left out")
+    apart = parts(record)
+    if len(apart) > 1:
+        groups = "; ".join(_few([str(id_) for id_ in part]) for part in apart[:_MOST])
+        more = f"; and {len(apart) - _MOST} more" if len(apart) > _MOST else ""
+        found.append(
+            f"{len(apart)} parts that no way joins, no route leads from one to another: submaps "
+            f"{groups}{more}"
+        )
+    loose = [edge for edge in record.edges if is_way(edge) and edge.kind == "loose"]
+    if loose:
+        found.append(
+            f"{_links(loose)} joined by a guess only, where tracking was lost: check the map "
+            "before a robot drives there"
+        )
+    return found
+
+
+def _left_out(record: TopologyRecord) -> list[str]:
+    """What the file has not, for good reasons."""
+    forbidden = [edge for edge in record.edges if edge.forbidden]
+    narrow = [edge for edge in record.edges if not edge.corners and not edge.forbidden]
+    return [
+        *([f"left out: {_links(forbidden)} forbidden"] if forbidden else []),
+        *([f"left out: {_links(narrow)} without a way wide enough"] if narrow else []),
+    ]
+
+
+def _submaps(ids: Sequence[int]) -> str:
+    """`submap 7`, `submaps 7, 9`, or the first few and how many more."""
+    noun = "submap" if len(ids) == 1 else "submaps"
+    return f"{noun} {_few([str(id_) for id_ in ids])}"
+
+
+def _links(edges: Sequence[Edge]) -> str:
+    """`1 link (3-4)`."""
+    names = [f"{edge.source}-{edge.target}" for edge in edges]
+    return f"{counted(len(edges), 'link')} ({_few(names)})"
+
+
+def _few(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MOST} more" if len(names) > _MOST else ""
+    return ", ".join(names[:_MOST]) + more

@@ -22,7 +22,6 @@ from itertools import product
 from typing import IO
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from specmap_cli.core.files import temporary_files
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, moved, wrap_angles
@@ -281,6 +280,8 @@ def _pairs(recorded: Recorded, own: IntArray, newer: IntArray) -> tuple[IntArray
     """The pairs (P,) of keyframes that look alike: places in `own`, and numbers of newer ones."""
     if not len(own) or not len(newer):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    from scipy.spatial import cKDTree  # slow to load, and only an update asks
+
     places, there = (cKDTree(recorded.poses[some, :2]) for some in (own, newer))
     found = places.sparse_distance_matrix(there, PLACE_M, output_type="ndarray")
     old, new = found["i"].astype(np.int64), newer[found["j"]]
@@ -344,6 +345,8 @@ class _Shown:
         centres = self.walls.centres_of(np.argwhere(wanted))
         if not len(centres) or not len(numbers):
             return np.zeros(len(numbers), dtype=bool)
+        from scipy.spatial import cKDTree  # slow to load, and only an update asks
+
         places = self.poses[numbers, :2]
         away = cKDTree(centres).query(places, distance_upper_bound=self.max_range_m + _LASER_M)[0]
         return np.asarray(np.isfinite(away))

@@ -188,8 +188,8 @@ def _plan(building: BuildingRecord, stored: StoredMap) -> dict[str, Any]:
     drawn = [(region, rooms[region.id]) for region in layers.regions_of(map_) if region.id in rooms]
     return {
         "frame": map_.frame,
-        "walls": layers.walls(map_.regions, map_.frame),
-        "floor": layers.unreached(map_.regions, map_.frame),
+        "walls": map_.walls,
+        "floor": map_.unreached,
         "rooms": [
             {
                 "name": shown(room.name),

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
-import numpy as np
-
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import path_length
@@ -41,6 +39,11 @@ class Tour:
     end_ns: int
     driven_m: float
     visits: tuple[Visit, ...]
+
+    @property
+    def minutes(self) -> float:
+        """How long it lasted."""
+        return (self.end_ns - self.start_ns) / _NS / _MINUTE_S
 
 
 def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float | None = None) -> Tour:
@@ -93,7 +96,7 @@ def days_of(tours: Sequence[Tour], zone: tzinfo) -> list[DayRecord]:
             day=day,
             recordings=len(by_day.get(day, ())),
             driven_m=sum(tour.driven_m for tour in by_day.get(day, ())),
-            minutes=sum(_lasted_min(tour) for tour in by_day.get(day, ())),
+            minutes=sum(tour.minutes for tour in by_day.get(day, ())),
             rooms=[
                 StayRecord(room=room, visits=count, minutes=minutes)
                 for room, (count, minutes) in sorted(totals(visits.get(day, ())).items())
@@ -110,7 +113,3 @@ def totals(visits: Iterable[Visit]) -> Mapping[int, tuple[int, float]]:
         count, minutes = found.get(visit.room, (0, 0.0))
         found[visit.room] = count + 1, minutes + visit.minutes
     return found
-
-
-def _lasted_min(tour: Tour) -> float:
-    return float(np.float64(tour.end_ns - tour.start_ns)) / _NS / _MINUTE_S

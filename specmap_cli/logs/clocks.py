@@ -13,10 +13,10 @@ from itertools import islice, pairwise
 from statistics import median_low
 from typing import Literal
 
-from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.text import nanoseconds
 from specmap_cli.logs.messages import (
     BadMessageError,
+    TransformRecord,
     decode_odometry,
     decode_scan,
     decode_transforms,
@@ -75,7 +75,7 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True)
-class Beside:
+class StampPair:
     """Odometry and the scan recorded next: header stamp and recorder's time of each, ns.
 
     `place` is (x, y) by the odometry, metres.
@@ -92,21 +92,21 @@ class Beside:
         return stamps - (self.scan[1] - self.odometry[1])
 
 
-def choose_clock(scans: Sequence[tuple[int, int]], besides: Sequence[Beside]) -> Clock:
+def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -> Clock:
     """The clock of a log by the stamps and times of its sensor's first scans, and the odometry."""
     stamps, times = [stamp for stamp, _ in scans], [time for _, time in scans]
     if not _ascends(stamps):
-        return _without_stamps(stamps, times, besides)
+        return _without_stamps(stamps, times, pairs)
     apart = nanoseconds(_CLOCKS_APART_S)
     near = [abs(stamp - time) <= apart for stamp, time in zip(stamps, times, strict=True) if stamp]
     header = Clock(zero_is_unset=2 * sum(near) > len(near))
-    told = [beside for beside in besides if beside.odometry[0] != 0]
+    told = [pair for pair in pairs if pair.odometry[0] != 0]
     if not told:
         return header
-    if len(told) >= _FEWEST and len({beside.odometry[0] for beside in told}) == 1:
+    if len(told) >= _FEWEST and len({pair.odometry[0] for pair in told}) == 1:
         same = "header stamps of the odometry are all the same"
         return Clock(source="recorder", why=same) if _ascends(times) else header
-    ahead = median_low(beside.apart_ns for beside in told)
+    ahead = median_low(pair.apart_ns for pair in told)
     return replace(header, odometry_shift_ns=ahead) if abs(ahead) > apart else header
 
 
@@ -119,7 +119,7 @@ def _ascends(stamps: Sequence[int]) -> bool:
 
 
 def _without_stamps(
-    stamps: Sequence[int], times: Sequence[int], besides: Sequence[Beside]
+    stamps: Sequence[int], times: Sequence[int], pairs: Sequence[StampPair]
 ) -> Clock:
     """The recorder's times, or the order where they say nothing more than the stamps.
 
@@ -132,7 +132,7 @@ def _without_stamps(
     known = stamps if any(stamps) else times
     mean = (known[-1] - known[0]) // (len(known) - 1)
     steady = mean > 0 and all(b >= a for a, b in pairwise(known))
-    step = max((math.dist(a.place, b.place) for a, b in pairwise(besides)), default=0.0)
+    step = max((math.dist(a.place, b.place) for a, b in pairwise(pairs)), default=0.0)
     driving_s = min(step / _ORDER_SPEED_MPS, _LONGEST_S)
     interval = mean if steady else nanoseconds(max(_ORDER_INTERVAL_S, driving_s))
     return Clock(source="order", why=why, first_ns=max(known[0], 0), interval_ns=interval)
@@ -155,15 +155,15 @@ def clock_warnings(clock: Clock, topic: str) -> Iterator[str]:
         )
 
 
-def odometry_beside(
+def stamp_pairs(
     log: Log,
     scan_topic: str,
     sensor: ScanSensor,
     odom_topics: Sequence[str],
     odom_frame: str | None,
-) -> list[Beside]:
+) -> list[StampPair]:
     """The odometry ahead of each of the first scans of a sensor, in the order of the log."""
-    found: list[Beside] = []
+    found: list[StampPair] = []
     last: tuple[int, int] | None = None
     place = (0.0, 0.0)
     most = min(_PAIRS, LOOK_SCANS)
@@ -174,11 +174,13 @@ def odometry_beside(
             if message.topic != scan_topic:
                 heard = odometry_of(message, odom_frame)
                 if heard is not None:
-                    last, place = (heard[0], message.time_ns), heard[1]
+                    last = heard.stamp_ns, message.time_ns
+                    x, y = heard.parent_from_child[:2, 3].tolist()
+                    place = x, y
             elif last is not None:
                 record = decode_scan(message)
                 if sensor.made(record):
-                    found.append(Beside(last, (record.stamp_ns, message.time_ns), place))
+                    found.append(StampPair(last, (record.stamp_ns, message.time_ns), place))
         except BadMessageError:
             continue
         if len(found) >= most:
@@ -186,21 +188,12 @@ def odometry_beside(
     return found
 
 
-def odometry_of(
-    message: Message, odometry_frame: str | None
-) -> tuple[int, tuple[float, float]] | None:
-    """Header stamp and (x, y) of odometry, None in a message of other transforms.
+def odometry_of(message: Message, odometry_frame: str | None) -> TransformRecord | None:
+    """The odometry in a message, None in one of other transforms.
 
     Raises BadMessageError for a message that cannot be read.
     """
     if message.type != TF_MESSAGE:
-        pose = decode_odometry(message)
-        return pose.stamp_ns, _place(pose.frame_from_child)
-    for record in decode_transforms(message).records:
-        if record.parent == odometry_frame:
-            return record.stamp_ns, _place(record.parent_from_child)
-    return None
-
-
-def _place(matrix: FloatArray) -> tuple[float, float]:
-    return float(matrix[0, 3]), float(matrix[1, 3])
+        return decode_odometry(message)
+    records = decode_transforms(message).records
+    return next((record for record in records if record.parent == odometry_frame), None)

@@ -1,4 +1,4 @@
-"""Points and point times out of a PointCloud2, whatever its layout."""
+"""Clouds: points and times out of any layout, levelled by their floor, made planar."""
 
 from __future__ import annotations
 
@@ -156,7 +156,11 @@ class Level(NamedTuple):
 
 
 class CloudLeveller:
-    """Finds the level of each cloud; one that shows no floor gets that of the cloud before it."""
+    """Finds the level of each cloud; one that shows no floor gets that of the cloud before it.
+
+    Without a base frame nothing in a log says which way is up: a lidar may be tilted, or carried by
+    hand. The floor says so in every cloud.
+    """
 
     def __init__(self) -> None:
         self._last = Level(np.eye(3), None)
@@ -168,7 +172,11 @@ class CloudLeveller:
 
 
 def floor_of(cloud: FloatArray) -> Level | None:
-    """The floor in a cloud (N, 3), None when it shows none."""
+    """The floor in a cloud (N, 3), None when it shows none.
+
+    It is the plane below the lidar with the most returns near it, those still lower counted against
+    it: under a table top or a shelf there are returns.
+    """
     squares = np.einsum("ij,ij->i", cloud, cloud)
     near = cloud[np.flatnonzero(squares <= FLOOR_RADIUS_M**2)]
     near = near[first_in_cells(near, _CELL_M)]

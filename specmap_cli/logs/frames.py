@@ -1,4 +1,4 @@
-"""Which frames a log has and how the laser sits on the base, found before the scans are read."""
+"""The tree of frames of a log, and how the laser sits on the base, found before scans are read."""
 
 from __future__ import annotations
 
@@ -169,35 +169,30 @@ def place_laser(
     one of the usual names, whichever is joined to the laser's frame. Raises UsageError for a named
     frame that the log does not join to it.
     """
-    if config.base_frame is not None:
-        return _asked_base(tree, laser_frame, config)
-    candidates = [frame for frame in (odometry_child, *USUAL_BASES) if frame]
-    for base in candidates:
-        if _any_joined(tree, [base], laser_frame):
-            return _placement(tree, base, laser_frame)
+    asked = config.base_frame
+    bases = (odometry_child, *USUAL_BASES) if asked is None else (asked.lstrip("/"),)
+    for base in bases:
+        base_from_laser = None if base is None else tree.lookup(base, laser_frame)
+        if base is not None and base_from_laser is not None:
+            return _placed(tree, base, laser_frame, base_from_laser)
+    if asked is not None:
+        above = sorted({laser_frame, *tree.ancestors(laser_frame)})
+        where, hint = f"--base-frame {bases[0]}", f"choose from {', '.join(above)}"
+        none = f"no transform joins it to the laser's frame {laser_frame!r}"
+        raise UsageError(f"{where}: {none}; {hint}", where=where, hint=hint)
     base = odometry_child or next((b for b in USUAL_BASES if b in tree.frames), laser_frame)
-    if base == laser_frame:
-        return Placement(base_frame=base, base_from_laser=np.eye(4), floor_m=None)
-    warning = (
+    unknown = (
         f"no transform from {base!r} to the laser's frame {laser_frame!r}: "
         f"the laser is taken to sit at the origin of {base!r}, looking ahead"
     )
-    return Placement(base_frame=base, base_from_laser=np.eye(4), floor_m=None, warnings=(warning,))
+    warnings = (unknown,) if base != laser_frame else ()
+    return Placement(base_frame=base, base_from_laser=np.eye(4), floor_m=None, warnings=warnings)
 
 
-def _asked_base(tree: TransformTree, laser_frame: str, config: LogConfig) -> Placement:
-    base = (config.base_frame or "").lstrip("/")
-    if _any_joined(tree, [base], laser_frame):
-        return _placement(tree, base, laser_frame)
-    above = sorted({laser_frame, *tree.ancestors(laser_frame)})
-    where, hint = f"--base-frame {base}", f"choose from {', '.join(above)}"
-    none = f"no transform joins it to the laser's frame {laser_frame!r}"
-    raise UsageError(f"{where}: {none}; {hint}", where=where, hint=hint)
-
-
-def _placement(tree: TransformTree, base: str, laser_frame: str) -> Placement:
-    base_from_laser = tree.lookup(base, laser_frame)
-    assert base_from_laser is not None  # the caller has asked
+def _placed(
+    tree: TransformTree, base: str, laser_frame: str, base_from_laser: FloatArray
+) -> Placement:
+    """The laser on a base that transforms join to it; a tilted one is warned of."""
     base_from_floor = tree.lookup(base, _FLOOR_FRAME)
     floor = 0.0 if base != laser_frame else None
     if base_from_floor is not None:

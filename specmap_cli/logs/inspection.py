@@ -38,11 +38,9 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.summary import (
     DAY,
     EARLIEST_STAMP_S,
-    Extent,
     FrameSummary,
     Gap,
     LogSummary,
-    Outlook,
     Pauses,
     Preview,
     ScanSummary,
@@ -79,13 +77,23 @@ def summarize(
     settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
     look = _look(log, settings, complete=complete)
     reading = _read(log, look, progress, complete=complete)
-    extent = _extent(log)
+    contents = log.contents
+    duration_s = (contents.end_ns - contents.start_ns) / NS_PER_S
     return LogSummary(
-        extent=extent,
-        topics=_topics(log.contents.topics, extent.duration_s),
+        files=tuple(str(path) for path in log.paths),
+        format=log.format,
+        size_bytes=sum(path.stat().st_size for path in log.paths),
+        messages=contents.messages,
+        start_s=contents.start_ns / NS_PER_S,
+        end_s=contents.end_ns / NS_PER_S,
+        duration_s=duration_s,
+        chosen=look.chosen.note if look.chosen is not None else None,
+        problem=look.problem,
+        next_command=look.next_command,
+        warnings=look.warnings,
+        topics=_topics(contents.topics, duration_s),
         frames=_frames(look.tree),
         scan=look.scan,
-        outlook=look.outlook,
         checked=_checked(log, reading) if complete else None,
         preview=look.met and replace(look.met, stamps=tuple(_faults(reading))),
         damage=tuple(log.damage),
@@ -93,11 +101,13 @@ def summarize(
 
 
 class _Look(NamedTuple):
-    """The first scan that `build` would read, the frames, and what would come of it."""
+    """The frames, what `build` would read and the first scan of it, and what would come of it."""
 
-    scan: ScanSummary | None
     tree: TransformTree
-    outlook: Outlook
+    problem: str | None
+    next_command: str | None = None
+    warnings: tuple[str, ...] = ()
+    scan: ScanSummary | None = None
     met: Preview | None = None
     chosen: Selection | None = None
 
@@ -108,21 +118,22 @@ def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
         stream = SweepStream(log, config)
         met, first = _preview(stream, complete=complete)
     except InputError as error:
-        return _Look(None, read_frames(log, "", [], config).tree, Outlook(problem=str(error)))
+        return _Look(read_frames(log, "", [], config).tree, str(error))
     except UsageError as error:
         command = _command(log, _likeliest(log, error, config))
-        problem = Outlook(problem=str(error), next_command=command)
-        return _Look(None, read_frames(log, "", [], config).tree, problem)
+        return _Look(read_frames(log, "", [], config).tree, str(error), command)
     chosen = stream.selection
     warnings = [*chosen.warnings, *_lonely(stream), *stream.ceiling.notes, *stream.own_body.notes]
-    outlook = Outlook(
-        chosen=chosen.note,
-        problem=f"no usable scan on {chosen.topic.name}" if first is None else None,
-        next_command=_command(log, _given(config)) if first is not None else None,
+    nothing = f"no usable scan on {chosen.topic.name}" if first is None else None
+    return _Look(
+        tree=chosen.tree,
+        problem=nothing,
+        next_command=_command(log, _given(config)) if nothing is None else None,
         warnings=tuple(warnings),
+        scan=_describe(chosen, first) if first is not None else None,
+        met=met,
+        chosen=chosen,
     )
-    scan = _describe(chosen, first) if first is not None else None
-    return _Look(scan, chosen.tree, outlook, met, chosen)
 
 
 def _lonely(stream: SweepStream) -> Iterator[str]:
@@ -251,7 +262,7 @@ class _Reading:
             return decode_scan(message).stamp_ns
         if message.type in (ODOMETRY, TF_MESSAGE):
             pose = odometry_of(message, self._frame)
-            return None if pose is None else pose[0]
+            return None if pose is None else pose.stamp_ns
         return None
 
 
@@ -321,19 +332,6 @@ def _faults(reading: _Reading) -> Iterator[StampFaults]:
             elsewhen=len(odd),
             example_s=round(headers[int(odd[0])] / NS_PER_S, 6) if len(odd) else None,
         )
-
-
-def _extent(log: Log) -> Extent:
-    contents = log.contents
-    return Extent(
-        files=tuple(str(path) for path in log.paths),
-        format=log.format,
-        size_bytes=sum(path.stat().st_size for path in log.paths),
-        messages=contents.messages,
-        start_s=contents.start_ns / NS_PER_S,
-        end_s=contents.end_ns / NS_PER_S,
-        duration_s=(contents.end_ns - contents.start_ns) / NS_PER_S,
-    )
 
 
 def _topics(topics: Iterable[TopicInfo], duration_s: float) -> tuple[TopicSummary, ...]:

@@ -66,18 +66,8 @@ class CloudRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class OdometryRecord:
-    """frame_from_child (4, 4) at a stamp."""
-
-    stamp_ns: int
-    frame: str
-    child: str
-    frame_from_child: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class TransformRecord:
-    """parent_from_child (4, 4) at a stamp."""
+    """parent_from_child (4, 4) at a stamp, by a transform or by odometry."""
 
     stamp_ns: int
     parent: str
@@ -105,7 +95,7 @@ def decode_scan(message: Message) -> ScanRecord | CloudRecord:
     return _scan(decoded, decoded.ranges)
 
 
-def decode_odometry(message: Message) -> OdometryRecord:
+def decode_odometry(message: Message) -> TransformRecord:
     """The pose in an Odometry message; raises BadMessageError."""
     decoded = _decoded(message, ODOMETRY)
     pose = decoded.pose.pose
@@ -113,31 +103,23 @@ def decode_odometry(message: Message) -> OdometryRecord:
     if not _possible(matrix):
         raise BadMessageError("odometry is not finite or beyond all bounds")
     header = decoded.header
-    return OdometryRecord(
+    return TransformRecord(
         _stamp(header), frame_name(header.frame_id), frame_name(decoded.child_frame_id), matrix
     )
 
 
 def decode_transforms(message: Message) -> Transforms:
     """The transforms in a TFMessage; raises BadMessageError."""
-    records = [
-        TransformRecord(
-            _stamp(stamped.header),
-            frame_name(stamped.header.frame_id),
-            frame_name(stamped.child_frame_id),
-            _matrix(stamped.transform.translation, stamped.transform.rotation),
-        )
-        for stamped in _decoded(message, TF_MESSAGE).transforms
-    ]
-    possible = [_possible(record.parent_from_child) for record in records]
-    return Transforms(
-        records=tuple(record for record, good in zip(records, possible, strict=True) if good),
-        absurd=tuple(
-            (record.parent, record.child)
-            for record, good in zip(records, possible, strict=True)
-            if not good
-        ),
-    )
+    records: list[TransformRecord] = []
+    absurd: list[tuple[str, str]] = []
+    for stamped in _decoded(message, TF_MESSAGE).transforms:
+        parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
+        matrix = _matrix(stamped.transform.translation, stamped.transform.rotation)
+        if _possible(matrix):
+            records.append(TransformRecord(_stamp(stamped.header), parent, child, matrix))
+        else:
+            absurd.append((parent, child))
+    return Transforms(tuple(records), tuple(absurd))
 
 
 def frame_name(frame: str) -> str:

@@ -120,11 +120,11 @@ class OdometryListener:
 
     def _take_pose(self, message: Message) -> None:
         record = decode_odometry(message)
-        odom_from_base: FloatArray | None = record.frame_from_child
+        odom_from_base: FloatArray | None = record.parent_from_child
         if record.child and record.child != self.selection.base_frame:
             child_from_base = self._tree.lookup(record.child, self.selection.base_frame)
             if child_from_base is not None:
-                odom_from_base = record.frame_from_child @ child_from_base
+                odom_from_base = record.parent_from_child @ child_from_base
         self._remember(record.stamp_ns, message.time_ns, odom_from_base)
 
     def _take_transforms(self, message: Message) -> None:

@@ -1,4 +1,8 @@
-"""Opening recordings by what is in them: the suffix of a file decides nothing."""
+"""Opening recordings by what is in them: the suffix of a file decides nothing.
+
+The readers are the built-in ones, and those that installed packages add. The recordings of one or
+several files are one `Log`, joined in time.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from specmap_cli.core.arguments import Paths, instance_of, paths_of
-from specmap_cli.core.errors import LOG_DAMAGED, LOG_MISSING, PACKAGE, LogError, UsageError
+from specmap_cli.core.errors import LOG_DAMAGED, PACKAGE, LogError, UsageError
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible
@@ -31,103 +35,6 @@ from specmap_cli.logs.readers.recording import (
 )
 from specmap_cli.logs.readers.rosbag1 import Rosbag1File
 from specmap_cli.logs.readers.rosbag2 import Rosbag2File
-
-
-class Log:
-    """Recordings joined in time: what `open_log` returns. Use it in a `with` block.
-
-    `given` are the paths the user named, files or directories. `held` is what must be released
-    with the log, by default the recordings.
-    """
-
-    def __init__(
-        self,
-        recordings: Sequence[Recording],
-        given: Sequence[Path],
-        held: ExitStack | None = None,
-    ) -> None:
-        self.given = tuple(given)
-        self._recordings = sorted(recordings, key=lambda r: (r.contents.start_ns, str(r.path)))
-        self._held = held if held is not None else ExitStack()
-        if held is None:
-            for recording in recordings:
-                self._held.callback(recording.close)
-
-    @property
-    def paths(self) -> list[Path]:
-        """The files, earliest first."""
-        return [recording.path for recording in self._recordings]
-
-    @property
-    def name(self) -> str:
-        """What to call the log in messages."""
-        more = len(self.given) - 1
-        return f"{self.given[0]}" + (f" and {more} more" if more else "")
-
-    @property
-    def format(self) -> str:
-        """The name of the format; several are joined by ` + `."""
-        return " + ".join(sorted({recording.format for recording in self._recordings}))
-
-    @property
-    def damage(self) -> list[str]:
-        """One line for each loss met so far: file, byte or message, time."""
-        return [line for recording in self._recordings for line in recording.damage]
-
-    @property
-    def missing(self) -> Counter[str]:
-        """How many messages of each topic are known to be lost so far."""
-        return sum((recording.missing for recording in self._recordings), Counter())
-
-    @cached_property
-    def contents(self) -> Contents:
-        """Topics and times of all files together."""
-        parts = [r.contents for r in self._recordings]
-        timed = [part for part in parts if part.messages]
-        return contents_of(
-            ((topic.name, topic.type, topic.count) for part in parts for topic in part.topics),
-            start_ns=min((part.start_ns for part in timed), default=0),
-            end_ns=max((part.end_ns for part in timed), default=0),
-        )
-
-    def side_by_side(self, topic: str) -> Iterator[tuple[Path, Path, int]]:
-        """Files that hold one topic at the same time, and for how many nanoseconds.
-
-        Each is given with the one of those before it that lasts longest. A file begins with its
-        first message on the topic: transforms may be repeated from the file before it.
-        """
-        longest: Recording | None = None
-        for recording in self._recordings:
-            first = next(iter(recording.messages([topic])), None)
-            if first is None:
-                continue
-            if longest is not None:
-                shared = min(longest.contents.end_ns, recording.contents.end_ns) - first.time_ns
-                if shared > 0:
-                    yield longest.path, recording.path, shared
-            if longest is None or recording.contents.end_ns > longest.contents.end_ns:
-                longest = recording
-
-    def topics(self) -> list[TopicInfo]:
-        """The topics by name; a name with two types is listed once for each."""
-        return list(self.contents.topics)
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """The messages on `topics` (None: all), one in memory at a time, in log time."""
-        return merge_in_time(
-            [(r.contents.start_ns, partial(r.messages, topics)) for r in self._recordings],
-        )
-
-    def close(self) -> None:
-        """Release the files."""
-        self._held.close()
-
-    def __enter__(self) -> Log:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 GROUP = "specmap.readers"
 BUILT_IN: Mapping[str, type[Recording]] = MappingProxyType(
@@ -195,8 +102,6 @@ def is_directory(path: Path) -> bool:
     """
     try:
         mode = path.stat().st_mode
-    except FileNotFoundError:
-        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
     except OSError as error:
         raise unreadable(path, error) from None
     if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
@@ -212,8 +117,6 @@ def head_of(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
             return file.read(HEAD_BYTES)
-    except FileNotFoundError:
-        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
     except OSError as error:
         raise unreadable(path, error) from None
 
@@ -349,3 +252,99 @@ def _head(file: Path, path: Path) -> bytes:
     if not head:
         raise refused(path, "the file is empty", code=LOG_DAMAGED)
     return head
+
+
+class Log:
+    """Recordings joined in time: what `open_log` returns. Use it in a `with` block.
+
+    `given` are the paths the user named, files or directories. `held` is what must be released
+    with the log, by default the recordings.
+    """
+
+    def __init__(
+        self,
+        recordings: Sequence[Recording],
+        given: Sequence[Path],
+        held: ExitStack | None = None,
+    ) -> None:
+        self.given = tuple(given)
+        self._recordings = sorted(recordings, key=lambda r: (r.contents.start_ns, str(r.path)))
+        self._held = held if held is not None else ExitStack()
+        if held is None:
+            for recording in recordings:
+                self._held.callback(recording.close)
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files, earliest first."""
+        return [recording.path for recording in self._recordings]
+
+    @property
+    def name(self) -> str:
+        """What to call the log in messages."""
+        more = len(self.given) - 1
+        return f"{self.given[0]}" + (f" and {more} more" if more else "")
+
+    @property
+    def format(self) -> str:
+        """The name of the format; several are joined by ` + `."""
+        return " + ".join(sorted({recording.format for recording in self._recordings}))
+
+    @property
+    def damage(self) -> list[str]:
+        """One line for each loss met so far: file, byte or message, time."""
+        return [line for recording in self._recordings for line in recording.damage]
+
+    @property
+    def missing(self) -> Counter[str]:
+        """How many messages of each topic are known to be lost so far."""
+        return sum((recording.missing for recording in self._recordings), Counter())
+
+    @cached_property
+    def contents(self) -> Contents:
+        """Topics and times of all files together."""
+        parts = [r.contents for r in self._recordings]
+        timed = [part for part in parts if part.messages]
+        return contents_of(
+            ((topic.name, topic.type, topic.count) for part in parts for topic in part.topics),
+            start_ns=min((part.start_ns for part in timed), default=0),
+            end_ns=max((part.end_ns for part in timed), default=0),
+        )
+
+    def side_by_side(self, topic: str) -> Iterator[tuple[Path, Path, int]]:
+        """Files that hold one topic at the same time, and for how many nanoseconds.
+
+        Each is given with the one of those before it that lasts longest. A file begins with its
+        first message on the topic: transforms may be repeated from the file before it.
+        """
+        longest: Recording | None = None
+        for recording in self._recordings:
+            first = next(iter(recording.messages([topic])), None)
+            if first is None:
+                continue
+            if longest is not None:
+                shared = min(longest.contents.end_ns, recording.contents.end_ns) - first.time_ns
+                if shared > 0:
+                    yield longest.path, recording.path, shared
+            if longest is None or recording.contents.end_ns > longest.contents.end_ns:
+                longest = recording
+
+    def topics(self) -> list[TopicInfo]:
+        """The topics by name; a name with two types is listed once for each."""
+        return list(self.contents.topics)
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """The messages on `topics` (None: all), one in memory at a time, in log time."""
+        return merge_in_time(
+            [(r.contents.start_ns, partial(r.messages, topics)) for r in self._recordings],
+        )
+
+    def close(self) -> None:
+        """Release the files."""
+        self._held.close()
+
+    def __enter__(self) -> Log:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -18,170 +18,6 @@ from specmap_cli.core.geometry import FloatArray, Pose2, moved, yaw_of
 from specmap_cli.core.records import BoolArray, IntArray, PlanarScan, Sweep
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 
-
-def changed_share(ranges: FloatArray, before: FloatArray, least_m: float) -> float:
-    """The share of readings (B,) that differ from those before (B,) by more than `least_m`.
-
-    A return where there was none is a difference, an invalid reading (NaN) is not.
-    """
-    with np.errstate(invalid="ignore"):  # inf - inf: no return then and now
-        changed = np.abs(ranges - before) > least_m
-    return float(changed.mean()) if len(changed) else 0.0
-
-
-_BEAMS = 3  # of a scan that share its longest distance; of walls one does, or two
-_PLACES = 4  # from which it was read: a robot that stands may see one wall again and again
-_ELSEWHERE_M, _ELSEWHERE_SHARE = 0.1, 0.3  # readings that change so, and how many, when it drives
-
-
-class Ceiling:
-    """Finds such distances among the scans of one laser; call `clear` for each of them in turn.
-
-    `values_m` are those found so far; of the readings of a scan, `cleared` were one of them.
-    """
-
-    def __init__(self, values_m: Iterable[float] = ()) -> None:
-        self.values_m = tuple(values_m)
-        self.cleared = 0
-        self._longest = max(self.values_m, default=0.0)
-        self._places = 0
-        self._there: FloatArray = np.zeros(0)  # the scan at the last of these places
-
-    def clear(self, ranges: FloatArray) -> None:
-        """Set the readings (B,) that are one of these distances to +inf, in place."""
-        self._look(ranges)
-        for value in self.values_m:
-            alike = ranges == value
-            self.cleared += int(np.count_nonzero(alike))
-            ranges[alike] = np.inf
-
-    @property
-    def notes(self) -> list[str]:
-        """What a user should know of it: nothing where no reading was taken for no return."""
-        if not self.cleared:
-            return []
-        values = " m, ".join(f"{value:g}" for value in self.values_m)
-        return [
-            f"readings of exactly {values} m, the longest distance of all, are taken for no "
-            f"return, as several beams of one scan have it again and again: {self.cleared:,}"
-        ]
-
-    def _look(self, ranges: FloatArray) -> None:
-        """Count the places from which several beams read the longest distance of all."""
-        longest = float(ranges[np.isfinite(ranges)].max(initial=0.0))
-        if longest > self._longest:
-            self._longest, self._places = longest, 0
-        if longest < self._longest or longest in self.values_m:
-            return
-        if np.count_nonzero(ranges == longest) >= _BEAMS and self._is_elsewhere(ranges):
-            self._places += 1
-            self._there = ranges.copy()
-        if self._places >= _PLACES:
-            self.values_m = (*self.values_m, longest)
-
-    def _is_elsewhere(self, ranges: FloatArray) -> bool:
-        """Whether the robot has moved since the last place, by what the laser reads."""
-        if not self._places or len(ranges) != len(self._there):
-            return True
-        return changed_share(ranges, self._there, _ELSEWHERE_M) >= _ELSEWHERE_SHARE
-
-
-_NEAR_M = 0.8  # as far as a robot reaches from its laser
-_SAME_M = 0.1  # what readings of the body differ by, noise of a few centimetres included
-_MARGIN_M = 0.05  # beyond the readings so far: those to come differ a little more
-_OWN_PLACES = 25  # at which a beam read the same
-_MOVED_M, _MOVED_SHARE = 0.2, 0.5  # other beams that change so, and how many of them
-
-
-class OwnBody:
-    """Finds the beams of one laser that see its robot; call `clear` for successive scans."""
-
-    def __init__(self) -> None:
-        self._there: FloatArray = np.zeros(0)  # the scan at the last place
-        self._low: FloatArray = np.zeros(0)  # the shortest and the longest reading of each beam
-        self._high: FloatArray = np.zeros(0)
-        self._counts: IntArray = np.zeros(0, dtype=np.int64)  # places at which it read anything
-        self._near: BoolArray = np.zeros(0, dtype=bool)  # beams that read nothing else so far
-        self._seen: BoolArray = np.zeros(0, dtype=bool)  # those that read so at many places
-        self._is_ruled_out = False  # every beam has read something else
-
-    def clear(self, ranges: FloatArray) -> None:
-        """Set the readings (B,) that are of the robot to NaN, in place."""
-        if len(ranges) != len(self._there):
-            self._low, self._high = np.full((2, len(ranges)), np.nan)
-            self._counts = np.zeros(len(ranges), dtype=np.int64)
-            self._learn(ranges)
-        elif not self._is_ruled_out and self._is_elsewhere(ranges):
-            self._learn(ranges)
-        if self._seen.any():
-            ranges[self._is_own(ranges)] = np.nan
-
-    @property
-    def notes(self) -> list[str]:
-        """What a user should know of it: nothing while no beam sees the robot."""
-        if not self._seen.any():
-            return []
-        low, high = float(self._low[self._seen].min()), float(self._high[self._seen].max())
-        return [
-            f"beams that read the same {low:.2f} to {high:.2f} m wherever the robot goes, which is "
-            f"the robot itself: {np.count_nonzero(self._seen):,}; these readings are left out"
-        ]
-
-    def _learn(self, ranges: FloatArray) -> None:
-        """Take in a scan at another place."""
-        self._there = ranges.copy()
-        read = np.where(np.isfinite(ranges), ranges, np.nan)
-        self._low, self._high = np.fmin(self._low, read), np.fmax(self._high, read)
-        self._counts += np.isfinite(ranges)
-        self._near = (self._high < _NEAR_M) & (self._high - self._low <= _SAME_M)
-        self._seen = self._near & (self._counts >= _OWN_PLACES)
-        self._is_ruled_out = not (self._near | np.isnan(self._low)).any()
-
-    def _is_elsewhere(self, ranges: FloatArray) -> bool:
-        """Whether most beams that see no robot read other distances than at the last place."""
-        others = ~self._near & ~(np.isnan(ranges) | np.isnan(self._there))
-        changed = changed_share(ranges[others], self._there[others], _MOVED_M)
-        return changed >= _MOVED_SHARE
-
-    def _is_own(self, ranges: FloatArray) -> BoolArray:
-        """Readings (B,) near those of the robot, on its beams and those beside: edges flicker."""
-        low = _beside(np.where(self._seen, self._low, np.inf), np.minimum)
-        high = _beside(np.where(self._seen, self._high, -np.inf), np.maximum)
-        return (ranges >= low - _MARGIN_M) & (ranges <= high + _MARGIN_M)
-
-
-def _beside(values: FloatArray, least: np.ufunc) -> FloatArray:
-    """Each value (B,) or the ones beside it, by their minimum or maximum."""
-    spread = values.copy()
-    spread[1:] = least(spread[1:], values[:-1])
-    spread[:-1] = least(spread[:-1], values[1:])
-    return spread
-
-
-# Odometry of a robot that stands still may tremble by this. Where it does, what repeats the scan
-# before says nothing new either.
-_STILL_M, _STILL_RAD = 0.02, math.radians(1.0)
-
-
-class Repeats:
-    """Finds scans that repeat the one before them although odometry says that the robot moved."""
-
-    def __init__(self) -> None:
-        self._ranges: FloatArray = np.zeros(0)
-        self._from: Pose2 | None = None  # where odometry had the robot at the first of those alike
-
-    def stale(self, sweep: Sweep) -> bool:
-        """Whether a scan is one that hangs; call for successive scans. Blank ones never are."""
-        ranges, pose = sweep.planar.ranges, sweep.odom_from_base
-        alike = np.array_equal(ranges, self._ranges, equal_nan=True)
-        if not alike or not np.isfinite(ranges).any():
-            self._ranges, self._from = ranges, pose
-            return False
-        if pose is None or self._from is None:
-            return False
-        return moved(self._from, pose, _STILL_M, _STILL_RAD)
-
-
 SCAN_TIME_MAX_S = 1.0  # a planar sweep that takes longer has its times in another unit
 _FULL_CIRCLE = 2.0 * math.pi
 _MISSING_BEAMS = 1.5  # of a full circle: its last beam stops one short of the first, and rounding
@@ -303,3 +139,181 @@ def increment(layout: ScanLayout) -> float:
     if count > 1 and abs(step) > _FULL_CIRCLE:
         raise BadMessageError("a scan whose beams are more than a circle apart")
     return step
+
+
+def changed_share(ranges: FloatArray, before: FloatArray, least_m: float) -> float:
+    """The share of readings (B,) that differ from those before (B,) by more than `least_m`.
+
+    A return where there was none is a difference, an invalid reading (NaN) is not.
+    """
+    with np.errstate(invalid="ignore"):  # inf - inf: no return then and now
+        changed = np.abs(ranges - before) > least_m
+    return float(changed.mean()) if len(changed) else 0.0
+
+
+_BEAMS = 3  # of a scan that share its longest distance; of walls one does, or two
+_PLACES = 4  # from which it was read: a robot that stands may see one wall again and again
+_ELSEWHERE_M, _ELSEWHERE_SHARE = 0.1, 0.3  # readings that change so, and how many, when it drives
+
+
+class Ceiling:
+    """Finds a distance that stands for no return although it is below the maximum of the scans.
+
+    Some drivers give a constant for it, such as 8.19 m where the scans claim 30 m, and some formats
+    do not tell the maximum. Taken for walls, such readings are an arc around the robot that goes
+    with it, and scan matching finds that it stands still. No wall looks like that: several beams
+    read the longest distance of all, to the last bit, and do so again when the robot is elsewhere.
+    Call `clear` for each scan of one laser in turn.
+
+    `values_m` are those found so far; of the readings of a scan, `cleared` were one of them.
+    """
+
+    def __init__(self, values_m: Iterable[float] = ()) -> None:
+        self.values_m = tuple(values_m)
+        self.cleared = 0
+        self._longest = max(self.values_m, default=0.0)
+        self._places = 0
+        self._there: FloatArray = np.zeros(0)  # the scan at the last of these places
+
+    def clear(self, ranges: FloatArray) -> None:
+        """Set the readings (B,) that are one of these distances to +inf, in place."""
+        self._look(ranges)
+        for value in self.values_m:
+            alike = ranges == value
+            self.cleared += int(np.count_nonzero(alike))
+            ranges[alike] = np.inf
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know of it: nothing where no reading was taken for no return."""
+        if not self.cleared:
+            return []
+        values = " m, ".join(f"{value:g}" for value in self.values_m)
+        return [
+            f"readings of exactly {values} m, the longest distance of all, are taken for no "
+            f"return, as several beams of one scan have it again and again: {self.cleared:,}"
+        ]
+
+    def _look(self, ranges: FloatArray) -> None:
+        """Count the places from which several beams read the longest distance of all."""
+        longest = float(ranges[np.isfinite(ranges)].max(initial=0.0))
+        if longest > self._longest:
+            self._longest, self._places = longest, 0
+        if longest < self._longest or longest in self.values_m:
+            return
+        if np.count_nonzero(ranges == longest) >= _BEAMS and self._is_elsewhere(ranges):
+            self._places += 1
+            self._there = ranges.copy()
+        if self._places >= _PLACES:
+            self.values_m = (*self.values_m, longest)
+
+    def _is_elsewhere(self, ranges: FloatArray) -> bool:
+        """Whether the robot has moved since the last place, by what the laser reads."""
+        if not self._places or len(ranges) != len(self._there):
+            return True
+        return changed_share(ranges, self._there, _ELSEWHERE_M) >= _ELSEWHERE_SHARE
+
+
+_NEAR_M = 0.8  # as far as a robot reaches from its laser
+_SAME_M = 0.1  # what readings of the body differ by, noise of a few centimetres included
+_MARGIN_M = 0.05  # beyond the readings so far: those to come differ a little more
+_OWN_PLACES = 25  # at which a beam read the same
+_MOVED_M, _MOVED_SHARE = 0.2, 0.5  # other beams that change so, and how many of them
+
+
+class OwnBody:
+    """Finds the beams of a laser that see its robot: posts, a bumper, the body beside it.
+
+    Such beams read the same short distance wherever the robot goes. Taken for walls, they are an
+    obstacle at every place where the robot was, until it looks there again; and the passes through
+    one place contradict each other, though the map is right. Call `clear` for successive scans.
+    """
+
+    def __init__(self) -> None:
+        self._there: FloatArray = np.zeros(0)  # the scan at the last place
+        self._low: FloatArray = np.zeros(0)  # the shortest and the longest reading of each beam
+        self._high: FloatArray = np.zeros(0)
+        self._counts: IntArray = np.zeros(0, dtype=np.int64)  # places at which it read anything
+        self._near: BoolArray = np.zeros(0, dtype=bool)  # beams that read nothing else so far
+        self._seen: BoolArray = np.zeros(0, dtype=bool)  # those that read so at many places
+        self._is_ruled_out = False  # every beam has read something else
+
+    def clear(self, ranges: FloatArray) -> None:
+        """Set the readings (B,) that are of the robot to NaN, in place."""
+        if len(ranges) != len(self._there):
+            self._low, self._high = np.full((2, len(ranges)), np.nan)
+            self._counts = np.zeros(len(ranges), dtype=np.int64)
+            self._learn(ranges)
+        elif not self._is_ruled_out and self._is_elsewhere(ranges):
+            self._learn(ranges)
+        if self._seen.any():
+            ranges[self._is_own(ranges)] = np.nan
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know of it: nothing while no beam sees the robot."""
+        if not self._seen.any():
+            return []
+        low, high = float(self._low[self._seen].min()), float(self._high[self._seen].max())
+        return [
+            f"beams that read the same {low:.2f} to {high:.2f} m wherever the robot goes, which is "
+            f"the robot itself: {np.count_nonzero(self._seen):,}; these readings are left out"
+        ]
+
+    def _learn(self, ranges: FloatArray) -> None:
+        """Take in a scan at another place."""
+        self._there = ranges.copy()
+        read = np.where(np.isfinite(ranges), ranges, np.nan)
+        self._low, self._high = np.fmin(self._low, read), np.fmax(self._high, read)
+        self._counts += np.isfinite(ranges)
+        self._near = (self._high < _NEAR_M) & (self._high - self._low <= _SAME_M)
+        self._seen = self._near & (self._counts >= _OWN_PLACES)
+        self._is_ruled_out = not (self._near | np.isnan(self._low)).any()
+
+    def _is_elsewhere(self, ranges: FloatArray) -> bool:
+        """Whether most beams that see no robot read other distances than at the last place."""
+        others = ~self._near & ~(np.isnan(ranges) | np.isnan(self._there))
+        changed = changed_share(ranges[others], self._there[others], _MOVED_M)
+        return changed >= _MOVED_SHARE
+
+    def _is_own(self, ranges: FloatArray) -> BoolArray:
+        """Readings (B,) near those of the robot, on its beams and those beside: edges flicker."""
+        low = _of_neighbours(np.where(self._seen, self._low, np.inf), np.minimum)
+        high = _of_neighbours(np.where(self._seen, self._high, -np.inf), np.maximum)
+        return (ranges >= low - _MARGIN_M) & (ranges <= high + _MARGIN_M)
+
+
+def _of_neighbours(values: FloatArray, least: np.ufunc) -> FloatArray:
+    """Each value (B,) or the ones beside it, by their minimum or maximum."""
+    spread = values.copy()
+    spread[1:] = least(spread[1:], values[:-1])
+    spread[:-1] = least(spread[:-1], values[1:])
+    return spread
+
+
+# Odometry of a robot that stands still may tremble by this. Where it does, what repeats the scan
+# before says nothing new either.
+_STILL_M, _STILL_RAD = 0.02, math.radians(1.0)
+
+
+class Repeats:
+    """Finds scans that repeat the one before them although odometry says that the robot moved.
+
+    The driver of a laser that hangs repeats one scan while the robot drives on. The noise of a
+    laser makes two scans with the same readings unlikely even where nothing moves.
+    """
+
+    def __init__(self) -> None:
+        self._ranges: FloatArray = np.zeros(0)
+        self._from: Pose2 | None = None  # where odometry had the robot at the first of those alike
+
+    def stale(self, sweep: Sweep) -> bool:
+        """Whether a scan is one that hangs; call for successive scans. Blank ones never are."""
+        ranges, pose = sweep.planar.ranges, sweep.odom_from_base
+        alike = np.array_equal(ranges, self._ranges, equal_nan=True)
+        if not alike or not np.isfinite(ranges).any():
+            self._ranges, self._from = ranges, pose
+            return False
+        if pose is None or self._from is None:
+            return False
+        return moved(self._from, pose, _STILL_M, _STILL_RAD)

@@ -15,7 +15,7 @@ from specmap_cli.logs.clocks import (
     OdometryKind,
     choose_clock,
     clock_warnings,
-    odometry_beside,
+    stamp_pairs,
 )
 from specmap_cli.logs.frames import (
     USUAL_BASES,
@@ -114,8 +114,8 @@ def select(log: Log, config: LogConfig) -> Selection:
     odometry, topics, odom_frame = _odometry_source(
         log, odometry_topic, frames.tree, placement.base_frame, config
     )
-    besides = odometry_beside(log, topic.name, sensor, topics, odom_frame)
-    clock = choose_clock([(scan.stamp_ns, scan.time_ns) for scan in scans], besides)
+    pairs = stamp_pairs(log, topic.name, sensor, topics, odom_frame)
+    clock = choose_clock([(scan.stamp_ns, scan.time_ns) for scan in scans], pairs)
     return Selection(
         topic=topic,
         sensor=sensor,

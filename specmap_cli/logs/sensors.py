@@ -1,4 +1,4 @@
-"""The sensors of one topic: a driver or a relay may let several lasers speak on the same one.
+"""Which topic is read, and which sensor on it: several lasers may speak on the same one.
 
 A sensor is a frame. Where one frame holds two kinds of scans by turns, whose fields of view overlap
 and begin or end elsewhere, each kind is a sensor: no laser turns to and fro between two scans.

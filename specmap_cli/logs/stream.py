@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of
-from specmap_cli.core.geometry import FloatArray, Pose2, product
+from specmap_cli.core.geometry import Pose2, product
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible, nanoseconds
@@ -95,7 +95,8 @@ class SweepStream:
         self.counts = _no_counts()
         odometry = OdometryListener(self.selection)
         self.ceiling, self.own_body = Ceiling(self.selection.ceilings_m), OwnBody()
-        leveller = self._leveller()
+        mount = Mount.from_matrix(self.selection.base_from_laser)
+        leveller = ScanLeveller(mount, self.ceiling, self.own_body)
         sweeps = _SweepMaker(self.selection, self.config, self.counts, leveller)
         waiting: deque[_Waiting] = deque()
         for message in self.log.messages([self.selection.topic.name, *self.selection.odom_topics]):
@@ -107,10 +108,6 @@ class SweepStream:
                 yield from sweeps.made(waiting.popleft(), odometry.poses)
         while waiting:
             yield from sweeps.made(waiting.popleft(), odometry.poses)
-
-    def _leveller(self) -> ScanLeveller:
-        mount = Mount.from_matrix(self.selection.base_from_laser)
-        return ScanLeveller(mount, self.ceiling, self.own_body)
 
     def _hear(self, odometry: OdometryListener, message: Message) -> None:
         try:
@@ -216,7 +213,9 @@ class _SweepMaker:
         self.counts["far_times"] += far_times
         self.counts["foreign_times"] = self.points_clock.foreign
         base_from_laser = self.selection.base_from_laser
-        level = self._level(points)
+        level = Level(np.eye(3), None)  # as the log says, else by the floor in the cloud
+        if self.cloud_leveller is not None:
+            level = self.cloud_leveller.level(points)
         turn = product(level.rotation, base_from_laser[:3, :3])
         cloud = product(points, turn.T) + base_from_laser[:3, 3]
         sweep = Sweep(
@@ -227,12 +226,6 @@ class _SweepMaker:
         )
         in_space = self.selection.band_m is not None
         return replace(sweep, cloud=cloud, cloud_times_s=times_s) if in_space else sweep
-
-    def _level(self, points: FloatArray) -> Level:
-        """How the base lies under a cloud: as the log says, else by the floor in the cloud."""
-        if self.cloud_leveller is None:
-            return Level(np.eye(3), None)
-        return self.cloud_leveller.level(points)
 
     def _count(self, sweep: Sweep) -> None:
         counts, last = self.counts, self._last_stamp

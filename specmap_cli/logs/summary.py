@@ -205,8 +205,13 @@ class ScanSummary:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Extent:
-    """The files of a log and how much is in them; times are the recorder's."""
+class LogSummary:
+    """The answer of `specmap info`: how much is in which files, and what build would read.
+
+    Times are the recorder's. `chosen` is what `build` would read, `problem` what keeps it from
+    reading; `next_command` is None when no command can use the log. `checked` is None when only the
+    first messages were read.
+    """
 
     files: tuple[str, ...]
     format: str
@@ -215,45 +220,34 @@ class Extent:
     start_s: float
     end_s: float
     duration_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outlook:
-    """What `build` would read (`chosen`), or the `problem` that keeps it from reading.
-
-    `next_command` is None when no command can use the log.
-    """
-
     chosen: str | None = None
     problem: str | None = None
     next_command: str | None = None
     warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LogSummary:
-    """The answer of `specmap info`; `checked` is None when only the first messages were read."""
-
-    extent: Extent
     topics: tuple[TopicSummary, ...]
     frames: tuple[FrameSummary, ...]
     scan: ScanSummary | None
-    outlook: Outlook
     checked: tuple[TopicCheck, ...] | None = None
     preview: Preview | None = None
     damage: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON, on one level; an unknown maximum range is None."""
+        """Plain values for JSON; an unknown maximum range is None."""
         plain = asdict(self)
-        plain = {**plain.pop("extent"), **plain.pop("outlook"), **plain}
         if self.scan is not None and not math.isfinite(self.scan.range_max_m):
             plain["scan"]["range_max_m"] = None
         return plain
 
     def lines(self) -> list[str]:
         """The summary as lines for people."""
-        told = [*_extent_lines(self.extent), "topics:"]
+        more = " ..." if len(self.files) > _NAMED_FILES else ""
+        files = ", ".join(self.files[:_NAMED_FILES]) + more
+        told = [
+            f"{files}: {self.format}, {self.size_bytes / 1e6:.1f} MB",
+            f"{counted(self.messages, 'message')} in {self.duration_s:.1f} s, "
+            f"{_time(self.start_s)} to {_time(self.end_s)}",
+            "topics:",
+        ]
         width = max((len(legible(topic.name)) for topic in self.topics), default=0)
         for topic in self.topics:
             rate = f"  {topic.rate_hz:.1f} Hz" if topic.rate_hz >= _LEAST_RATE_HZ else ""
@@ -261,33 +255,22 @@ class LogSummary:
         told += _frame_lines(self.frames, self.scan.frame if self.scan else None)
         if self.scan is not None:
             told.append(f"scan: {_scan_text(self.scan)}")
-        if self.outlook.chosen is not None:
-            told.append(f"build would read: {self.outlook.chosen}")
+        if self.chosen is not None:
+            told.append(f"build would read: {self.chosen}")
         if self.preview is not None and self.scan is not None:
             told += self.preview.lines(self._scans_on(self.scan.topic))
         told += _checked_lines(self.checked)
-        told += [f"warning: {line}" for line in self.outlook.warnings]
+        told += [f"warning: {line}" for line in self.warnings]
         told += [f"damage: {line}" for line in self.damage]
-        if self.outlook.problem is not None:
-            told.append(f"problem: {self.outlook.problem}")
-        if self.outlook.next_command is not None:
-            told.append(f"next: {self.outlook.next_command}")
+        if self.problem is not None:
+            told.append(f"problem: {self.problem}")
+        if self.next_command is not None:
+            told.append(f"next: {self.next_command}")
         return [legible(line) for line in told]
 
     def _scans_on(self, topic: str) -> int:
         """How many messages a topic holds."""
         return sum(each.count for each in self.topics if each.name == topic)
-
-
-def _extent_lines(extent: Extent) -> list[str]:
-    """Which files, how much is in them, and when it was recorded."""
-    more = " ..." if len(extent.files) > _NAMED_FILES else ""
-    files = ", ".join(extent.files[:_NAMED_FILES]) + more
-    return [
-        f"{files}: {extent.format}, {extent.size_bytes / 1e6:.1f} MB",
-        f"{counted(extent.messages, 'message')} in {extent.duration_s:.1f} s, "
-        f"{_time(extent.start_s)} to {_time(extent.end_s)}",
-    ]
 
 
 def _checked_lines(checked: Sequence[TopicCheck] | None) -> list[str]:

@@ -113,23 +113,15 @@ class LogWriter:
         angle_increment: float,
         ranges: ArrayLike,
         *,
-        range_min: float = 0.0,
         range_max: float,
-        time_increment: float = 0.0,
-        scan_time: float = 0.0,
+        **rest: float,
     ) -> None:
-        """One `sensor_msgs/msg/LaserScan` of ranges (B,) in metres: +inf = no return."""
-        data = scan_cdr(
-            frame_id,
-            stamp_ns,
-            angle_min,
-            angle_increment,
-            ranges,
-            range_min=range_min,
-            range_max=range_max,
-            time_increment=time_increment,
-            scan_time=scan_time,
-        )
+        """One `sensor_msgs/msg/LaserScan` of ranges (B,) in metres: +inf = no return.
+
+        `rest` are `range_min`, `time_increment` and `scan_time`, 0 unless they are given.
+        """
+        angles = angle_min, angle_increment
+        data = scan_cdr(frame_id, stamp_ns, *angles, ranges, range_max=range_max, **rest)
         self.raw(topic, LASER_SCAN, data, stamp_ns)
 
     def cloud(

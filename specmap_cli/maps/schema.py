@@ -266,9 +266,9 @@ def _placed(edge: Edge, topology: TopologicalMap, regions: Regions) -> Edge:
     for id_ in (edge.source, edge.target):
         centroid = regions.outline(id_).centroid
         ends.append(topology.submaps[id_].map_from_submap[:2] if centroid is None else centroid)
-    stops = [ends[0], *([] if crossing is None else [crossing]), ends[1]]
+    places = [ends[0], *([] if crossing is None else [crossing]), ends[1]]
     x, y = crossing or (None, None)
-    distance_m = sum(math.dist(a, b) for a, b in itertools.pairwise(stops))
+    distance_m = sum(math.dist(a, b) for a, b in itertools.pairwise(places))
     return replace(edge, x=x, y=y, distance_m=distance_m)
 
 

@@ -24,9 +24,8 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, read_features
-from specmap_cli.maps.json_files import first_finding, map_json, map_text
 from specmap_cli.maps.schema import TopologyRecord
-from specmap_cli.maps.tables import read_labels
+from specmap_cli.maps.text_files import first_finding, map_json, map_text, read_labels
 from specmap_cli.maps.topology_file import read_topology
 from specmap_cli.topology.regions import Regions, divide
 from specmap_cli.topology.topological_map import (

@@ -1,18 +1,23 @@
-"""topology.json read and checked: its values by the schema, and what refers to what in it."""
+"""topology.json read and checked: its values by the schema, and what refers to what in it.
+
+A map of schema 1 is read as one of schema 2: what it lacks is null or empty. Its document is
+changed before anything is checked: a part of another shape than expected is left as it is, for the
+check of schema 2 to refuse.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.json_values import Span
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.maps.json_files import first_finding, map_json
 from specmap_cli.maps.schema import SCHEMA_VERSION, EditsRecord, TopologyRecord
-from specmap_cli.maps.upgrading import MISSING, upgraded, version_of
+from specmap_cli.maps.text_files import first_finding, map_json
 from specmap_cli.topology.topological_map import Split
 
 
@@ -115,3 +120,72 @@ def _are_ascending(runs: Sequence[Span]) -> bool:
     """Whether the numbers in runs [first, last] rise."""
     ends = [-1, *(last for _, last in runs)]
     return all(before < first <= last for before, (first, last) in zip(ends, runs, strict=False))
+
+
+MISSING = (
+    "a map of an earlier version (schema 1): it keeps no keyframes, stays, kinds of submaps, doors "
+    "or ways, and cannot be updated, merged or divided anew; build it again to have these"
+)
+
+_NODE: dict[str, Any] = {
+    "kind": None,
+    "properties": {},
+    "anchor": None,
+    "anchor_clearance_m": None,
+}
+_EDGE: dict[str, Any] = {
+    "doors": [],
+    "path": None,
+    "length_m": None,
+    "clearance_m": None,
+    "forbidden": False,
+}
+
+
+def version_of(document: Any) -> Any:
+    """The schema version that a document names, None where it names none."""
+    graph = document.get("graph") if isinstance(document, dict) else None
+    return graph.get("schema_version") if isinstance(graph, dict) else None
+
+
+def upgraded(document: dict[str, Any]) -> dict[str, Any]:
+    """A document of schema 1 as one of schema 2."""
+    nodes = document.get("nodes")
+    return {
+        **document,
+        "graph": _graph(document["graph"], nodes),
+        "nodes": _each(nodes, lambda node: {**_NODE, **node}),
+        "edges": _each(document.get("edges"), lambda edge: {**_EDGE, **edge}),
+    }
+
+
+def _graph(graph: dict[str, Any], nodes: Any) -> dict[str, Any]:
+    kept = {key: value for key, value in graph.items() if key != "log"}
+    return {
+        "quality": None,  # the first maps were not judged
+        **kept,
+        "schema_version": SCHEMA_VERSION,
+        "next_id": 1 + max(_ids(nodes), default=-1),
+        "logs": _each([graph.get("log")], lambda log: {"keyframes": None, **log}),
+        "stays": [],
+        "breaks": [],
+        "doors": [],
+        "robot_radius_m": None,
+        "edits": {"submaps": [], "borders": []},
+        "closures": _each(
+            graph.get("closures"),
+            lambda closure: {"new_submap": None, "old_submap": None, **closure},
+        ),
+    }
+
+
+def _ids(nodes: Any) -> list[int]:
+    objects = [node for node in nodes if isinstance(node, dict)] if isinstance(nodes, list) else []
+    return [node["id"] for node in objects if isinstance(node.get("id"), int)]
+
+
+def _each(values: Any, change: Callable[[dict[str, Any]], dict[str, Any]]) -> Any:
+    """A list with its objects changed."""
+    if not isinstance(values, list):
+        return values
+    return [change(value) if isinstance(value, dict) else value for value in values]

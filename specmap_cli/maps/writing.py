@@ -23,8 +23,7 @@ from specmap_cli.grids.map_server import write_grid, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, write_features
 from specmap_cli.maps.schema import TopologyRecord, image_stem
-from specmap_cli.maps.tables import labels_text
-from specmap_cli.maps.tum import trajectory_text
+from specmap_cli.maps.text_files import labels_text, trajectory_text
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 

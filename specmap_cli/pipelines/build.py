@@ -72,14 +72,14 @@ def build_map(
         stream = SweepStream(log, config.log)
         finished = map_log(session, stream, observer=observer)
         from specmap_cli.pipelines.finishing import tell, write_finished
-        from specmap_cli.pipelines.reports import BuildReport, run_record
+        from specmap_cli.pipelines.reports import BuildReport, RunRecord
 
         tell(session, finished)
         run = write_finished(
             session,
             partial,
             finished,
-            lambda: run_record(session, finished, log.given, stream.selection),
+            lambda: RunRecord.of(session, finished, log.given, stream.selection).document(),
         )
     return BuildReport(out=target, run=run, quality=finished.quality)
 

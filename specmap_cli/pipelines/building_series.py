@@ -6,8 +6,8 @@ maps divide the building.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -38,12 +38,18 @@ class Room:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Placed:
-    """A map in a building: `steps` lead from it to the frame of the building, one by one."""
+class Entry:
+    """A map of the series: `steps` lead from it to the frame of the building, one by one.
+
+    `room_of` tells the room that most of each submap is in, by the submap's id. `added` are the
+    rooms that no map before it showed.
+    """
 
     number: int
     stored: StoredMap
     steps: tuple[BentMotion, ...] = ()
+    room_of: Mapping[int, int] = field(default_factory=dict)
+    added: tuple[Room, ...] = ()
 
     def to_building(self, points: FloatArray) -> FloatArray:
         """Points (n, 2) of the map in the frame of the building."""
@@ -57,17 +63,9 @@ class Placed:
             points = step.inverse().apply(points)
         return points
 
-
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """A map of the series, with the room that most of each submap is in, by the submap's id.
-
-    `added` are the rooms that no map before it showed.
-    """
-
-    placed: Placed
-    room_of: Mapping[int, int]
-    added: tuple[Room, ...]
+    def rooms(self, ids: Iterable[int | None]) -> list[int]:
+        """The rooms of some of its submaps, ascending."""
+        return sorted({self.room_of[id_] for id_ in ids if id_ is not None and id_ in self.room_of})
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +89,7 @@ class BuildingSeries:
         self._plans: list[Entry] = []
         self._names: dict[int, str] = {}
         self._seen: set[Recording] = set()
-        self.last = self._take(Placed(number, first))
+        self.last = self._take(Entry(number, first))
 
     def add(self, number: int, stored: StoredMap) -> Step | None:
         """Take in the next map, or None where it fits to none of the building.
@@ -103,12 +101,12 @@ class BuildingSeries:
         if found is None:
             return None
         before, comparison = found
-        steps = (comparison.old_from_new, *before.placed.steps)
+        steps = (comparison.old_from_new, *before.steps)
         first = self._plans[0]
         if before is not first:
-            direct = _fits(first.placed.stored, stored)
+            direct = _fits(first.stored, stored)
             steps = steps if direct is None else (direct.old_from_new,)
-        self.last = self._take(Placed(number, stored, steps))
+        self.last = self._take(Entry(number, stored, steps))
         return Step(before, self.last, comparison)
 
     def name_of(self, room: Room) -> str:
@@ -116,46 +114,46 @@ class BuildingSeries:
         return self._names.get(room.number, room_name(room.number))
 
     def _compared(self, stored: StoredMap) -> tuple[Entry, Comparison] | None:
-        candidates = {entry.placed.number: entry for entry in (self.last, *reversed(self._plans))}
+        candidates = {entry.number: entry for entry in (self.last, *reversed(self._plans))}
         for entry in candidates.values():
-            comparison = _fits(entry.placed.stored, stored)
+            comparison = _fits(entry.stored, stored)
             if comparison is not None:
                 return entry, comparison
         return None
 
-    def _take(self, placed: Placed) -> Entry:
+    def _take(self, entry: Entry) -> Entry:
         """Find the rooms of a map and count its recordings."""
-        labels, known = placed.stored.labels, len(self.rooms)
-        rooms = self._rooms_of(placed, labels)
-        self._add_rooms(placed, labels.submaps, rooms)
+        labels, known = entry.stored.labels, len(self.rooms)
+        rooms = self._rooms_of(entry, labels)
+        self._add_rooms(entry, labels.submaps, rooms)
         added = tuple(self.rooms[known:])
         new = {room.node.id: room.number for room in added}
         rooms = np.where(rooms == NO_SUBMAP, _looked_up(labels.submaps, new), rooms)
-        entry = Entry(placed, _by_majority(labels.submaps, rooms), added)
+        entry = replace(entry, room_of=_by_majority(labels.submaps, rooms), added=added)
         if added:
             self._plans.append(entry)
-        self._tours(placed.stored, labels, rooms)
-        for id_, name in placed.stored.names.items():
+        self._tours(entry.stored, labels, rooms)
+        for id_, name in entry.stored.names.items():
             if id_ in entry.room_of:
                 self._names[entry.room_of[id_]] = name
         return entry
 
-    def _rooms_of(self, placed: Placed, labels: Labels) -> IntArray:
+    def _rooms_of(self, entry: Entry, labels: Labels) -> IntArray:
         """(n,) the room of each keyframe by the maps before, the oldest first."""
-        places = placed.to_building(labels.poses[:, :2])
+        places = entry.to_building(labels.poses[:, :2])
         rooms = np.full(len(places), NO_SUBMAP, dtype=np.int64)
         for plan in self._plans:
-            owners = plan.placed.stored.regions.owners(plan.placed.from_building(places))
+            owners = plan.stored.regions.owners(plan.from_building(places))
             first_of = {room.node.id: room.number for room in plan.added}
             rooms = np.where(rooms == NO_SUBMAP, _looked_up(owners, first_of), rooms)
         return rooms
 
-    def _add_rooms(self, placed: Placed, submaps: IntArray, rooms: IntArray) -> None:
+    def _add_rooms(self, entry: Entry, submaps: IntArray, rooms: IntArray) -> None:
         """Submaps become rooms where most of their keyframes are in no room yet."""
-        for node in placed.stored.record.nodes:
+        for node in entry.stored.record.nodes:
             own = submaps == node.id
             if own.any() and (rooms[own] == NO_SUBMAP).mean() > _MOST:
-                self.rooms.append(Room(len(self.rooms), placed.number, node))
+                self.rooms.append(Room(len(self.rooms), entry.number, node))
 
     def _tours(self, stored: StoredMap, labels: Labels, rooms: IntArray) -> None:
         """Count the recordings that no earlier map of the building was made of."""

@@ -38,7 +38,7 @@ from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.overlaps import align_maps
 from specmap_cli.recognition.closure.alignment import Alignment
-from specmap_cli.topology.differences import Crossing, Differences, PlacedThing, differences
+from specmap_cli.topology.differences import Crossing, Differences, Obstacle, differences
 from specmap_cli.topology.identity import Identity
 from specmap_cli.topology.topological_map import default_name, driven_m, starts_of
 
@@ -184,8 +184,8 @@ def record_of(
             closed=[_door(way) for way in found.closed], opened=[_door(way) for way in found.opened]
         ),
         things=ThingsRecord(
-            appeared=[_thing(one) for one in found.appeared],
-            vanished=[_thing(one) for one in found.vanished],
+            appeared=[_obstacle(one) for one in found.appeared],
+            vanished=[_obstacle(one) for one in found.vanished],
         ),
     )
 
@@ -265,16 +265,15 @@ def _door(way: Crossing) -> DoorRecord:
     return DoorRecord(between=way.between, x=x, y=y, width_m=way.width_m)
 
 
-def _thing(one: PlacedThing) -> ThingRecord:
-    thing = one.thing
-    x, y = thing.centre.tolist()
+def _obstacle(one: Obstacle) -> ThingRecord:
+    x, y = one.centre.tolist()
     return ThingRecord(
         x=x,
         y=y,
-        length_m=thing.length_m,
-        width_m=thing.width_m,
-        area_m2=thing.area_m2,
-        corners=[point(corner) for corner in thing.corners],
+        length_m=one.length_m,
+        width_m=one.width_m,
+        area_m2=one.area_m2,
+        corners=[point(corner) for corner in one.corners],
         old_submap=one.old_submap,
         new_submap=one.new_submap,
     )

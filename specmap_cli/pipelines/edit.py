@@ -28,11 +28,10 @@ from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.map_server import read_picture, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words
-from specmap_cli.maps.edits_text import written
+from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words, written
 from specmap_cli.maps.schema import EditsRecord, TopologyRecord
 from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.maps.text_files import read_trajectory
 from specmap_cli.pipelines.edits import (
     Drawn,
     RequestedEdits,
@@ -45,7 +44,7 @@ from specmap_cli.pipelines.edits import (
 )
 from specmap_cli.pipelines.finishing import finish, write_finished
 from specmap_cli.pipelines.laying_out import with_grid
-from specmap_cli.pipelines.learning import Prior, lessons_left, lessons_of_stored
+from specmap_cli.pipelines.learning import Prior, training_data_of_stored, valid_training_data
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_in_making import FinishedMap, laid_out_of_stored, quality_of_stored
 from specmap_cli.pipelines.reports import EditReport
@@ -172,8 +171,8 @@ def _made_anew(
     """The map with other borders, made of its keyframes; what is thought of its layout stays."""
     config = settings_for(stored, {}) if config is None else config
     laid, labels = laid_out_of_stored(stored), stored.labels
-    lessons = lessons_left(
-        lessons_of_stored(stored, config),
+    kept = valid_training_data(
+        training_data_of_stored(stored, config),
         labels,
         replace(labels, submaps=found.submaps),
         np.arange(len(laid)),
@@ -182,7 +181,7 @@ def _made_anew(
     with stored.keyframes() as store:
         session = Session(config, store, progress)
         laid = with_grid(session, replace(laid, edits=found.edits))
-        prior = Prior.of(session, lessons)
+        prior = Prior.of(session, kept)
         finished = finish(session, laid, prior, quality_of_stored(stored))
         write_finished(session, directory, finished, lambda: _run(stored, finished))
     _carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)

@@ -15,7 +15,7 @@ from specmap_cli.core.findings import Quality, summary
 from specmap_cli.drawing.overview import render_overview
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.g2o import write_g2o
-from specmap_cli.maps.edits_text import written
+from specmap_cli.maps.edits import written
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.edits import drawn, named, tell_unapplied
 from specmap_cli.pipelines.learning import Prior, arrays_of, learn
@@ -45,7 +45,7 @@ def finish(
         laid=laid,
         topology=topology,
         classifiers=learned.classifiers,
-        lessons=learned.lessons,
+        training_data=learned.training_data,
         quality=laid.quality if quality is None else quality,
         unapplied=(*unapplied, *laid.lost),
     )
@@ -118,7 +118,7 @@ def write_finished(
         trajectory=laid.trajectory,
         labels=laid.labels,
         classifiers=finished.classifiers.to_json(),
-        features=arrays_of(finished.lessons),
+        features=arrays_of(finished.training_data),
         logs=laid.logs,
         run=run,
         quality=finished.quality,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import tzinfo
 from pathlib import Path
@@ -32,7 +32,8 @@ from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ThingRecord
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.pipelines.building_series import BuildingSeries, Placed, Room, Step
+from specmap_cli.pipelines.building_series import BuildingSeries, Entry, Room, Step
+from specmap_cli.pipelines.overlaps import stored_to_align
 
 HISTORY, PAGE = "history.json", "history.html"
 
@@ -72,7 +73,7 @@ class _Building:
         return BuildingRecord(
             number=number,
             name=encodable(_called(self.path)),
-            rooms=room_records(self.series, zone),
+            rooms=[_room(self.series, room, zone) for room in self.series.rooms],
             maps=self.maps,
             days=days_of(self.series.tours, zone),
             changes=self.changes,
@@ -171,21 +172,20 @@ def _readable_until(stored: StoredMap) -> int:
     """The stamp of a map's last scan, once all that a comparison needs was read."""
     if not (stored.path / filenames.LABELS).exists() or not len(stored.labels.stamps_ns):
         raise MapError(f"{stored.path}: was not made of a recording: it knows no visits")
-    stored.topology  # noqa: B018 reads the grids of all submaps
-    stored.map_grid  # noqa: B018
+    stored_to_align(stored, learned=False)  # raises MapError where it cannot be compared
     return span_ns(stored)[1]
 
 
 def _enter(buildings: list[_Building], number: int, stored: StoredMap, zone: tzinfo) -> None:
     """Take a map into the building that it fits to, the one with the newest map first."""
-    for building in sorted(buildings, key=lambda one: -one.series.last.placed.number):
+    for building in sorted(buildings, key=lambda one: -one.series.last.number):
         step = building.series.add(number, stored)
         if step is not None:
-            building.maps.append(map_record(step.after.placed, step))
+            building.maps.append(map_record(step.after, step))
             building.changes.extend(changes_of(step, zone))
             return
     series = BuildingSeries(number, stored)
-    buildings.append(_Building(series, stored.path, [map_record(series.last.placed, None)]))
+    buildings.append(_Building(series, stored.path, [map_record(series.last, None)]))
 
 
 def _called(path: Path) -> str:
@@ -205,93 +205,61 @@ def span_ns(stored: StoredMap) -> tuple[int, int]:
     return int(stamps.min()), int(stamps.max())
 
 
-def map_record(placed: Placed, step: Step | None) -> MapRecord:
+def map_record(entry: Entry, step: Step | None) -> MapRecord:
     """A map as history.json has it; `step` is that from an earlier map to it."""
-    stored = placed.stored
+    stored = entry.stored
     start_ns, end_ns = span_ns(stored)
     quality = stored.record.graph.quality
     return MapRecord(
-        number=placed.number,
+        number=entry.number,
         map=encodable(str(stored.path)),
         start=start_ns / _NS,
         end=end_ns / _NS,
         verdict=None if quality is None else quality.verdict,
         submaps=len(stored.record.nodes),
         area_m2=sum(node.area_m2 for node in stored.record.nodes),
-        compared_with=None if step is None else step.before.placed.number,
+        compared_with=None if step is None else step.before.number,
         residual_m=None if step is None else step.comparison.record.alignment.residual_m,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Told:
-    """Tells what differs between two maps, by places and rooms as the building knows them."""
+def changes_of(step: Step, zone: tzinfo) -> Iterator[ChangeRecord]:
+    """What differs between two maps of a series, in the frame of the building."""
+    found, before, after = step.comparison.record, step.before, step.after
+    doors, things = found.doors, found.things
 
-    step: Step
-    zone: tzinfo
+    def rooms_of(thing: ThingRecord) -> list[int]:
+        return before.rooms([thing.old_submap]) or after.rooms([thing.new_submap])
 
     def change(
-        self,
-        kind: ChangeKind,
-        rooms: list[int],
-        size: float | None,
-        place: tuple[float, float] | None = None,
+        kind: ChangeKind, rooms: list[int], size: float | None, at: tuple[float, ...] = ()
     ) -> ChangeRecord:
         """A change at a place of the map before, or of a room."""
-        x: float | None = None
-        y: float | None = None
-        after, before = self.step.after.placed, self.step.before.placed
-        if place is not None:
-            ((x, y),) = before.to_building(np.array([place])).tolist()
+        x, y = before.to_building(np.array([at]))[0].tolist() if at else (None, None)
         return ChangeRecord(
             kind=kind,
             map=after.number,
             before=before.number,
-            day=day_of(span_ns(after.stored)[1], self.zone),
-            since=day_of(span_ns(before.stored)[1], self.zone),
+            day=day_of(span_ns(after.stored)[1], zone),
+            since=day_of(span_ns(before.stored)[1], zone),
             rooms=rooms,
             x=x,
             y=y,
             size=size,
         )
 
-    def old(self, ids: Iterable[int | None]) -> list[int]:
-        """The rooms of submaps of the map before."""
-        return _rooms(ids, self.step.before.room_of)
-
-    def new(self, ids: Iterable[int | None]) -> list[int]:
-        """The rooms of submaps of the later map."""
-        return _rooms(ids, self.step.after.room_of)
-
-
-def changes_of(step: Step, zone: tzinfo) -> Iterator[ChangeRecord]:
-    """What differs between two maps of a series, in the frame of the building."""
-    record, told = step.comparison.record, _Told(step, zone)
-    for way in record.doors.closed:
-        yield told.change("door-closed", told.old(way.between), way.width_m, (way.x, way.y))
-    for way in record.doors.opened:
-        yield told.change("door-opened", told.new(way.between), way.width_m, (way.x, way.y))
-    for thing in record.things.appeared:
-        yield told.change("appeared", _rooms_of(thing, told), thing.area_m2, (thing.x, thing.y))
-    for thing in record.things.vanished:
-        yield told.change("vanished", _rooms_of(thing, told), thing.area_m2, (thing.x, thing.y))
-    for id_ in record.submaps.gone:
-        yield told.change("room-gone", told.old([id_]), None)
-    for room in step.after.added:
-        yield told.change("room-added", [room.number], room.node.area_m2)
-
-
-def _rooms_of(thing: ThingRecord, told: _Told) -> list[int]:
-    return told.old([thing.old_submap]) or told.new([thing.new_submap])
-
-
-def _rooms(ids: Iterable[int | None], room_of: Mapping[int, int]) -> list[int]:
-    return sorted({room_of[id_] for id_ in ids if id_ is not None and id_ in room_of})
-
-
-def room_records(series: BuildingSeries, zone: tzinfo) -> list[RoomRecord]:
-    """The rooms of a building as history.json has them."""
-    return [_room(series, room, zone) for room in series.rooms]
+    for way in doors.closed:
+        yield change("door-closed", before.rooms(way.between), way.width_m, (way.x, way.y))
+    for way in doors.opened:
+        yield change("door-opened", after.rooms(way.between), way.width_m, (way.x, way.y))
+    for thing in things.appeared:
+        yield change("appeared", rooms_of(thing), thing.area_m2, (thing.x, thing.y))
+    for thing in things.vanished:
+        yield change("vanished", rooms_of(thing), thing.area_m2, (thing.x, thing.y))
+    for id_ in found.submaps.gone:
+        yield change("room-gone", before.rooms([id_]), None)
+    for room in after.added:
+        yield change("room-added", [room.number], room.node.area_m2)
 
 
 def _room(series: BuildingSeries, room: Room, zone: tzinfo) -> RoomRecord:

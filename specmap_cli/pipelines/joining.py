@@ -20,7 +20,6 @@ from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.carrying import carried, rows_of
-from specmap_cli.layout.dropping import gaps_of
 from specmap_cli.layout.healing import healed
 from specmap_cli.layout.joining import join_layouts, placed, without_guesses
 from specmap_cli.maps.edits import (
@@ -33,12 +32,12 @@ from specmap_cli.maps.edits import (
     in_words,
 )
 from specmap_cli.pipelines.laying_out import constraints_of, refute
-from specmap_cli.pipelines.map_in_making import LaidOut, thinned_of
+from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.closure.common_ground import Joint
 from specmap_cli.topology.graph import Heritage, inherited
 from specmap_cli.topology.redrawing import undone
-from specmap_cli.topology.topological_map import LogInfo, starts_of
+from specmap_cli.topology.topological_map import LogInfo
 
 _JOINED = "the maps were joined here"
 _APART_M = 20.0  # between maps that have nothing in common: walls within it are never matched
@@ -65,8 +64,7 @@ def join(
     found = tuple(replace(closure, new=closure.new + stay) for closure in found)
     breaks = {**old.breaks, first: None, **later.breaks}
     constraints = constraints_of(found, stays, store)
-    recordings = np.searchsorted(np.array(starts_of(logs)), np.arange(len(store)), side="right")
-    cuts = {**gaps_of(store.poses, thinned_of(logs, recordings)), **breaks}
+    cuts = {**gaps_in(store.poses, logs), **breaks}
     layout = join_layouts(store, old.layout, later.layout, tuple(constraints.values()), cuts)
     # in the frame in which the old keyframes lie nearest to their places in the old map
     layout = placed(layout, nearest_motion(layout.poses[:first, :2], old.layout.poses[:, :2]))
@@ -94,7 +92,7 @@ def join(
     return with_edits_of(joint, plain, old_from_new)
 
 
-def beside(old: GridMap, new: GridMap) -> Pose2:
+def place_apart(old: GridMap, new: GridMap) -> Pose2:
     """A place for a map that fits nowhere: to the right of the old map, with a gap between them."""
     (left, low), (x, y) = old.origin, new.origin
     right = left + old.cells.shape[1] * old.resolution

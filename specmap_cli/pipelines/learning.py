@@ -23,14 +23,14 @@ from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
 from specmap_cli.recognition.learning.calibration import Calibration, HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
-from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M, HeldOutMisfit, held_out_misfit
+from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
 from specmap_cli.recognition.learning.sampling import (
     augmented_samples,
     cast_samples,
     raw_samples,
     track_samples,
 )
-from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_raw, train_virtual
+from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_and_test
 from specmap_cli.recognition.learning.training_data import (
     NO_SAMPLES,
     NO_TRAINING_DATA,
@@ -48,30 +48,30 @@ OfSubmaps = Mapping[int, Samples]
 class Learned:
     """The grid of each submap in the frame of its first keyframe, and the classifiers of all.
 
-    `lessons` are what these were learned from.
+    `training_data` is what these were learned from.
     """
 
     grids: Mapping[int, GridMap]
     classifiers: ClassifierSet
-    lessons: TrainingData
+    training_data: TrainingData
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What there is before a map is learned: features of keyframes, and lessons that still hold.
+    """What there is before a map is learned: features of keyframes, data that can be used again.
 
     `classifiers` are those that the map had before its last recording was added.
     """
 
     features: KeyframeFeatures
-    lessons: TrainingData = NO_TRAINING_DATA
+    training_data: TrainingData = NO_TRAINING_DATA
     classifiers: ClassifierSet | None = None
 
     @classmethod
-    def of(cls, session: Session, lessons: TrainingData = NO_TRAINING_DATA) -> Prior:
-        """What the lessons that hold for the keyframes of a session tell, and nothing else."""
+    def of(cls, session: Session, data: TrainingData = NO_TRAINING_DATA) -> Prior:
+        """What training data that holds for the keyframes of a session tells, and nothing else."""
         features = KeyframeFeatures(session.store, session.config.recognition.feature_set)
-        return cls(features.knowing(lessons.raw.keyframes, lessons.raw.features), lessons)
+        return cls(features.knowing(data.raw.keyframes, data.raw.features), data)
 
 
 def learn(
@@ -89,7 +89,7 @@ def learn(
     config, submaps = session.config, submaps_of(labels)
     revisits = None
     if prior.classifiers is not None:  # they tell the scans of the last recording
-        revisits = Revisits(prior.classifiers, starts[-1], poses, labels, HELD_OUT_REACH_M)
+        revisits = Revisits(prior.classifiers, starts[-1], poses, labels)
     raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
     along: OfSubmaps = {}
     cast: OfSubmaps = {}
@@ -104,11 +104,16 @@ def learn(
         with session.stage("training"):
             if config.localization.virtual:
                 cast = cast_samples(
-                    submaps, poses, grids, config.localization, virtual_rng, prior.lessons.cast
+                    submaps,
+                    poses,
+                    grids,
+                    config.localization,
+                    virtual_rng,
+                    prior.training_data.cast,
                 )
                 along = next(meanwhile)
-                virtual, of_virtual = train_virtual(
-                    along, cast, poses, config, virtual_rng, revisits
+                virtual, of_virtual = train_and_test(
+                    along, cast, poses, config, virtual_rng, revisits, virtual=True
                 )
             taught = meanwhile.result
             classifiers = ClassifierSet(
@@ -167,14 +172,12 @@ def _without_grids(
     revisits: Revisits | None,
 ) -> Generator[OfSubmaps, None, _Taught]:
     """The virtual scans along the track, if wanted; then what raw scans teach."""
-    store, config, lessons = session.store, session.config, prior.lessons
+    store, config, data = session.store, session.config, prior.training_data
     if config.localization.virtual:
-        yield _single(
-            track_samples(store, submaps, poses, config.localization, lessons.along, starts)
-        )
+        yield _single(track_samples(store, submaps, poses, config.localization, data.along, starts))
     samples = raw_samples(store, submaps, config, prior.features, starts)
-    beside = augmented_samples(store, submaps, poses, config, rng, lessons.beside)
-    raw, held_out = train_raw(samples, beside, poses, config, rng, revisits)
+    beside = augmented_samples(store, submaps, poses, config, rng, data.beside)
+    raw, held_out = train_and_test(samples, beside, poses, config, rng, revisits, virtual=False)
     misfit = held_out_misfit(store, submaps, poses)
     return _Taught(raw, _single(samples), _single(beside), held_out, misfit)
 
@@ -186,22 +189,22 @@ def _single(samples: OfSubmaps) -> OfSubmaps:
     }
 
 
-def arrays_of(lessons: TrainingData) -> dict[str, NDArray[Any]]:
+def arrays_of(data: TrainingData) -> dict[str, NDArray[Any]]:
     """Lessons as the arrays of a file: in half precision, which moves few of them to another bin.
 
     A column a scan: one feature of all scans after the other takes less room.
     """
     arrays: dict[str, NDArray[Any]] = {}
     for kind in KINDS:
-        samples: Samples = getattr(lessons, kind)
+        samples: Samples = getattr(data, kind)
         features = np.clip(samples.features.T, -_MOST, _MOST).astype(np.float16)
         arrays[kind] = np.ascontiguousarray(features)
         arrays[kind + KEYFRAMES_OF] = samples.keyframes.astype(np.int32)
     return arrays
 
 
-def lessons_of_stored(stored: StoredMap, config: Config) -> TrainingData:
-    """The lessons of a map directory; none where they would not be the same by these settings.
+def training_data_of_stored(stored: StoredMap, config: Config) -> TrainingData:
+    """The training data of a map directory; none where it would not be the same by these settings.
 
     Nor are there any of another version, which may find other features. Scans that were cast in
     other grids are left out. Raises MapError for a damaged file.
@@ -242,15 +245,15 @@ def comparable(
     return classifiers if same and virtual == config.localization.virtual else None
 
 
-def lessons_left(
-    lessons: TrainingData,
+def valid_training_data(
+    training_data: TrainingData,
     before: Labels,
     now: Labels,
     left: IntArray,
     apart_m: float,
     first: int = 0,
 ) -> TrainingData:
-    """What of the lessons of a map holds for one that it became.
+    """What of the training data of a map holds for one that it became.
 
     `left` (k,) are the keyframes of the map that are those from number `first` on of `now`. What
     was cast in the grid of a submap holds where the submap has the keyframes that it had, and where
@@ -266,7 +269,7 @@ def lessons_left(
             np.count_nonzero(before.submaps == id_) for id_ in set(before.submaps[left[rows]])
         }
         unchanged[rows] = there == {len(rows)} and _bent_m(was, is_) <= apart_m
-    return lessons.left(left).cast_near(unchanged).numbered_from(first)
+    return training_data.left(left).cast_near(unchanged).numbered_from(first)
 
 
 def _bent_m(was: FloatArray, is_: FloatArray) -> float:

@@ -244,11 +244,6 @@ class LocalizedScan:
         """(3, 3) of x, y and angle of that pose: square metres and radians."""
         return None if self.fix is None else self.fix.covariance
 
-    @property
-    def score(self) -> float:
-        """How well the scan lies on walls there, in [0, 1]; NaN without a pose."""
-        return math.nan if self.fix is None else self.fix.score
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalizationReport:

@@ -17,20 +17,20 @@ import numpy as np
 
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
-from specmap_cli.core.geometry import path_length
+from specmap_cli.core.geometry import FloatArray, path_length
 from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.text import counted, legible
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.carrying import rows_of
+from specmap_cli.layout.dropping import gaps_of
 from specmap_cli.layout.g2o import read_g2o
 from specmap_cli.layout.motion_edges import Bridge
 from specmap_cli.layout.relaxation import Layout
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, edits_text
-from specmap_cli.maps.json_files import map_text
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.maps.text_files import map_text, read_trajectory
 from specmap_cli.pipelines.edits import edits_of_stored
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.verdict import LAYOUT_CODES, of_layout, quality_of
@@ -123,12 +123,6 @@ class LaidOut:
         return starts_of(self.logs)
 
     @property
-    def recordings(self) -> IntArray:
-        """(n,) the recording, 0, 1, ..., of each keyframe."""
-        number = np.arange(len(self))
-        return np.searchsorted(np.array(self.starts, dtype=np.int64), number, side="right")
-
-    @property
     def ways_m(self) -> list[float]:
         """Metres driven in each recording, over its keyframes and over lost scans.
 
@@ -167,14 +161,14 @@ class LaidOut:
 class FinishedMap:
     """A map ready to be written.
 
-    `lessons` are what the classifiers learned from; `unapplied` tells what a person decided and
-    does not apply.
+    `training_data` is what the classifiers learned from; `unapplied` tells what a person decided
+    and does not apply.
     """
 
     laid: LaidOut
     topology: TopologicalMap
     classifiers: ClassifierSet
-    lessons: TrainingData
+    training_data: TrainingData
     quality: Quality
     unapplied: tuple[str, ...] = ()
 
@@ -211,10 +205,17 @@ def submaps_of(labels: IntArray) -> dict[int, list[int]]:
     return {int(id_): np.flatnonzero(labels == id_).tolist() for id_ in np.unique(labels)}
 
 
-def thinned_of(logs: Sequence[LogInfo], recordings: IntArray) -> IntArray:
-    """(n,) the recordings of keyframes, -1 for those of which a map keeps all."""
+def gaps_in(poses: FloatArray, logs: Sequence[LogInfo]) -> dict[int, Bridge]:
+    """Where keyframes of recordings at `poses` (n, 3) were let go, and what bridges each gap."""
     whole = [log.path_m is None for log in logs if log.keyframes is not None]
-    return np.where(np.array(whole)[recordings], -1, recordings)
+    recordings = recordings_of(logs, len(poses))
+    return gaps_of(poses, np.where(np.array(whole)[recordings], -1, recordings))
+
+
+def recordings_of(logs: Sequence[LogInfo], count: int) -> IntArray:
+    """(n,) the recording, 0, 1, ..., of each of `count` keyframes."""
+    starts = np.array(starts_of(logs), dtype=np.int64)
+    return np.searchsorted(starts, np.arange(count), side="right")
 
 
 def laid_out_of_stored(stored: StoredMap) -> LaidOut:

@@ -26,20 +26,20 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.finishing import finish, tell, with_borders, write_finished
-from specmap_cli.pipelines.joining import beside, closures_between, join
+from specmap_cli.pipelines.joining import closures_between, join, place_apart
 from specmap_cli.pipelines.laying_out import with_grid
-from specmap_cli.pipelines.learning import Prior, lessons_left, lessons_of_stored
+from specmap_cli.pipelines.learning import Prior, training_data_of_stored, valid_training_data
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
 from specmap_cli.pipelines.overlaps import (
     Overlaps,
     Spread,
-    known_map,
     overlaps_of,
     parts_of,
     steps_of,
+    stored_to_align,
 )
-from specmap_cli.pipelines.reports import OF_THE_MAP, MergeReport, run_record
+from specmap_cli.pipelines.reports import OF_THE_MAP, MergeReport, RunRecord
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.training_data import TrainingData
@@ -72,22 +72,22 @@ def merge_maps(
     with OutputDirectory(target, overwrite, progress) as partial, KeyframeStore() as store:
         session = Session(config, store, progress)
         parts = [laid_out_of_stored(stored) for stored in ordered]
-        known = [known_map(stored) for stored in ordered]
+        to_align = [stored_to_align(stored) for stored in ordered]
         _refuse_twice(ordered)
-        lessons = [lessons_of_stored(stored, config) for stored in ordered]
+        kept = [training_data_of_stored(stored, config) for stored in ordered]
         progress.start("aligning", None)
         with session.stage("alignment"):
-            overlaps = overlaps_of(ordered, known, config, spread)
+            overlaps = overlaps_of(ordered, to_align, config, spread)
         progress.start("layout", None)
         with session.stage("layout"):
             merging = _Merging(session, ordered, parts, overlaps)
         laid = replace(merging.joint, counts=_counts(ordered))
-        prior = Prior.of(session, merging.lessons(lessons))
+        prior = Prior.of(session, merging.training_data(kept))
         finished = finish(session, laid, prior)
         tell(session, finished)
         paths = [stored.path.resolve() for stored in ordered]
         run = write_finished(
-            session, partial, finished, lambda: run_record(session, finished, paths)
+            session, partial, finished, lambda: RunRecord.of(session, finished, paths).document()
         )
     names = _names(ordered)
     return MergeReport(
@@ -182,19 +182,21 @@ class _Merging:
             int(id_): int(np.bincount(now[own == id_]).argmax()) for id_ in np.unique(own[own >= 0])
         }
 
-    def lessons(self, of_maps: Sequence[TrainingData]) -> TrainingData:
+    def training_data(self, of_maps: Sequence[TrainingData]) -> TrainingData:
         """What the classifiers of the maps learned from, as it holds for all of them."""
         cell_m, now = self.session.config.grid.resolution_m, self.joint.labels
         found = []
         for number, (part, own) in enumerate(zip(self.parts, of_maps, strict=True)):
             first, _ = self._firsts[number]
-            found.append(lessons_left(own, part.labels, now, np.arange(len(part)), cell_m, first))
+            found.append(
+                valid_training_data(own, part.labels, now, np.arange(len(part)), cell_m, first)
+            )
         return TrainingData.joined(found)
 
     def _joined(self, parent: int | None, child: int) -> LaidOut:
         """One map more, laid into `parent`, which is in already, or beside all."""
         joint, new = self.joint, self.parts[child]
-        where = beside(joint.whole, new.whole)
+        where = place_apart(joint.whole, new.whole)
         if parent is not None:
             where = self._pose_of(parent) @ self._motion(parent, child)
         found = [

@@ -37,7 +37,7 @@ class PairOfMaps:
 Spread = Callable[[Callable[[PairOfMaps], Alignment], Sequence[PairOfMaps]], Iterable[Alignment]]
 
 
-def known_map(stored: StoredMap, *, learned: bool = True) -> MapToAlign:
+def stored_to_align(stored: StoredMap, *, learned: bool = True) -> MapToAlign:
     """A stored map as the alignment takes it, with its classifiers where it has `learned`.
 
     Raises MapError for a damaged map.
@@ -52,7 +52,7 @@ def known_map(stored: StoredMap, *, learned: bool = True) -> MapToAlign:
     )
 
 
-def known_map_of(session: Session, laid: LaidOut) -> MapToAlign:
+def laid_out_to_align(session: Session, laid: LaidOut) -> MapToAlign:
     """A recording that was laid out by itself as the alignment takes it: without classifiers."""
     submaps, poses = submaps_of(laid.labels.submaps), laid.labels.poses
     with session.stage("grids"):
@@ -70,7 +70,9 @@ def align_maps(old: StoredMap, new: StoredMap, config: Config) -> Alignment:
 
     Raises MapError for a damaged map.
     """
-    one, other = (known_map(it, learned=(it.path / CLASSIFIERS).exists()) for it in (old, new))
+    one, other = (
+        stored_to_align(it, learned=(it.path / CLASSIFIERS).exists()) for it in (old, new)
+    )
     return align(one, other, config)
 
 
@@ -82,13 +84,13 @@ def align_pair(pair: PairOfMaps) -> Alignment:
 
 
 def overlaps_of(
-    maps: Sequence[StoredMap], known: Sequence[MapToAlign], config: Config, spread: Spread | None
+    maps: Sequence[StoredMap], to_align: Sequence[MapToAlign], config: Config, spread: Spread | None
 ) -> Overlaps:
     """The pairs of maps that can be aligned: here, or wherever `spread` has it done."""
     pairs = list(combinations(range(len(maps)), 2))
     found: Iterable[Alignment]
     if spread is None:
-        found = (align(known[i], known[j], config) for i, j in pairs)
+        found = (align(to_align[i], to_align[j], config) for i, j in pairs)
     else:
         paths = [stored.path.resolve() for stored in maps]
         found = spread(align_pair, [PairOfMaps(paths[i], paths[j], config) for i, j in pairs])

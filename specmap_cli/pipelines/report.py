@@ -74,8 +74,8 @@ def evidence_of(stored: StoredMap, progress: Progress) -> Evidence:
     """
     recogniser = _recogniser(stored)
     if not (stored.path / filenames.KEYFRAMES).exists():
-        shares = {} if recogniser is None else _feature_shares(recogniser)
-        learned = {id_: Learned(features=found) for id_, found in shares.items()}
+        features = {} if recogniser is None else _features_of(recogniser)
+        learned = {id_: Learned(features=found) for id_, found in features.items()}
         return Evidence(learned=learned, notes=_lacking(stored, recogniser))
     with stored.keyframes() as store:
         progress.start("looking at scans", len(store))
@@ -108,7 +108,7 @@ def _lacking(stored: StoredMap, recogniser: Recogniser | None) -> tuple[str, ...
     return tuple(found)
 
 
-def _feature_shares(recogniser: Recogniser) -> dict[int, tuple[FeatureShare, ...]]:
+def _features_of(recogniser: Recogniser) -> dict[int, tuple[FeatureShare, ...]]:
     """What each classifier looks at, what counts most first."""
     names = feature_names(recogniser.feature_set)
     found = {}
@@ -124,41 +124,41 @@ def _feature_shares(recogniser: Recogniser) -> dict[int, tuple[FeatureShare, ...
 
 
 def _learned(stored: StoredMap, recogniser: Recogniser, store: KeyframeStore) -> dict[int, Learned]:
-    """What each classifier looks at, and which submaps the scans of each submap fit next best."""
-    features = KeyframeFeatures(store, recogniser.feature_set, most=0)
-    shares, submaps = _feature_shares(recogniser), stored.labels.submaps
+    """What each classifier looks at, and which submaps a submap's scans fit next best."""
+    scans = KeyframeFeatures(store, recogniser.feature_set, most=0)
+    shares, submaps = _features_of(recogniser), stored.labels.submaps
     asked = [evenly(np.flatnonzero(submaps == id_), _ASKED) for id_ in recogniser.ids]
     owner = np.repeat(np.arange(len(asked)), [len(own) for own in asked])
-    margins = recogniser.margins(features.of(np.concatenate(asked).tolist()))
-    stirred = _stirred(margins, owner)
+    margins = recogniser.margins(scans.of(np.concatenate(asked).tolist()))
+    relative = _relative_votes(margins, owner)
     return {
-        id_: _told(k, recogniser.ids, margins[owner == k], stirred[owner == k], shares[id_])
+        id_: _told(k, recogniser.ids, margins[owner == k], relative[owner == k], shares[id_])
         for k, id_ in enumerate(recogniser.ids)
     }
 
 
-def _stirred(margins: FloatArray, owner: IntArray) -> FloatArray:
+def _relative_votes(margins: FloatArray, owner: IntArray) -> FloatArray:
     """(n, m) the votes of each classifier for each scan, against its votes for foreign scans.
 
     Some classifiers give many votes to any scan. So of the `margins` (n, m) in a column the mean of
     those for scans of other submaps, by `owner` (n,), is subtracted, and the rest is divided by
     their standard deviation. Its own scans have -inf.
     """
-    stirred = np.full(margins.shape, -np.inf)
+    relative = np.full(margins.shape, -np.inf)
     for column in range(margins.shape[1]):
         foreign = owner != column
         values = margins[foreign, column]
         if len(values):
             spread = max(float(values.std()), _LEAST_SPREAD)
-            stirred[foreign, column] = (values - values.mean()) / spread
-    return stirred
+            relative[foreign, column] = (values - values.mean()) / spread
+    return relative
 
 
 def _told(
     own: int,
     ids: tuple[int, ...],
     margins: FloatArray,
-    stirred: FloatArray,
+    relative: FloatArray,
     features: tuple[FeatureShare, ...],
 ) -> Learned:
     """What the margins (n, m) of a submap's own scans say of it; `own` is its column."""
@@ -167,7 +167,7 @@ def _told(
     right = float(np.mean(margins.argmax(axis=1) == own))
     if len(ids) < 2:
         return Learned(features=features, scans=len(margins), right=right)
-    shares = np.bincount(stirred.argmax(axis=1), minlength=len(ids)) / len(margins)
+    shares = np.bincount(relative.argmax(axis=1), minlength=len(ids)) / len(margins)
     alike = tuple(
         Likeness(ids[k], float(shares[k]))
         for k in np.argsort(-shares, kind="stable").tolist()

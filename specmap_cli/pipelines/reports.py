@@ -9,7 +9,9 @@ from typing import Any
 
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.json_values import Value
 from specmap_cli.core.process import peak_memory_mb, versions
+from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.logs.selection import Selection
 from specmap_cli.maps import filenames
@@ -27,54 +29,107 @@ OF_THE_MAP = frozenset({"scans", "keyframes", "submaps", "edges", "merges", "pat
 _MOVED_IOU = 0.9  # below it a border is not the one that people knew
 
 
-def run_record(
-    session: Session,
-    finished: FinishedMap,
-    inputs: Sequence[Path],
-    selection: Selection | None = None,
-) -> dict[str, Any]:
-    """The contents of run.json; `selection` is of the log that was read, None where none was."""
-    topology, laid, clock = finished.topology, finished.laid, session.clock
-    limits = {**laid.layout.limits, "max_extent_m": laid.beyond}
-    counts = {
-        "scans": len(laid.trajectory.stamps_ns),
-        "keyframes": len(laid),
-        "submaps": len(topology.submaps),
-        "edges": len(topology.edges),
-        "doors": len(topology.doors),
-        "merges": sum(closure.merged for closure in topology.closures),
-        "path_m": round(laid.path_m, 3),
-        **laid.counts,
-    }
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "inputs": [path.name for path in inputs],
-        "selection": None if selection is None else _selected(selection),
-        "config": session.config.model_dump(),
-        "versions": versions(),
-        "counts": counts,
-        "limits": {name: count for name, count in limits.items() if count},
-        "seconds": {name: round(value, 3) for name, value in clock.seconds.items()},
-        "wall_s": round(clock.elapsed_s, 3),
-        "memory_mb": peak_memory_mb(),
-        "quality": finished.quality.as_dict(),
-        "warnings": summary(finished.quality.warnings),
-    }
-
-
-def _selected(selection: Selection) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SelectionRecord(Value):
     """Which topics and frames were read."""
-    mounting = Pose2.from_matrix(selection.base_from_laser)
-    return {
-        "scan_topic": selection.topic.name,
-        "scan_type": selection.topic.type,
-        "odometry": selection.odometry,
-        "odom_topics": list(selection.odom_topics),
-        "base_frame": selection.base_frame,
-        "laser_frame": selection.sensor.frame,
-        "base_from_laser": [round(value, 6) for value in mounting],
-        "height_band_m": selection.band_m,
-    }
+
+    scan_topic: str
+    scan_type: str
+    odometry: str | None
+    odom_topics: tuple[str, ...]
+    base_frame: str
+    laser_frame: str
+    base_from_laser: tuple[float, ...]
+    height_band_m: tuple[float, float] | None
+
+    @classmethod
+    def of(cls, selection: Selection) -> SelectionRecord:
+        """What was selected in a log."""
+        mounting = Pose2.from_matrix(selection.base_from_laser)
+        return cls(
+            scan_topic=selection.topic.name,
+            scan_type=selection.topic.type,
+            odometry=selection.odometry,
+            odom_topics=tuple(selection.odom_topics),
+            base_frame=selection.base_frame,
+            laser_frame=selection.sensor.frame,
+            base_from_laser=tuple(round(value, 6) for value in mounting),
+            height_band_m=selection.band_m,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UpdateRecord(Value):
+    """A recording that was added to a map."""
+
+    map: str
+    old_from_new: tuple[float, ...] | None
+    reason: str
+    keyframes_dropped: int
+    keyframes_kept_for_walls: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunRecord(Value):
+    """The contents of run.json; `selection` is of the log that was read, None where none was.
+
+    `updates` are those that made the map, as run.json of the map before had them, and the last one.
+    `like` is the map in whose frame this one is. Neither is written where it is None.
+    """
+
+    schema_version: int = SCHEMA_VERSION
+    inputs: tuple[str, ...]
+    selection: SelectionRecord | None
+    config: Config
+    versions: dict[str, Any]
+    counts: dict[str, int | float]
+    limits: dict[str, int]
+    seconds: dict[str, float]
+    wall_s: float
+    memory_mb: float | None
+    quality: Quality
+    warnings: tuple[str, ...]
+    updates: tuple[Any, ...] | None = None
+    like: str | None = None
+
+    @classmethod
+    def of(
+        cls,
+        session: Session,
+        finished: FinishedMap,
+        inputs: Sequence[Path],
+        selection: Selection | None = None,
+    ) -> RunRecord:
+        """What is to be told of a map that was made in a session of `inputs`."""
+        topology, laid, clock = finished.topology, finished.laid, session.clock
+        limits = {**laid.layout.limits, "max_extent_m": laid.beyond}
+        return cls(
+            inputs=tuple(path.name for path in inputs),
+            selection=None if selection is None else SelectionRecord.of(selection),
+            config=session.config,
+            versions=versions(),
+            counts={
+                "scans": len(laid.trajectory.stamps_ns),
+                "keyframes": len(laid),
+                "submaps": len(topology.submaps),
+                "edges": len(topology.edges),
+                "doors": len(topology.doors),
+                "merges": sum(closure.merged for closure in topology.closures),
+                "path_m": round(laid.path_m, 3),
+                **laid.counts,
+            },
+            limits={name: count for name, count in limits.items() if count},
+            seconds={name: round(value, 3) for name, value in clock.seconds.items()},
+            wall_s=round(clock.elapsed_s, 3),
+            memory_mb=peak_memory_mb(),
+            quality=finished.quality,
+            warnings=tuple(summary(finished.quality.warnings)),
+        )
+
+    def document(self) -> dict[str, Any]:
+        """The same for a file."""
+        lacking = {name for name in ("updates", "like") if getattr(self, name) is None}
+        return {name: value for name, value in self.as_dict().items() if name not in lacking}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,7 +177,7 @@ class MapReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildReport(MapReport):
-    """What `build` did; without `--like` a map there are no edits."""
+    """What `build` did; only with `--like` there are edits of a person."""
 
     def made(self) -> list[str]:
         """Its submaps and the way of the robot."""

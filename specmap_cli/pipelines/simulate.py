@@ -19,7 +19,7 @@ from specmap_cli.core.records import Sweep, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.logs.writer import LogWriter
-from specmap_cli.maps.tum import planar_trajectory_text
+from specmap_cli.maps.text_files import planar_trajectory_text
 from specmap_cli.simulation.lasers import Cloud, Laser
 from specmap_cli.simulation.simulator import (
     START_NS,

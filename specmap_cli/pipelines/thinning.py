@@ -27,8 +27,8 @@ from specmap_cli.grids.keyframes import (
     views_needed,
 )
 from specmap_cli.layout.carrying import carried_places
-from specmap_cli.layout.dropping import gaps_of, tracked_over_gaps, without_keyframes
-from specmap_cli.pipelines.map_in_making import LaidOut, thinned_of
+from specmap_cli.layout.dropping import tracked_over_gaps, without_keyframes
+from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in, recordings_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.topology.topological_map import BorderEdit, LogInfo, Merge, heirs
 
@@ -57,7 +57,7 @@ def thinned(session: Session, joint: LaidOut, old: LaidOut, new: LaidOut) -> Thi
     store, config = session.store, session.config
     if config.update.keep_all:
         return Thinned(joint, np.arange(len(joint)), len(old))
-    of = joint.recordings
+    of = recordings_of(joint.logs, len(joint))
     gone = repeated(_recorded(store, joint, of, config), _named(joint, of))
     kept_for_walls = sole_views(
         store,
@@ -128,7 +128,7 @@ def _without(store: KeyframeStore, laid: LaidOut, of: IntArray, gone: BoolArray)
     breaks = {row[number]: bridge for number, bridge in laid.breaks.items()}
     labels, placed = laid.labels, laid.layout.poses
     logs = tuple(_renumbered(*each, row) for each in zip(laid.logs, laid.ways_m, strict=True))
-    gaps = gaps_of(placed[numbers], thinned_of(logs, of[numbers]))
+    gaps = gaps_in(placed[numbers], logs)
     store.keep(numbers, tracked_over_gaps(store.poses, placed, numbers, gaps))
     layout = without_keyframes(store, laid.layout, numbers, of, {**gaps, **breaks})
     return replace(

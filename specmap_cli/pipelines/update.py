@@ -31,19 +31,24 @@ from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.build import survey
 from specmap_cli.pipelines.finishing import finish, tell, write_finished
 from specmap_cli.pipelines.joining import (
-    beside,
     closures_between,
     heritage_of,
     inherit,
     join,
     moved_finding,
+    place_apart,
 )
 from specmap_cli.pipelines.laying_out import divides_whole, with_grid
-from specmap_cli.pipelines.learning import Prior, comparable, lessons_left, lessons_of_stored
+from specmap_cli.pipelines.learning import (
+    Prior,
+    comparable,
+    training_data_of_stored,
+    valid_training_data,
+)
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
-from specmap_cli.pipelines.overlaps import known_map, known_map_of
-from specmap_cli.pipelines.reports import BuildReport, UpdateReport, run_record
+from specmap_cli.pipelines.overlaps import laid_out_to_align, stored_to_align
+from specmap_cli.pipelines.reports import BuildReport, RunRecord, UpdateRecord, UpdateReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, align
@@ -86,43 +91,19 @@ def update_map(
         OutputDirectory(target, overwrite, progress) as partial,
         stored.keyframes() as store,
     ):
-        session = Session(config, store, progress)
-        known, old = known_map(stored), laid_out_of_stored(stored)
-        lessons = lessons_of_stored(stored, config)
+        session, old = Session(config, store, progress), laid_out_of_stored(stored)
         stream = SweepStream(log, config.log)
-        with KeyframeStore() as own:
-            alone = replace(session, store=own)
-            new, prior = survey(alone, stream)
-            known_new = known_map_of(alone, new)
-            _refuse_known(old, new, store, own)
-            store.extend(own)
-        alignment = _aligned(session, known, known_new)
-        if alignment.old_from_new is None and not allow_apart:
-            raise NoResultError(
-                f"{log.name}: fits nowhere in {stored.path}: {alignment.reason}: build a map of "
-                "its own, or append it as a part of its own with --allow-apart",
-                code=NOT_ALIGNED,
-            )
-        fewer = _joined(session, old, new, alignment, log.name, allow_apart=allow_apart)
-        laid = replace(fewer.laid, counts=_added(stored.counts, new.counts))
-        features = prior.features.among(store, fewer.old)
-        left = fewer.left[: fewer.old]
-        lessons = lessons_left(lessons, stored.labels, laid.labels, left, config.grid.resolution_m)
-        prior = Prior(
-            features.knowing(lessons.raw.keyframes, lessons.raw.features),
-            lessons,
-            comparable(known.classifiers, stored, config),
-        )
-        finished = finish(session, laid, prior)
+        fewer, prior, alignment = _updated(session, stored, old, stream, allow_apart=allow_apart)
+        finished = finish(session, fewer.laid, prior)
         tell(session, finished)
         run = write_finished(
             session,
             partial,
             finished,
-            lambda: {
-                **run_record(session, finished, log.given, stream.selection),
-                "updates": [*_earlier(stored), _told(stored.path, alignment, fewer)],
-            },
+            lambda: replace(
+                RunRecord.of(session, finished, log.given, stream.selection),
+                updates=(*_earlier(stored), _told(stored.path, alignment, fewer)),
+            ).document(),
         )
     before, visits = np.split(finished.labels.submaps, [fewer.old])
     ids = set(before.tolist())
@@ -137,6 +118,41 @@ def update_map(
         dropped=fewer.dropped,
         unapplied=finished.unapplied,
     )
+
+
+def _updated(
+    session: Session, stored: StoredMap, old: LaidOut, stream: SweepStream, *, allow_apart: bool
+) -> tuple[Thinned, Prior, Alignment]:
+    """The map with the recording; its keyframes are added to those of the map in the store.
+
+    Also what is known before it is learned, and where the recording lies.
+    """
+    config, store, name = session.config, session.store, stream.log.name
+    old_to_align, data = stored_to_align(stored), training_data_of_stored(stored, config)
+    with KeyframeStore() as own:
+        alone = replace(session, store=own)
+        new, prior = survey(alone, stream)
+        new_to_align = laid_out_to_align(alone, new)
+        _refuse_repeated(old, new, store, own)
+        store.extend(own)
+    alignment = _aligned(session, old_to_align, new_to_align)
+    if alignment.old_from_new is None and not allow_apart:
+        raise NoResultError(
+            f"{name}: fits nowhere in {stored.path}: {alignment.reason}: build a map of its own, "
+            "or append it as a part of its own with --allow-apart",
+            code=NOT_ALIGNED,
+        )
+    fewer = _joined(session, old, new, alignment, name, allow_apart=allow_apart)
+    laid, left = fewer.laid, fewer.left[: fewer.old]
+    data = valid_training_data(data, old.labels, laid.labels, left, config.grid.resolution_m)
+    features = prior.features.among(store, fewer.old)
+    prior = Prior(
+        features.knowing(data.raw.keyframes, data.raw.features),
+        data,
+        comparable(old_to_align.classifiers, stored, config),
+    )
+    counted = replace(laid, counts=_added(stored.counts, new.counts))
+    return replace(fewer, laid=counted), prior, alignment
 
 
 @one_blas_thread()
@@ -165,10 +181,10 @@ def build_like(
         KeyframeStore() as store,
     ):
         session = Session(config, store, progress)
-        known, old = known_map(stored), laid_out_of_stored(stored)
+        old_to_align, old = stored_to_align(stored), laid_out_of_stored(stored)
         stream = SweepStream(log, config.log)
         new, prior = survey(session, stream)
-        alignment = _aligned(session, known, known_map_of(session, new))
+        alignment = _aligned(session, old_to_align, laid_out_to_align(session, new))
         if alignment.old_from_new is None:
             raise NoResultError(
                 f"{log.name}: fits nowhere in {stored.path}: {alignment.reason}: build it without "
@@ -182,10 +198,10 @@ def build_like(
             session,
             partial,
             finished,
-            lambda: {
-                **run_record(session, finished, log.given, stream.selection),
-                "like": stored.path.resolve().name,
-            },
+            lambda: replace(
+                RunRecord.of(session, finished, log.given, stream.selection),
+                like=stored.path.resolve().name,
+            ).document(),
         )
     return BuildReport(out=target, run=run, quality=finished.quality, unapplied=finished.unapplied)
 
@@ -213,7 +229,7 @@ def _joined(
     """
     session.progress.start("layout", None)
     with session.stage("layout"):
-        where = alignment.old_from_new or beside(old.whole, new.whole)
+        where = alignment.old_from_new or place_apart(old.whole, new.whole)
         found = closures_between(old, new, alignment.joints)
         joint = join(session, old, new, where, found)
     if len(old) in joint.layout.loose and not allow_apart:
@@ -268,7 +284,7 @@ def _alike(old: LaidOut, new: LaidOut, old_from_new: Pose2, config: Config) -> L
     )
 
 
-def _refuse_known(old: LaidOut, new: LaidOut, store: KeyframeStore, own: KeyframeStore) -> None:
+def _refuse_repeated(old: LaidOut, new: LaidOut, store: KeyframeStore, own: KeyframeStore) -> None:
     """Refuse a recording that the map was made of: its walls would count twice."""
     (log,) = new.logs
     scan = own.scan(0)
@@ -299,13 +315,13 @@ def _earlier(stored: StoredMap) -> list[Any]:
     return updates if isinstance(updates, list) else []
 
 
-def _told(path: Path, alignment: Alignment, fewer: Thinned) -> dict[str, Any]:
+def _told(path: Path, alignment: Alignment, fewer: Thinned) -> UpdateRecord:
     """What run.json keeps of an update."""
     motion = alignment.old_from_new
-    return {
-        "map": path.resolve().name,
-        "old_from_new": None if motion is None else np.round(motion, 6).tolist(),
-        "reason": alignment.reason,
-        "keyframes_dropped": fewer.dropped,
-        "keyframes_kept_for_walls": fewer.kept_for_walls,
-    }
+    return UpdateRecord(
+        map=path.resolve().name,
+        old_from_new=None if motion is None else tuple(np.round(motion, 6).tolist()),
+        reason=alignment.reason,
+        keyframes_dropped=fewer.dropped,
+        keyframes_kept_for_walls=fewer.kept_for_walls,
+    )

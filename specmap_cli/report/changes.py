@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.records import BoolArray
+from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.grids.bent import BentMotion
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.maps.comparison import ComparisonRecord, DoorRecord, ThingRecord
+from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.report.layers import DrawnMap
 from specmap_cli.report.svg import Frame, outlines, path_data
@@ -49,12 +48,18 @@ def old_map(changes: Changes, map_: DrawnMap) -> dict[str, Any]:
     of the new map what they were in the old one.
     """
     old, record, frame = DrawnMap(changes.old), changes.record, map_.frame
-    grid, motion = old.regions.grid, changes.new_from_old
+
+    def carried(cells: BoolArray) -> str:
+        """Cells of the old map as path data in the drawing of the new one."""
+        rings = outlines(cells, old.regions.grid)
+        places = [frame.places(changes.new_from_old.apply(ring)) for ring in rings]
+        return path_data(places, closed=True)
+
     lost = [*record.submaps.gone, *record.submaps.unseen]
     return {
         "name": changes.old.path.resolve().name,
-        "walls": _carried(grid.occupied, grid, motion, frame),
-        "gone": _carried(np.isin(old.regions.owner, lost), grid, motion, frame),
+        "walls": carried(old.regions.grid.occupied),
+        "gone": carried(np.isin(old.regions.owner, lost)),
         "was": _was(record),
         "changes": list(_changes(changes, frame)),
         "lines": changes.lines,
@@ -72,39 +77,23 @@ def _was(record: ComparisonRecord) -> dict[int, str]:
     return redrawn | new | merged | split | same
 
 
-def _carried(cells: BoolArray, grid: GridMap, motion: BentMotion, frame: Frame) -> str:
-    """Cells of the old map as path data in the drawing of the new one."""
-    rings = [frame.places(motion.apply(ring)) for ring in outlines(cells, grid)]
-    return path_data(rings, closed=True)
+def _changes(changes: Changes, frame: Frame) -> Iterator[Change]:
+    things, doors = changes.record.things, changes.record.doors
+    for kind, some in (("appeared", things.appeared), ("vanished", things.vanished)):
+        for thing in some:
+            corners = frame.places(changes.new_from_old.apply(np.array(thing.corners)))
+            words = f"{kind}: {thing.length_m:.1f} m × {thing.width_m:.1f} m"
+            yield Change(kind, words, path_data([corners], closed=True), _middle(corners))
+    for kind, ways in (("closed", doors.closed), ("opened", doors.opened)):
+        for way in ways:
+            place = frame.places(changes.new_from_old.apply(np.array([[way.x, way.y]])))
+            half = max(way.width_m * 50.0, _LEAST_DOOR_CM)
+            cross = np.array([[-half, -half], [half, half], [-half, half], [half, -half]])
+            lines = np.rint(place + cross).astype(np.int64)
+            words = f"way {kind}: {way.width_m:.1f} m wide"
+            yield Change(kind, words, path_data([lines[:2], lines[2:]]), _middle(place))
 
 
-def _changes(changes: Changes, frame: Frame) -> Iterable[Change]:
-    record, motion = changes.record, changes.new_from_old
-    for kind, things in (
-        ("appeared", record.things.appeared),
-        ("vanished", record.things.vanished),
-    ):
-        yield from (_thing(kind, thing, motion, frame) for thing in things)
-    for kind, doors in (("closed", record.doors.closed), ("opened", record.doors.opened)):
-        yield from (_door(kind, door, motion, frame) for door in doors)
-
-
-def _thing(kind: str, thing: ThingRecord, motion: BentMotion, frame: Frame) -> Change:
-    corners = frame.places(motion.apply(np.array(thing.corners)))
-    words = f"{kind}: {thing.length_m:.1f} m × {thing.width_m:.1f} m"
-    return Change(kind, words, path_data([corners], closed=True), _middle(corners.tolist()))
-
-
-def _door(kind: str, door: DoorRecord, motion: BentMotion, frame: Frame) -> Change:
-    place = frame.places(motion.apply(np.array([[door.x, door.y]])))[0]
-    half = max(door.width_m * 50.0, _LEAST_DOOR_CM)
-    cross = np.array([[-half, -half], [half, half], [-half, half], [half, -half]])
-    lines = np.rint(place + cross).astype(np.int64)
-    words = f"way {kind}: {door.width_m:.1f} m wide"
-    x, y = place.tolist()
-    return Change(kind, words, path_data([lines[:2], lines[2:]]), (x, y))
-
-
-def _middle(corners: Sequence[Sequence[int]]) -> tuple[int, int]:
-    x, y = np.mean(corners, axis=0).tolist()
+def _middle(points: IntArray) -> tuple[int, int]:
+    x, y = points.mean(axis=0).tolist()
     return round(x), round(y)

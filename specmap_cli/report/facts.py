@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -23,7 +22,7 @@ from specmap_cli.report.evidence import Learned
 from specmap_cli.report.html import lasting
 from specmap_cli.report.layers import DrawnMap
 from specmap_cli.report.track import Track
-from specmap_cli.topology.topological_map import Door, default_name, driven_m
+from specmap_cli.topology.topological_map import default_name, driven_m
 
 _THUMBNAIL = 240  # pixels of the longer side, at most
 _AROUND_M = 0.7  # shown round the outline of a submap
@@ -62,10 +61,15 @@ def facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
     record = map_.stored.record
     doors, closures = record.graph.doors, record.graph.closures
     driven = sum(door.driven for door in doors)
+    how_many = "all" if driven == len(doors) else f"{driven:,}"
     found = [
         (f"{len(record.nodes):,}", "", _plural(len(record.nodes), "submap")),
         (f"{sum(node.area_m2 for node in record.nodes):,.0f}", "m²", "free space"),
-        (f"{len(doors):,}", "", _plural(len(doors), "door") + _driven(driven, len(doors))),
+        (
+            f"{len(doors):,}",
+            "",
+            _plural(len(doors), "door") + (f", {how_many} driven through" if driven else ""),
+        ),
     ]
     if track.known:
         way = driven_m(map_.stored.logs, map_.labels)
@@ -82,17 +86,12 @@ def _plural(count: int, noun: str) -> str:
     return counted(count, noun).split(" ", 1)[1]
 
 
-def _driven(driven: int, doors: int) -> str:
-    if not doors or not driven:
-        return ""
-    return ", all driven through" if driven == doors else f", {driven:,} driven through"
-
-
 def run_of(map_: DrawnMap) -> dict[str, Any]:
     """How the map was made, by parts; they are empty for a map without run.json."""
     stored = map_.stored
     known = (stored.path / filenames.RUN).exists()
     run = stored.run if known else {}
+    warnings = run.get("warnings")
     seconds = [
         (key, float(value)) for key, value in _dict(run, "seconds").items() if _is_number(value)
     ]
@@ -103,7 +102,7 @@ def run_of(map_: DrawnMap) -> dict[str, Any]:
         "counts": [(key, f"{count:,}") for key, count in counts.items() if count],
         "seconds": sorted(seconds, key=lambda one: -one[1]),
         "versions": _pairs(_dict(run, "versions")),
-        "warnings": _texts(run.get("warnings")),
+        "warnings": list(map(str, warnings)) if isinstance(warnings, list) else [],
     }
 
 
@@ -117,18 +116,15 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _texts(values: Any) -> tuple[str, ...]:
-    return tuple(map(str, values)) if isinstance(values, list) else ()
-
-
 def _pairs(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     return tuple(
-        (key.replace("_", " "), _text(value)) for key, value in values.items() if value is not None
+        (
+            key.replace("_", " "),
+            ", ".join(map(str, value)) if isinstance(value, list) else str(value),
+        )
+        for key, value in values.items()
+        if value is not None
     )
-
-
-def _text(value: Any) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _changed(config: Config) -> Iterator[tuple[str, str, str]]:
@@ -144,68 +140,37 @@ def _changed(config: Config) -> Iterator[tuple[str, str, str]]:
                 yield f"{section}.{key}", str(value), str(usual[section][key])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sheet:
-    """All that is told of one submap; `doors` and open borders to `open_to` are its neighbours.
+def sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[dict[str, Any]]:
+    """The sheets of all submaps, by id: all that is told of each.
 
-    `visits` are start and length in seconds. `thumbnail` is a PNG as a data URL.
+    `doors` and open borders to `open_to` are its neighbours. `visits` are start and length in
+    seconds. `thumbnail` is a PNG as a data URL.
     """
-
-    node: NodeRecord
-    named: bool
-    doors: tuple[Door, ...]
-    open_to: tuple[int, ...]
-    visits: tuple[tuple[float, float], ...]
-    thumbnail: str
-    thumbnail_size: tuple[int, int]
-    learned: Learned
-
-    @property
-    def stayed_s(self) -> float:
-        """Seconds that the robot spent there."""
-        return sum(length for _, length in self.visits)
-
-    @property
-    def sides_m(self) -> tuple[float, float]:
-        """The sides of the smallest upright box round its outline."""
-        if not self.node.polygon:
-            return 0.0, 0.0
-        width, height = np.ptp(np.array(self.node.polygon), axis=0).tolist()
-        return width, height
-
-
-def sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[Sheet]:
-    """The sheets of all submaps, by id."""
     return [
         _sheet(node, map_, learned.get(id_, Learned())) for id_, node in sorted(map_.nodes.items())
     ]
 
 
-def _sheet(node: NodeRecord, map_: DrawnMap, learned: Learned) -> Sheet:
+def _sheet(node: NodeRecord, map_: DrawnMap, learned: Learned) -> dict[str, Any]:
+    record = map_.stored.record
     thumbnail, size = _thumbnail(_close_up(map_.stored.grid(node.id), node))
-    return Sheet(
-        node=node,
-        named=node.name != default_name(node.id),
-        doors=tuple(door for door in map_.stored.record.graph.doors if node.id in door.between),
-        open_to=_open_to(node.id, map_),
-        visits=tuple(
-            (seconds(visit.start_ns), seconds(visit.end_ns) - seconds(visit.start_ns))
-            for visit in node.visits
-        ),
-        thumbnail=thumbnail,
-        thumbnail_size=size,
-        learned=learned,
-    )
-
-
-def _open_to(submap: int, map_: DrawnMap) -> tuple[int, ...]:
-    """The neighbours that no door leads to."""
-    ends = [
-        (edge.source, edge.target)
-        for edge in map_.stored.record.edges
-        if submap in (edge.source, edge.target) and not edge.doors
-    ]
-    return tuple(sorted(b if a == submap else a for a, b in ends))
+    spans = [(seconds(visit.start_ns), seconds(visit.end_ns)) for visit in node.visits]
+    visits = [(start, end - start) for start, end in spans]
+    ends = [(edge.source, edge.target) for edge in record.edges if not edge.doors]
+    open_to = [b if a == node.id else a for a, b in ends if node.id in (a, b)]
+    sides_m = np.ptp(np.array(node.polygon), axis=0).tolist() if node.polygon else (0.0, 0.0)
+    return {
+        "node": node,
+        "named": node.name != default_name(node.id),
+        "doors": [door for door in record.graph.doors if node.id in door.between],
+        "open_to": sorted(open_to),
+        "visits": visits,
+        "stayed_s": sum(length for _, length in visits),
+        "sides_m": sides_m,  # of the smallest upright box round its outline
+        "thumbnail": thumbnail,
+        "thumbnail_size": size,
+        "learned": learned,
+    }
 
 
 def _close_up(grid: GridMap, node: NodeRecord) -> GridMap:

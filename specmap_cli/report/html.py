@@ -87,14 +87,13 @@ def html_page(
 
 
 def _joined(package: str, folder: str, names: Iterable[str]) -> str:
-    """Files of a folder, one after the other."""
-    return "\n".join(_found(package, folder, name) for name in names)
-
-
-def _found(package: str, folder: str, name: str) -> str:
-    own = resources.files(package) / folder / name
-    home = own if own.is_file() else resources.files(PACKAGE) / folder / name
-    return home.read_text(encoding="utf-8")
+    """Files of a folder of `package`, else of the report, one after the other."""
+    texts = []
+    for name in names:
+        own = resources.files(package) / folder / name
+        file = own if own.is_file() else resources.files(PACKAGE) / folder / name
+        texts.append(file.read_text(encoding="utf-8"))
+    return "\n".join(texts)
 
 
 def feature_words(feature: str) -> str:

@@ -13,7 +13,7 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Span
-from specmap_cli.core.records import BoolArray, Closure, Labels
+from specmap_cli.core.records import BoolArray, Closure, IntArray, Labels
 from specmap_cli.drawing.overview import drawn_as
 from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import extent_of
@@ -21,17 +21,15 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.maps import filenames
 from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.tum import read_trajectory
+from specmap_cli.maps.text_files import read_trajectory
 from specmap_cli.report.html import shown
-from specmap_cli.report.svg import Frame, fill_names, path_data, traced
+from specmap_cli.report.svg import Frame, fill_names, outlines, path_data
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.shapes import outline_of
 from specmap_cli.topology.topological_map import starts_of
 
 MOST_REFUSED = 400  # refused closures that are drawn: those with the largest xi
 _MOST_LOST = 500  # places of lost scans that are drawn
-
-Box = tuple[int, int, int, int]  # left, top, width and height in the drawing
 
 _NO_LABELS = Labels(
     stamps_ns=np.zeros(0, dtype=np.int64),
@@ -98,6 +96,21 @@ class DrawnMap:
         """What the submaps are called: by a person, or by their numbers."""
         return {id_: shown(node.name) for id_, node in self.nodes.items()}
 
+    @property
+    def walls(self) -> str:
+        """The walls as path data."""
+        return path_data(self.rings(self.regions.grid.occupied), closed=True)
+
+    @property
+    def unreached(self) -> str:
+        """What was seen and belongs to no submap, as path data."""
+        unowned = self.regions.grid.free & (self.regions.owner == NOBODY)
+        return path_data(self.rings(unowned), closed=True)
+
+    def rings(self, cells: BoolArray) -> list[IntArray]:
+        """Outlines and holes of cells (H, W) of the whole grid, in the drawing."""
+        return [self.frame.places(ring) for ring in outlines(cells, self.regions.grid)]
+
 
 def middle_of(node: NodeRecord) -> tuple[float, float]:
     """Where the badge of a submap stands in the map."""
@@ -149,8 +162,9 @@ def _corners(parts: Iterable[FloatArray]) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Region:
-    """A submap on the map: its `outline` and the `rim` of its largest part as path data, its badge,
-    and the `box` round it.
+    """A submap on the map: its `outline` and the `rim` of its largest part as path data, its badge.
+
+    The `box` round it is left, top, width and height in the drawing.
     """
 
     id: int
@@ -158,7 +172,7 @@ class Region:
     outline: str
     rim: str
     badge: tuple[int, int]
-    box: Box
+    box: tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,17 +202,6 @@ class ClosureMark:
     reason: str
 
 
-def walls(regions: Regions, frame: Frame) -> str:
-    """The walls as path data."""
-    return path_data(traced(regions.grid.occupied, regions.grid, frame), closed=True)
-
-
-def unreached(regions: Regions, frame: Frame) -> str:
-    """What was seen and belongs to no submap, as path data."""
-    cells = regions.grid.free & (regions.owner == NOBODY)
-    return path_data(traced(cells, regions.grid, frame), closed=True)
-
-
 def regions_of(map_: DrawnMap) -> list[Region]:
     """The submaps on the map, by id."""
     names = fill_names(map_.fills.values())
@@ -206,22 +209,18 @@ def regions_of(map_: DrawnMap) -> list[Region]:
 
 
 def _region(id_: int, map_: DrawnMap, fill: str) -> Region:
-    rings = traced(map_.regions.owner == id_, map_.regions.grid, map_.frame)
-    node, frame = map_.nodes[id_], map_.frame
-    badge = frame.place(middle_of(node))
+    node, rings = map_.nodes[id_], map_.rings(map_.regions.owner == id_)
+    badge = map_.frame.place(middle_of(node))
+    points = np.vstack([np.array([badge]), *rings])
+    (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return Region(
         id=id_,
         fill=fill,
         outline=path_data(rings, closed=True),
-        rim=path_data([frame.places(np.array(node.polygon))], closed=True),
+        rim=map_.frame.line(node.polygon, closed=True),
         badge=badge,
-        box=_box(np.vstack([np.array([badge]), *rings])),
+        box=(left, top, right - left, bottom - top),
     )
-
-
-def _box(points: FloatArray) -> Box:
-    (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return left, top, right - left, bottom - top
 
 
 def links_of(map_: DrawnMap) -> list[Link]:
@@ -244,13 +243,21 @@ def links_of(map_: DrawnMap) -> list[Link]:
 
 def closures_of(map_: DrawnMap) -> Closures:
     """The closures that were accepted, and those refused with the largest xi."""
-    places, frame = _places_of_stays(map_), map_.frame
+    places = _places_of_stays(map_)
+
+    def mark(closure: Closure) -> ClosureMark:
+        return ClosureMark(
+            line=map_.frame.line([places[closure.new], places[closure.old]]),
+            xi=None if math.isnan(closure.xi) else closure.xi,
+            reason=closure.reason,
+        )
+
     closures = map_.stored.record.graph.closures
     known = [each for each in closures if {each.new, each.old} <= places.keys()]
-    accepted = [each for each in known if each.merged]
     refused = [each for each in known if not each.merged]
     drawn = sorted(refused, key=lambda one: 0.0 if math.isnan(one.xi) else -one.xi)[:MOST_REFUSED]
-    return Closures(_marks(accepted, places, frame), _marks(drawn, places, frame), len(refused))
+    accepted = [mark(each) for each in known if each.merged]
+    return Closures(accepted, [mark(each) for each in drawn], len(refused))
 
 
 def _places_of_stays(map_: DrawnMap) -> dict[int, FloatArray]:
@@ -272,19 +279,6 @@ def _middle_of(runs: Sequence[Span]) -> int:
             return first + half
         half -= last - first + 1
     return runs[-1][1]
-
-
-def _marks(
-    closures: Iterable[Closure], places: dict[int, FloatArray], frame: Frame
-) -> list[ClosureMark]:
-    return [
-        ClosureMark(
-            line=frame.line([places[each.new], places[each.old]]),
-            xi=None if math.isnan(each.xi) else each.xi,
-            reason=each.reason,
-        )
-        for each in closures
-    ]
 
 
 def lost_places(map_: DrawnMap) -> list[tuple[int, int]]:

@@ -43,7 +43,8 @@ class Frame:
         if not len(points):
             points = np.zeros((1, 2))
         (left, low), (right, top) = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
-        return cls(float(left), float(top), _cm(right - left), _cm(top - low))
+        width, height = (round(float(side) * _CM) for side in (right - left, top - low))
+        return cls(float(left), float(top), width, height)
 
     def places(self, points: FloatArray) -> IntArray:
         """(N, 2) points of the map in the drawing."""
@@ -56,13 +57,9 @@ class Frame:
         ((x, y),) = self.places(np.array([*point])).tolist()
         return x, y
 
-    def line(self, points: Sequence[Sequence[float] | FloatArray]) -> str:
+    def line(self, points: Sequence[Sequence[float] | FloatArray], *, closed: bool = False) -> str:
         """A polyline through points of the map, as path data in the drawing."""
-        return path_data([self.places(np.array(points))])
-
-
-def _cm(length_m: float) -> int:
-    return round(float(length_m) * _CM)
+        return path_data([self.places(np.array(points))], closed=closed)
 
 
 def path_data(lines: Iterable[IntArray], *, closed: bool = False) -> str:
@@ -74,20 +71,12 @@ def path_data(lines: Iterable[IntArray], *, closed: bool = False) -> str:
         (x, y), *_ = line.tolist()
         steps = np.diff(line, axis=0)
         moved = steps[(steps != 0).any(axis=1)]
-        parts.append(f"M{x} {y}l{_joined(moved)}" if len(moved) else f"M{x} {y}h0")
+        # a minus sign parts numbers as well as a space does
+        joined = " ".join(map(str, moved.reshape(-1).tolist())).replace(" -", "-")
+        parts.append(f"M{x} {y}l{joined}" if len(moved) else f"M{x} {y}h0")
         if closed:
             parts.append("z")
     return "".join(parts)
-
-
-def _joined(steps: IntArray) -> str:
-    """Numbers in a row; a minus sign parts them as well as a space does."""
-    return " ".join(map(str, steps.reshape(-1).tolist())).replace(" -", "-")
-
-
-def traced(cells: BoolArray, grid: GridMap, frame: Frame) -> list[IntArray]:
-    """`outlines` in the drawing, centimetres."""
-    return [frame.places(ring) for ring in outlines(cells, grid)]
 
 
 def outlines(cells: BoolArray, grid: GridMap) -> list[FloatArray]:
@@ -133,15 +122,13 @@ class Tone:
 
 def tones(fills: Iterable[Colour]) -> dict[str, Tone]:
     """Every colour of the map by the name of its variable; `fills` are those of its regions."""
-    lines = {name: Tone(css(colour), css(_inverted(colour))) for name, colour in _lines().items()}
-    grounds = {
+    _, a, b = _to_lab(palette.SHADE)
+    return {
         "paper": Tone(css(palette.PAPER), css(_inverted(palette.PAPER))),
-        "shade": Tone(css(palette.SHADE), css(_lit(palette.SHADE, 24.0))),
+        "shade": Tone(css(palette.SHADE), css(_from_lab(24.0, a, b))),
+        **{name: Tone(css(colour), css(_inverted(colour))) for name, colour in _lines().items()},
+        **{name: Tone(css(fill), css(_dimmed(fill))) for fill, name in fill_names(fills).items()},
     }
-    regions = {
-        name: Tone(css(fill), css(_dimmed(fill))) for fill, name in fill_names(fills).items()
-    }
-    return grounds | lines | regions
 
 
 def fill_names(fills: Iterable[Colour]) -> dict[Colour, str]:
@@ -156,7 +143,11 @@ def css(colour: Colour) -> str:
 
 
 def _lines() -> Mapping[str, Colour]:
-    """What is drawn and written upon the ground."""
+    """What is drawn and written upon the paper."""
+    # from early to late: ever lighter, so that it reads without telling hues apart
+    time = _blend((palette.INK, palette.CLOSURE, _LATE), STEPS)
+    # from scans that do not fit the walls to those that do
+    fit = _blend((palette.WRONG, _LATE, darker(palette.QUIET, 0.8)), 5)
     return {
         "ink": palette.INK,
         "quiet": darker(palette.QUIET, 0.8),
@@ -166,19 +157,9 @@ def _lines() -> Mapping[str, Colour]:
         "wrong": palette.WRONG,
         "loose": darker(palette.LOOSE, 0.85),
         "door": palette.DOOR,
-        **{f"time-{k}": colour for k, colour in enumerate(_time())},
-        **{f"fit-{k}": colour for k, colour in enumerate(_fit())},
+        **{f"time-{k}": colour for k, colour in enumerate(time)},
+        **{f"fit-{k}": colour for k, colour in enumerate(fit)},
     }
-
-
-def _time() -> list[Colour]:
-    """From early to late: ever lighter, so that it reads without telling hues apart."""
-    return _blend((palette.INK, palette.CLOSURE, _LATE), STEPS)
-
-
-def _fit() -> list[Colour]:
-    """From scans that do not fit the walls to those that do."""
-    return _blend((palette.WRONG, _LATE, darker(palette.QUIET, 0.8)), 5)
 
 
 def _blend(stops: Sequence[Colour], steps: int) -> list[Colour]:
@@ -200,11 +181,6 @@ def _dimmed(fill: Colour) -> Colour:
     """A fill for a dark page."""
     light, a, b = _to_lab(fill)
     return _from_lab(light - _FILL_DROP, a * _FILL_CHROMA, b * _FILL_CHROMA)
-
-
-def _lit(colour: Colour, light: float) -> Colour:
-    _, a, b = _to_lab(colour)
-    return _from_lab(light, a, b)
 
 
 def _to_lab(colour: Colour) -> tuple[float, float, float]:

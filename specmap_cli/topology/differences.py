@@ -23,12 +23,38 @@ _NEAR_M = 1.0  # from a submap's floor: what stands there stands in it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PlacedThing:
-    """A thing with its place in the old map, and the submap that it stands in, by either map."""
+class Obstacle:
+    """Something that stands in one map where the other saw free space.
 
-    thing: Thing
-    old_submap: int | None
-    new_submap: int | None
+    `corners` (4, 2) are those of the smallest box round it, `centre` (2,) its middle, `length_m`
+    and `width_m` the sides of the box, the longer first; `cells` how many cells of the map show it.
+    `old_submap` and `new_submap` are those that it stands in, by either map.
+    """
+
+    corners: FloatArray
+    centre: FloatArray
+    length_m: float
+    width_m: float
+    cells: int
+    old_submap: int | None = None
+    new_submap: int | None = None
+
+    @property
+    def area_m2(self) -> float:
+        """Square metres of the box."""
+        return self.length_m * self.width_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Crossing:
+    """Where two submaps of a map meet, `between` the smaller id and the larger.
+
+    `place` (2,) is the widest part of their border in that map, `width_m` the free width there.
+    """
+
+    between: tuple[int, int]
+    place: FloatArray
+    width_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,8 +69,8 @@ class Differences:
     identity: Identity
     closed: tuple[Crossing, ...] = ()
     opened: tuple[Crossing, ...] = ()
-    appeared: tuple[PlacedThing, ...] = ()
-    vanished: tuple[PlacedThing, ...] = ()
+    appeared: tuple[Obstacle, ...] = ()
+    vanished: tuple[Obstacle, ...] = ()
 
 
 def differences(
@@ -55,12 +81,12 @@ def differences(
     before, after = Surveyed(old.grid, tracks[0]), Surveyed(new.grid, tracks[1])
     closed = blocked_ways(old, after, new_from_old)
     opened = [_moved(way, old_from_new) for way in blocked_ways(new, before, old_from_new)]
-    things = things_in(new.grid, before, old_from_new)
-    appeared = [_turned(thing, old_from_new) for thing in things]
-    vanished = things_in(old.grid, after, new_from_old)
+    obstacles = obstacles_in(new.grid, before, old_from_new)
+    appeared = [_turned(obstacle, old_from_new) for obstacle in obstacles]
+    vanished = obstacles_in(old.grid, after, new_from_old)
     placed = [
-        tuple(_placed(thing, old, new, new_from_old) for thing in _outside(things, ways))
-        for things, ways in ((appeared, closed), (vanished, opened))
+        tuple(_placed(obstacle, old, new, new_from_old) for obstacle in _outside(obstacles, ways))
+        for obstacles, ways in ((appeared, closed), (vanished, opened))
     ]
     return Differences(
         identity=identify(old, new, old_from_new.rigid),
@@ -75,30 +101,31 @@ def _moved(way: Crossing, old_from_new: BentMotion) -> Crossing:
     return replace(way, place=old_from_new.apply(way.place[None])[0])
 
 
-def _turned(thing: Thing, old_from_new: BentMotion) -> Thing:
-    near = old_from_new.near(thing.centre)
+def _turned(obstacle: Obstacle, old_from_new: BentMotion) -> Obstacle:
+    near = old_from_new.near(obstacle.centre)
     return replace(
-        thing, centre=near.apply(thing.centre[None])[0], corners=near.apply(thing.corners)
+        obstacle, centre=near.apply(obstacle.centre[None])[0], corners=near.apply(obstacle.corners)
     )
 
 
-def _outside(things: Iterable[Thing], ways: Sequence[Crossing]) -> list[Thing]:
-    """The things that are not the doors of some ways."""
+def _outside(obstacles: Iterable[Obstacle], ways: Sequence[Crossing]) -> list[Obstacle]:
+    """The obstacles that are not the doors of some ways."""
     return [
-        thing
-        for thing in things
+        obstacle
+        for obstacle in obstacles
         if all(
-            math.dist(thing.centre, way.place) > way.width_m / 2 + _DOORWAY_M
-            or thing.length_m > way.width_m + 2 * _DOORWAY_M
+            math.dist(obstacle.centre, way.place) > way.width_m / 2 + _DOORWAY_M
+            or obstacle.length_m > way.width_m + 2 * _DOORWAY_M
             for way in ways
         )
     ]
 
 
-def _placed(thing: Thing, old: Regions, new: Regions, new_from_old: BentMotion) -> PlacedThing:
-    there = new_from_old.apply(thing.centre[None])[0]
-    return PlacedThing(
-        thing=thing, old_submap=_submap_at(old, thing.centre), new_submap=_submap_at(new, there)
+def _placed(obstacle: Obstacle, old: Regions, new: Regions, new_from_old: BentMotion) -> Obstacle:
+    """A obstacle with the submaps that it stands in."""
+    there = new_from_old.apply(obstacle.centre[None])[0]
+    return replace(
+        obstacle, old_submap=_submap_at(old, obstacle.centre), new_submap=_submap_at(new, there)
     )
 
 
@@ -124,30 +151,9 @@ _ROUNDING_M = 1e-6  # of a whole number of cells
 # It must stand so deep in free space of the other map: its edge is where beams ended by chance.
 _DEPTH_M, _DEPTH_CELLS = 0.12, 2.0
 NEAR_M = 5.0  # farther off, half a degree and a slanting wall are more than that
-_BESIDE_CELLS = 1.5  # what hangs together with it belongs to it when it is off by more than this
+_ADJOINING_CELLS = 1.5  # what hangs together with it belongs to it when it is off by more than this
 _LEAST_M, _LEAST_CELLS = 0.15, 5  # a hand's breadth and its noise; single cells flicker
-_GAP_M = 0.2  # between pieces of one thing: its faces are seen, and some of these from aside
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Thing:
-    """Something that one map has and the other has not.
-
-    `corners` (4, 2) are those of the smallest box round it, `centre` (2,) its middle, both in the
-    map that has it; `length_m` and `width_m` the sides of the box, the longer first; `cells` how
-    many cells of the map show it.
-    """
-
-    corners: FloatArray
-    centre: FloatArray
-    length_m: float
-    width_m: float
-    cells: int
-
-    @property
-    def area_m2(self) -> float:
-        """Square metres of the box."""
-        return self.length_m * self.width_m
+_GAP_M = 0.2  # between pieces of one obstacle: its faces are seen, and some of these from aside
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,51 +171,50 @@ class Surveyed:
         return np.asarray(np.isfinite(away))
 
 
-def things_in(grid: GridMap, seen: Surveyed, other_from_grid: BentMotion) -> list[Thing]:
+def obstacles_in(grid: GridMap, survey: Surveyed, other_from_grid: BentMotion) -> list[Obstacle]:
     """What stands in a map where another one saw free space, the largest first."""
-    cells, other = np.argwhere(grid.occupied), seen.grid
-    apart_m, depth_m = _distances(other)
+    cells, other = np.argwhere(grid.occupied), survey.grid
+    apart_m, depth_m = other.obstacle_distance(), other.clearance()
     places = other_from_grid.apply(grid.centres_of(cells))
     placed = other.cells_of(places)
     inside = other.inside(placed)
-    inside[inside] = seen.saw_well(places[inside])
+    inside[inside] = survey.saw_well(places[inside])
     cells, (rows, columns) = cells[inside], placed[inside].T
     free = other.cells[rows, columns] == FREE
     apart = apart_m[rows, columns]
     sure = free & (apart > max(_APART_M, _APART_CELLS * other.resolution) + _ROUNDING_M)
     sure &= depth_m[rows, columns] > max(_DEPTH_M, _DEPTH_CELLS * other.resolution)
-    beside = free & (apart > _BESIDE_CELLS * other.resolution)
-    found = [_thing(grid, part) for part in _parts(grid, cells, sure, beside)]
-    large = [thing for thing in found if thing.length_m >= _LEAST_M and thing.cells >= _LEAST_CELLS]
-    return sorted(large, key=lambda thing: (-thing.length_m, *thing.centre.tolist()))
-
-
-def _distances(grid: GridMap) -> tuple[FloatArray, FloatArray]:
-    """(H, W) metres from each cell to the nearest obstacle, and to the nearest cell not free."""
-    return grid.obstacle_distance(), grid.clearance()
+    adjoining = free & (apart > _ADJOINING_CELLS * other.resolution)
+    found = [_obstacle(grid, part) for part in _parts(grid, cells, sure, adjoining)]
+    large = [
+        obstacle
+        for obstacle in found
+        if obstacle.length_m >= _LEAST_M and obstacle.cells >= _LEAST_CELLS
+    ]
+    return sorted(large, key=lambda obstacle: (-obstacle.length_m, *obstacle.centre.tolist()))
 
 
 def _parts(
-    grid: GridMap, cells: NDArray[np.intp], sure: BoolArray, beside: BoolArray
+    grid: GridMap, cells: NDArray[np.intp], sure: BoolArray, adjoining: BoolArray
 ) -> list[NDArray[np.intp]]:
-    """The cells (N, 2) of each thing: those that are sure and what hangs together with them."""
+    """The cells (N, 2) of each obstacle: those that are sure and what hangs together with them."""
     picture = np.zeros(grid.cells.shape, dtype=np.uint8)
-    picture[tuple(cells[sure | beside].T)] = 1
+    picture[tuple(cells[sure | adjoining].T)] = 1
     reach = max(1, round(0.5 * _GAP_M / grid.resolution))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     count, labels = cv2.connectedComponents(cv2.dilate(picture, kernel), connectivity=8)
-    some = cells[sure | beside]
+    some = cells[sure | adjoining]
     of_cell = labels[tuple(some.T)]
     known = np.bincount(labels[tuple(cells[sure].T)], minlength=count)
     return [some[of_cell == k] for k in range(1, count) if known[k] >= _LEAST_CELLS]
 
 
-def _thing(grid: GridMap, cells: NDArray[np.intp]) -> Thing:
-    """The thing that some cells (N, 2) show."""
+def _obstacle(grid: GridMap, cells: NDArray[np.intp]) -> Obstacle:
+    """The obstacle that some cells (N, 2) show."""
     points = grid.centres_of(cells)
     (x, y), sides, _ = box = cv2.minAreaRect(points.astype(np.float32))
     length, width = sorted((float(side) + grid.resolution for side in sides), reverse=True)
-    return Thing(
+    return Obstacle(
         corners=np.asarray(cv2.boxPoints(box), dtype=np.float64),
         centre=np.array([x, y], dtype=np.float64),
         length_m=length,
@@ -241,30 +246,18 @@ _SEEN = 0.5  # share of a side that the other map must have seen
 _Cells = NDArray[np.intp]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Crossing:
-    """Where two submaps of a map meet, `between` the smaller id and the larger.
-
-    `place` (2,) is the widest part of their border in that map, `width_m` the free width there.
-    """
-
-    between: tuple[int, int]
-    place: FloatArray
-    width_m: float
-
-
-def blocked_ways(regions: Regions, seen: Surveyed, other_from_map: BentMotion) -> list[Crossing]:
+def blocked_ways(regions: Regions, survey: Surveyed, other_from_map: BentMotion) -> list[Crossing]:
     """The ways of a divided map that are blocked in another map, which saw one side at the least.
 
     What hides the other side must stand all across: behind a closed door nothing is seen.
 
     In order of the pairs of submaps, then of the places.
     """
-    other = seen.grid, seen.grid.obstacle_distance()
+    other = survey.grid, survey.grid.obstacle_distance()
     return [
         way
         for way, border in _ways(regions)
-        if seen.saw_well(other_from_map.apply(way.place[None]))[0]
+        if survey.saw_well(other_from_map.apply(way.place[None]))[0]
         and _is_blocked(regions, way, border, other, other_from_map)
     ]
 

@@ -35,6 +35,7 @@ from specmap_cli.topology.topological_map import (
     TopologicalMap,
     Traversal,
     Visit,
+    edge_between,
 )
 
 # A robot keeps its own radius off both sides of a wall: tracks this near are in one room.
@@ -201,14 +202,11 @@ def _recognised(
     for closure in closures:
         if closure.verified and not closure.merged:
             low, high = sorted((submap_of[closure.old], submap_of[closure.new]))
-            if low != high and _tracks_meet(poses[labels == low], poses[labels == high]):
+            if low == high:
+                continue
+            away = cKDTree(poses[labels == low, :2]).query(poses[labels == high, :2])[0]
+            if float(np.min(away, initial=np.inf)) < _MEETING_M:
                 yield _Contact((low, high), "closure")
-
-
-def _tracks_meet(a: FloatArray, b: FloatArray) -> bool:
-    """Whether the robot was at one place in both submaps."""
-    away = cKDTree(a[:, :2]).query(b[:, :2])[0]
-    return float(np.min(away, initial=np.inf)) < _MEETING_M
 
 
 def _edges(contacts: Iterable[_Contact], submaps: Mapping[int, Submap]) -> dict[Pair, Edge]:
@@ -217,15 +215,13 @@ def _edges(contacts: Iterable[_Contact], submaps: Mapping[int, Submap]) -> dict[
     for contact in contacts:
         by_pair.setdefault(contact.pair, []).append(contact)
     return {
-        (low, high): Edge(
-            source=low,
-            target=high,
-            kind=max((contact.kind for contact in found), key=_STRENGTH.__getitem__),
-            traversals=tuple(c.traversal for c in found if c.traversal is not None),
-            source_from_target=submaps[low].map_from_submap.inverse()
-            @ submaps[high].map_from_submap,
+        pair: edge_between(
+            submaps,
+            pair,
+            max((contact.kind for contact in found), key=_STRENGTH.__getitem__),
+            tuple(c.traversal for c in found if c.traversal is not None),
         )
-        for (low, high), found in by_pair.items()
+        for pair, found in by_pair.items()
     }
 
 

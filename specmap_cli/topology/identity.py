@@ -8,7 +8,7 @@ since, is neither kept nor lost.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,90 +59,54 @@ class Identity:
 
 def identify(old: Regions, new: Regions, old_from_new: Pose2) -> Identity:
     """Which submap of `new` is which of `old`; `old_from_new` is between their frames."""
-    shared = _Shared.of(old, new, old_from_new)
-    same = shared.same()
-    old_seen = shared.old_m2 > _MOST * shared.all_old_m2
-    new_seen = shared.new_m2 > _MOST * shared.all_new_m2
-    floored = shared.old_floor_m2 > _MOST * shared.old_m2
-    splits = _groups(shared.part_of_old * new_seen, shared.new_ids, shared.old_ids)
-    merges = _groups((shared.part_of_new * old_seen[:, None]).T, shared.old_ids, shared.new_ids)
+    old_ids, new_ids = sorted(old.outlines), sorted(new.outlines)
+    shared, floor_m2 = _shared(old, new, old_from_new)
+    common, old_m2, new_m2 = shared[:-1, :-1], shared[:-1].sum(axis=1), shared[:, :-1].sum(axis=0)
+    iou = common / np.maximum(old_m2[:, None] + new_m2[None, :] - common, _TINY_M2)
+    same = tuple(
+        Same(old=old_ids[i], new=new_ids[j], iou=float(iou[i, j]))
+        for i, j in np.argwhere(iou > SAME).tolist()
+    )
+    old_seen = old_m2 > _MOST * _areas(old, old_ids)
+    new_seen = new_m2 > _MOST * _areas(new, new_ids)
+    floored = floor_m2 > _MOST * old_m2
+    part_of_old = common / np.maximum(new_m2, _TINY_M2)[None, :]
+    part_of_new = common / np.maximum(old_m2, _TINY_M2)[:, None]
+    splits = _groups(part_of_old * new_seen, new_ids, old_ids)
+    merges = _groups((part_of_new * old_seen[:, None]).T, old_ids, new_ids)
     kept_old = {pair.old for pair in same} | set(splits) | _members(merges)
     kept_new = {pair.new for pair in same} | set(merges) | _members(splits)
     return Identity(
         same=same,
         splits=splits,
         merges=merges,
-        added=_chosen(shared.new_ids, ~new_seen, kept_new),
-        unseen=_chosen(shared.old_ids, ~old_seen, kept_old),
-        gone=_chosen(shared.old_ids, old_seen & ~floored, kept_old),
+        added=_chosen(new_ids, ~new_seen, kept_new),
+        unseen=_chosen(old_ids, ~old_seen, kept_old),
+        gone=_chosen(old_ids, old_seen & ~floored, kept_old),
         redrawn=(
-            _chosen(shared.old_ids, old_seen & floored, kept_old),
-            _chosen(shared.new_ids, new_seen, kept_new),
+            _chosen(old_ids, old_seen & floored, kept_old),
+            _chosen(new_ids, new_seen, kept_new),
         ),
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Shared:
-    """Square metres: `common` (n, m) of each old and new submap, over what both maps saw.
-
-    `old_m2` (n,) and `new_m2` (m,) are those of each submap that the other map saw, `all_old_m2`
-    and `all_new_m2` those of the whole submap; `old_floor_m2` (n,) what is free in the new map.
+def _shared(old: Regions, new: Regions, old_from_new: Pose2) -> tuple[FloatArray, FloatArray]:
+    """(n + 1, m + 1) square metres of each old and new submap, the last for nobody, over what both
+    maps saw; and (n,) how much of the old ones is free in the new map. Cells are the old map's.
     """
-
-    old_ids: tuple[int, ...]
-    new_ids: tuple[int, ...]
-    common: FloatArray
-    old_m2: FloatArray
-    new_m2: FloatArray
-    all_old_m2: FloatArray
-    all_new_m2: FloatArray
-    old_floor_m2: FloatArray
-
-    @classmethod
-    def of(cls, old: Regions, new: Regions, old_from_new: Pose2) -> _Shared:
-        """Counted on the cells of the old map."""
-        old_ids, new_ids = sorted(old.outlines), sorted(new.outlines)
-        cells = np.argwhere(old.grid.cells != UNKNOWN)
-        places = old_from_new.inverse().apply(old.grid.centres_of(cells))
-        values = new.grid.values_at(places)
-        both = values != UNKNOWN
-        one = _numbers(old.owner[cells[both, 0], cells[both, 1]], old_ids)
-        other = _numbers(_owners_at(new, places[both]), new_ids)
-        m2 = old.grid.resolution**2
-        table = np.zeros((len(old_ids) + 1, len(new_ids) + 1))
-        np.add.at(table, (one, other), m2)
-        floor = np.zeros(len(old_ids) + 1)
-        np.add.at(floor, one, m2 * (values[both] == FREE))
-        return cls(
-            old_ids=tuple(old_ids),
-            new_ids=tuple(new_ids),
-            common=table[:-1, :-1],
-            old_m2=table[:-1].sum(axis=1),
-            new_m2=table[:, :-1].sum(axis=0),
-            all_old_m2=_areas(old, old_ids),
-            all_new_m2=_areas(new, new_ids),
-            old_floor_m2=floor[:-1],
-        )
-
-    @property
-    def part_of_old(self) -> FloatArray:
-        """(n, m) share of each new submap that lies in an old one."""
-        return np.asarray(self.common / np.maximum(self.new_m2, _TINY_M2)[None, :])
-
-    @property
-    def part_of_new(self) -> FloatArray:
-        """(n, m) share of each old submap that lies in a new one."""
-        return np.asarray(self.common / np.maximum(self.old_m2, _TINY_M2)[:, None])
-
-    def same(self) -> tuple[Same, ...]:
-        """The pairs that cover each other by more than a half: one-to-one by themselves."""
-        union = self.old_m2[:, None] + self.new_m2[None, :] - self.common
-        iou = self.common / np.maximum(union, _TINY_M2)
-        return tuple(
-            Same(old=self.old_ids[i], new=self.new_ids[j], iou=float(iou[i, j]))
-            for i, j in np.argwhere(iou > SAME).tolist()
-        )
+    old_ids, new_ids = sorted(old.outlines), sorted(new.outlines)
+    cells = np.argwhere(old.grid.cells != UNKNOWN)
+    places = old_from_new.inverse().apply(old.grid.centres_of(cells))
+    values = new.grid.values_at(places)
+    both = values != UNKNOWN
+    one = _numbers(old.owner[cells[both, 0], cells[both, 1]], old_ids)
+    other = _numbers(_owners_at(new, places[both]), new_ids)
+    m2 = old.grid.resolution**2
+    shared = np.zeros((len(old_ids) + 1, len(new_ids) + 1))
+    np.add.at(shared, (one, other), m2)
+    floor = np.zeros(len(old_ids) + 1)
+    np.add.at(floor, one, m2 * (values[both] == FREE))
+    return shared, floor[:-1]
 
 
 def _numbers(owners: _Owners, ids: list[int]) -> NDArray[np.intp]:
@@ -166,7 +130,7 @@ def _areas(regions: Regions, ids: list[int]) -> FloatArray:
 
 
 def _groups(
-    part: FloatArray, members: tuple[int, ...], owners: tuple[int, ...]
+    part: FloatArray, members: Sequence[int], owners: Sequence[int]
 ) -> dict[int, tuple[int, ...]]:
     """The members, two or more, that lie in each owner by `part` (owner, member) above a half."""
     groups = {}
@@ -181,7 +145,7 @@ def _members(groups: Mapping[int, tuple[int, ...]]) -> set[int]:
     return {member for group in groups.values() for member in group}
 
 
-def _chosen(ids: tuple[int, ...], wanted: NDArray[np.bool_], taken: set[int]) -> tuple[int, ...]:
+def _chosen(ids: Sequence[int], wanted: NDArray[np.bool_], taken: set[int]) -> tuple[int, ...]:
     """The ids that are wanted (n,) and not taken."""
     return tuple(i for i, want in zip(ids, wanted.tolist(), strict=True) if want and i not in taken)
 
@@ -206,22 +170,12 @@ class BorderChange:
 
 def border_changes(old: Regions, new: Regions) -> tuple[BorderChange, ...]:
     """What became of the submaps of `old` in `new`, by id; both are in one frame."""
-    before, after = _owners(old, new)
-    cell_m2 = old.grid.resolution**2
-    return tuple(_change(submap, before, after, cell_m2) for submap in sorted(old.outlines))
-
-
-def _owners(old: Regions, new: Regions) -> tuple[IntArray, IntArray]:
-    """(n,) who had and who has the cells of the old map that are free in both."""
     cells = np.argwhere(old.grid.free)
     places = old.grid.centres_of(cells)
     both = new.grid.values_at(places) == FREE
-    was, now = old.grid.cells_of(places[both]), new.grid.cells_of(places[both])
-    return _of(old, was), _of(new, now)
-
-
-def _of(regions: Regions, cells: IntArray) -> IntArray:
-    return np.asarray(regions.owner[cells[:, 0], cells[:, 1]], dtype=np.int64)
+    before, after = (_owners_at(regions, places[both]) for regions in (old, new))
+    cell_m2 = old.grid.resolution**2
+    return tuple(_change(submap, before, after, cell_m2) for submap in sorted(old.outlines))
 
 
 def _change(submap: int, before: IntArray, after: IntArray, cell_m2: float) -> BorderChange:

@@ -25,6 +25,7 @@ from specmap_cli.topology.topological_map import (
     EdgeKind,
     Submap,
     TopologicalMap,
+    edge_between,
     heirs,
 )
 from specmap_cli.topology.ways import NO_WAY, Anchor, Way, anchors_of, ways
@@ -51,7 +52,6 @@ def with_ways(
     anchors = anchors_of(space, _cells(space, stood), config.robot_radius_m, PLACE_MARGIN_M)
     edges = _edges(topology, found, kind)
     there = ways(space, anchors, edges, config.robot_radius_m)
-    doors = _doors_of(found)
     return replace(
         topology,
         submaps={
@@ -59,7 +59,7 @@ def with_ways(
             for id_, submap in topology.submaps.items()
         },
         edges={
-            pair: with_way(edge, there.get(pair, NO_WAY), doors.get(pair, ()))
+            pair: with_way(edge, there.get(pair, NO_WAY), _between(found.doors, pair))
             for pair, edge in edges.items()
         },
         doors=found.doors,
@@ -78,27 +78,13 @@ def _cells(space: Space, stood: FloatArray | None) -> IntArray:
 def _edges(topology: TopologicalMap, found: Passages, kind: EdgeKind) -> dict[Pair, Edge]:
     """The edges of a map, and new ones where two submaps touch that had none."""
     touching = sorted({door.between for door in found.doors} | set(found.openings))
-    new = {pair: _edge(topology, pair, kind) for pair in touching if pair not in topology.edges}
-    return {**topology.edges, **new}
+    new = [pair for pair in touching if pair not in topology.edges]
+    return {**topology.edges, **{pair: edge_between(topology.submaps, pair, kind) for pair in new}}
 
 
-def _edge(topology: TopologicalMap, pair: Pair, kind: EdgeKind) -> Edge:
-    """An edge between two submaps that only touch."""
-    source, target = (topology.submaps[id_].map_from_submap for id_ in pair)
-    return Edge(
-        source=pair[0],
-        target=pair[1],
-        kind=kind,
-        source_from_target=source.inverse() @ target,
-    )
-
-
-def _doors_of(found: Passages) -> dict[Pair, list[Door]]:
-    """The doors between each pair of submaps."""
-    doors: dict[Pair, list[Door]] = {}
-    for door in found.doors:
-        doors.setdefault(door.between, []).append(door)
-    return doors
+def _between(doors: Iterable[Door], pair: Pair) -> list[Door]:
+    """The doors between two submaps."""
+    return [door for door in doors if door.between == pair]
 
 
 def _anchored(space: Space, submap: Submap, anchor: Anchor | None) -> Submap:
@@ -131,19 +117,22 @@ def with_way(edge: Edge, way: Way, doors: Sequence[Door]) -> Edge:
 
 def _through(path: FloatArray, doors: Sequence[Door]) -> list[Door]:
     """The doors whose lines a path (N, 2) crosses, in the order in which it does."""
-    met = [(step, door) for door in doors if (step := _step_across(path, door)) is not None]
-    return [door for _, door in sorted(met, key=lambda found: (found[0], found[1].id))]
+    met = [(where, door) for door in doors if (where := crossing_of(path, door)) is not None]
+    return [door for _, door in sorted(met, key=lambda found: (found[0][0], found[1].id))]
 
 
-def _step_across(path: FloatArray, door: Door) -> int | None:
-    """The number of the piece of a path that crosses the line of a door, None where none does."""
+def crossing_of(path: FloatArray, door: Door) -> tuple[int, float] | None:
+    """The piece of a path (N, 2) that crosses the line of a door, and the share of it before that.
+
+    None where it does not cross.
+    """
     door_from_map = Pose2(door.x, door.y, door.theta).inverse()
     ahead, aside = door_from_map.apply(path).T
     for step, (a, b) in enumerate(pairwise(range(len(path)))):
         if ahead[a] * ahead[b] <= 0.0 and ahead[a] != ahead[b]:
             share = ahead[a] / (ahead[a] - ahead[b])
             if abs(aside[a] + share * (aside[b] - aside[a])) <= door.width_m / 2.0:
-                return step
+                return step, float(share)
     return None
 
 
@@ -189,7 +178,7 @@ def _with_either(
     topology: TopologicalMap, pair: Pair, way: Way, detour: Way, shut: Collection[int]
 ) -> Edge:
     """The edge of a pair with its detour, if there is one, and the doors on it."""
-    doors = [door for door in topology.doors if door.between == pair]
+    doors = _between(topology.doors, pair)
     if detour.path is None:
         return with_way(topology.edges[pair], way, doors)
     left = [door for door in doors if door.id not in shut]
@@ -224,24 +213,24 @@ class Shut:
         return Shut(self.links | other.links, self.doors | other.doors)
 
 
-def shut_by(topology: TopologicalMap, wish: Forbidden) -> Shut | str:
+def shut_by(topology: TopologicalMap, request: Forbidden) -> Shut | str:
     """The links and doors that are meant, or why there are none.
 
     Without a place all of them between the two; with one the door nearest to it, or where the two
     meet in the open the link that crosses there.
     """
-    one, other = (heirs(id_, wish.later) for id_ in wish.between)
+    one, other = (heirs(id_, request.later) for id_ in request.between)
     edges = {
         pair: edge
         for pair, edge in topology.edges.items()
         if _joins(pair, one, other) or _joins(pair[::-1], one, other)
     }
     if not edges:
-        return f"there is no link between {wish.between[0]} and {wish.between[1]}"
+        return f"there is no link between {request.between[0]} and {request.between[1]}"
     doors = [door for door in topology.doors if door.between in edges]
-    if wish.at is None:
+    if request.at is None:
         return Shut(frozenset(edges), frozenset(door.id for door in doors))
-    return _at(edges.values(), doors, wish.at)
+    return _at(edges.values(), doors, request.at)
 
 
 def with_shut(topology: TopologicalMap, shut: Shut) -> TopologicalMap:

@@ -16,7 +16,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.grids.gridmap import BoolArray, GridMap
-from specmap_cli.topology.regions import NOBODY, Regions, beside, divide, drawn, flood
+from specmap_cli.topology.regions import NOBODY, Regions, along_and_across, divide, drawn, flood
 from specmap_cli.topology.topological_map import BorderEdit, Line, Merge, Split, bare, fences_of
 
 
@@ -24,7 +24,7 @@ from specmap_cli.topology.topological_map import BorderEdit, Line, Merge, Split,
 class Redrawn:
     """Keyframes after all borders that could be made: `submaps` (n,) and the `borders` made.
 
-    `skipped` says, by place in the list that was wished, why the others could not.
+    `skipped` says, by place in the list that was requested, why the others could not.
     """
 
     submaps: IntArray
@@ -37,21 +37,21 @@ def redrawn(
     whole: GridMap,
     labels: Labels,
     borders: Sequence[BorderEdit],
-    wished: Sequence[BorderEdit],
+    requested: Sequence[BorderEdit],
     next_id: int,
 ) -> Redrawn:
-    """Make the borders that are `wished`, in order, instead of those that the labels have.
+    """Make the borders that are `requested`, in order, instead of those that the labels have.
 
     What has not changed keeps its keyframes. `next_id` and what follows it are ids that no submap
     ever had: splits without an id get one of these.
     """
-    if [bare(border) for border in borders] == list(wished):
+    if [bare(border) for border in borders] == list(requested):
         return Redrawn(labels.submaps, tuple(borders), next_id)
     before = undone(labels.submaps, labels.poses, borders)
-    taken = [border.new for border in wished if isinstance(border, Split)]
+    taken = [border.new for border in requested if isinstance(border, Split)]
     free = max([next_id, *(1 + new for new in taken if new is not None)])
     state = Redrawn(before, (), free)
-    for place, border in enumerate(wished):
+    for place, border in enumerate(requested):
         made = _made(whole, labels, state, border)
         if isinstance(made, str):
             state = replace(state, skipped={**state.skipped, place: made})
@@ -178,7 +178,7 @@ def is_right_of(fence: Line, mine: BoolArray, grid: GridMap, places: FloatArray)
     that is out of reach is on its side of the straight line.
     """
     barrier = drawn([fence], grid)
-    along, across, length = beside(grid.centres_of(np.argwhere(mine)), fence)
+    along, across, length = along_and_across(grid.centres_of(np.argwhere(mine)), fence)
     near = (np.abs(across) <= _BESIDE * grid.resolution) & (along >= 0.0) & (along <= length)
     markers = np.zeros(mine.shape, dtype=np.int32)
     markers[mine] = np.where(near, np.where(across < 0.0, _RIGHT, _LEFT), 0)
@@ -186,7 +186,7 @@ def is_right_of(fence: Line, mine: BoolArray, grid: GridMap, places: FloatArray)
     sides = flood(mine, markers, barrier)
     sides[~mine | (sides < _LEFT)] = NOBODY
     found = Regions(grid, sides, {}).owners(places)
-    along, across, _ = beside(places[:, :2], fence)
+    along, across, _ = along_and_across(places[:, :2], fence)
     close = (np.abs(across) <= _BESIDE * grid.resolution) & (along >= 0.0) & (along <= length)
     return np.where(close | (found == NOBODY), across < 0.0, found == _RIGHT)
 

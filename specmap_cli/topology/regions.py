@@ -146,13 +146,13 @@ def drawn(fences: Iterable[Line], grid: GridMap) -> BoolArray:
         ends = np.array(fence)
         rows, columns = slices_near(ends, 2.0 * reach, grid.origin, grid.resolution, cells.shape)
         window = np.mgrid[rows, columns].reshape(2, -1).T
-        along, across, length = beside(grid.centres_of(window), fence)
+        along, across, length = along_and_across(grid.centres_of(window), fence)
         on = (np.abs(across) <= reach) & (along >= -reach) & (along <= length + reach)
         cells[tuple(window[on].T)] = True
     return cells
 
 
-def beside(places: FloatArray, line: Line) -> tuple[FloatArray, FloatArray, float]:
+def along_and_across(places: FloatArray, line: Line) -> tuple[FloatArray, FloatArray, float]:
     """How far along a line each place (n, 2) is, and how far left of it; the line's length."""
     start, end = np.array(line[0]), np.array(line[1])
     length = float(np.hypot(*(end - start)))

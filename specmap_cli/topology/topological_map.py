@@ -218,6 +218,23 @@ class Edge(Value):
         return [] if self.path is None else [(x, y) for x, y in self.path.tolist()]
 
 
+def edge_between(
+    submaps: Mapping[int, Submap],
+    pair: tuple[int, int],
+    kind: EdgeKind,
+    traversals: tuple[Traversal, ...] = (),
+) -> Edge:
+    """An edge between two submaps, the smaller id first, which has no way yet."""
+    source, target = (submaps[id_].map_from_submap for id_ in pair)
+    return Edge(
+        source=pair[0],
+        target=pair[1],
+        kind=kind,
+        traversals=traversals,
+        source_from_target=source.inverse() @ target,
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stay(Value):
     """A piece of the way in which the robot saw a part of the map; closures compare such pieces."""
@@ -411,7 +428,7 @@ BorderEdit = Merge | Split
 
 
 def bare(border: BorderEdit) -> BorderEdit:
-    """A border as it was wished."""
+    """A border as it was requested."""
     if isinstance(border, Merge):
         return Merge(border.merge)
     return Split(submap=border.submap, line=border.line, new=border.new)

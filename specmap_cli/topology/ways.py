@@ -168,7 +168,7 @@ def _both(land: _Land, pair: Pair) -> tuple[Window, BoolArray]:
     return (rows, columns), np.isin(land.space.owner[rows, columns], pair)
 
 
-_STRAY_M = 2.0  # on foot from the robot's way: farther off lies what was seen through glass
+_OFF_TRACK_M = 2.0  # on foot from the robot's way: farther off lies what was seen through glass
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SQUARE = cv2.getStructuringElement(cv2.MORPH_RECT, (3, 3))
 
@@ -200,7 +200,7 @@ def anchors_of(
         mine, room = space.owner[window] == submap, clearance[window]
         wide = mine & (room >= radius_m)
         piece = _piece(wide if wide.any() else mine, visits[window])
-        piece = _near_on_foot(piece, visits[window] > 0, _STRAY_M / space.grid.resolution)
+        piece = _near_on_foot(piece, visits[window] > 0, _OFF_TRACK_M / space.grid.resolution)
         anchors[submap] = _anchor(piece, room, window, radius_m + margin_m)
     return anchors
 
@@ -311,7 +311,7 @@ def _steps(number: IntArray, price: FloatArray) -> tuple[IntArray, FloatArray]:
     return np.concatenate(ends), np.concatenate(prices)
 
 
-_STRAY_CELLS = 2.0  # how far a straight piece may leave the cells that it stands for
+_DEVIATION_CELLS = 2.0  # how far a straight piece may leave the cells that it stands for
 _HAIRS = 1e-6 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])  # to all sides
 _SLACK = 1e-9  # of prices that are equal but for the last digit
 
@@ -365,16 +365,16 @@ def _corners(way: IntArray, price: FloatArray) -> list[int]:
         first, last = waiting.pop()
         if last - first < 2:
             continue
-        stray = _stray(way[first : last + 1])
+        deviation = _deviation(way[first : last + 1])
         open_line = math.isfinite(line_price(way[first], way[last], price))
-        if float(stray.max()) > _STRAY_CELLS or not open_line:
-            corner = first + 1 + int(np.argmax(stray[1:-1]))
+        if float(deviation.max()) > _DEVIATION_CELLS or not open_line:
+            corner = first + 1 + int(np.argmax(deviation[1:-1]))
             kept.add(corner)
             waiting += [(first, corner), (corner, last)]
     return sorted(kept)
 
 
-def _stray(way: IntArray) -> FloatArray:
+def _deviation(way: IntArray) -> FloatArray:
     """(n,) how far the cells of a way lie from the straight line between its ends, in cells."""
     along = way[-1] - way[0]
     length = float(np.sqrt(np.sum(along**2)))

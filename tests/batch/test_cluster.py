@@ -10,12 +10,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 from specmap_cli import __version__
 from specmap_cli.batch import batch, workers
-from specmap_cli.batch.batch import Listener, run_batch, work_off
+from specmap_cli.batch.batch import run_batch, work_off
 from specmap_cli.batch.ledger import EventRecord, Ledger
 from specmap_cli.batch.places import PlaceError
 from specmap_cli.batch.records import Limits, Terms, Turn
@@ -62,20 +63,24 @@ def ran(out: Path, *names: str, retries: int = 0) -> tuple[Ledger, list[EventRec
     told: list[EventRecord] = []
     terms = Terms(str(out), Limits(memory_mb=500))
     jobs = [job(name) for name in names]
-    return run_batch(jobs, terms, Cluster(), retries, Listener(told.append)), told
+    return run_batch(jobs, terms, Cluster(), retries, told.append), told
 
 
 @pytest.mark.usefixtures("here")
 class TestBatch:
-    def test_one_bad_log_stops_no_other(self, tmp_path: Path) -> None:
-        ledger, told = ran(tmp_path / "out", "a", "bad", "c", "d")
-        assert (ledger.done, ledger.failed) == (3, 1)
-        assert [one.job for one in told if one.event == "failed"] == ["bad"]
-        assert told[0].event == "began"
-        assert told[-1].event == "ended"
-
-    def test_it_writes_summaries_and_a_journal(self, tmp_path: Path) -> None:
-        _, told = ran(tmp_path, "a", "bad")
+    def test_it_does_what_can_be_done_and_writes_summaries_and_a_journal(
+        self, tmp_path: Path
+    ) -> None:
+        ledger, told = ran(tmp_path, "hungry", "bad", "buggy", "a")
+        assert (ledger.done, ledger.failed) == (2, 2)
+        assert ledger.results["buggy"].kind == "worker"
+        assert (
+            ledger.results["buggy"].reason == "the worker failed: ValueError: a bug of the worker"
+        )
+        # want of memory gets the memory of all workers, at the end
+        assert ledger.results["hungry"].limits.memory_mb == 1000
+        assert [one.job for one in told if one.event in ("retried", "done")][-1] == "hungry"
+        assert (told[0].event, told[-1].event) == ("began", "ended")
         assert {path.name for path in tmp_path.iterdir() if path.name[0] != "."} == {
             *SUMMARIES,
             "events.jsonl",
@@ -85,19 +90,6 @@ class TestBatch:
         ran(tmp_path, "a")
         assert (tmp_path / "events.jsonl").read_text(encoding="utf-8").startswith(journal)
 
-    def test_want_of_memory_gets_the_memory_of_all_workers(self, tmp_path: Path) -> None:
-        ledger, told = ran(tmp_path, "hungry", "a", "b")
-        assert ledger.results["hungry"].limits.memory_mb == 1000
-        assert [one.job for one in told if one.event in ("retried", "done")][-1] == "hungry"
-
-    def test_an_error_of_a_worker_fails_its_job_alone(self, tmp_path: Path) -> None:
-        ledger, _ = ran(tmp_path, "buggy", "a")
-        assert ledger.results["buggy"].kind == "worker"
-        assert (
-            ledger.results["buggy"].reason == "the worker failed: ValueError: a bug of the worker"
-        )
-        assert ledger.results["a"].state == "done"
-
     def test_an_interruption_leaves_the_summaries(self, tmp_path: Path) -> None:
         def interrupt(ledger: Ledger) -> None:
             if ledger.done == 2:
@@ -105,7 +97,7 @@ class TestBatch:
 
         jobs = [job(name) for name in "abcd"]
         with pytest.raises(KeyboardInterrupt):
-            run_batch(jobs, Terms(str(tmp_path)), listener=Listener(show=interrupt))
+            run_batch(jobs, Terms(str(tmp_path)), show=interrupt)
         assert "2 of 4 jobs done, 2 waiting" in (tmp_path / "summary.md").read_text()
 
     def test_a_batch_without_workers_leaves_the_summaries_of_the_one_before(
@@ -144,7 +136,7 @@ class TestBatch:
             with pytest.raises(UsageError, match="another batch is writing there"):
                 ran(tmp_path, "b")
 
-        run_batch([job("a")], Terms(str(tmp_path)), listener=Listener(again))
+        run_batch([job("a")], Terms(str(tmp_path)), tell=again)
         ran(tmp_path, "b")
 
     def test_a_store_gets_summaries_and_the_journal_at_the_end(self) -> None:
@@ -168,7 +160,7 @@ class TestBatch:
         monkeypatch.setattr(fsspec.filesystem("memory"), "pipe_file", refuse)
         told: list[EventRecord] = []
         with pytest.raises(PlaceError, match=r"memory://closed: .*access denied"):
-            run_batch([job("a")], Terms("memory://closed"), listener=Listener(told.append))
+            run_batch([job("a")], Terms("memory://closed"), tell=told.append)
         assert told == []
 
 
@@ -183,15 +175,6 @@ def test_a_worker_of_another_version_makes_nothing(tmp_path: Path) -> None:
     assert made.reason is not None
     assert f"the worker has specmap {__version__}, the client 0.0" in made.reason
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "_ANSWER_S", 0.2)
-    with (
-        pytest.raises(UsageError, match=r"tcp://127\.0\.0\.1:9: no Dask scheduler answers"),
-        workers.opened(Cluster(scheduler="tcp://127.0.0.1:9")),
-    ):
-        pass
 
 
 def test_a_job_whose_worker_dies_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -224,13 +207,18 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
         process.wait()
 
 
-def test_a_scheduler_in_another_process(scheduler: str, tmp_path: Path) -> None:
+def test_a_scheduler_in_another_process(
+    scheduler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Without a worker it is refused; with one it does the jobs, which fail as their logs ask."""
-    with (
-        pytest.raises(UsageError, match=r"no worker has come in 0 s: start one with `dask worker`"),
-        workers.opened(Cluster(scheduler=scheduler, patience_s=0.1)),
+    for address, answer_s, told in (
+        ("tcp://127.0.0.1:9", 0.2, r"tcp://127\.0\.0\.1:9: no Dask scheduler answers"),
+        (scheduler, 10.0, "no worker has come in 0 s: start one with `dask worker`"),
     ):
-        pass
+        monkeypatch.setattr(workers, "_ANSWER_S", answer_s)
+        refused = workers.opened(Cluster(scheduler=address, patience_s=0.1))
+        with pytest.raises(UsageError, match=told), refused:
+            pass
     command = [sys.executable, "-m", "distributed.cli.dask_worker", scheduler, "--nthreads", "1"]
     command += ["--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path)]
     worker = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -260,24 +248,13 @@ def test_a_function_of_many_things_is_spread_over_the_workers() -> None:
         spread(Cluster(), _tripled, [1, -1])
 
 
-class _Failing:
-    """A cluster of Dask whose workers die while they start, the first `times` of them."""
-
-    def __init__(self, times: int) -> None:
-        self.left = times
-
-    def __call__(self, **_: Any) -> str:
-        self.left -= 1
-        if self.left >= 0:
-            raise RuntimeError("Nanny failed to start.") from RuntimeError("no worker process")
-        return "started"
-
-
 def test_a_worker_that_dies_while_it_starts_is_started_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(distributed, "LocalCluster", _Failing(1))
+    died = RuntimeError("Nanny failed to start.")
+    died.__cause__ = RuntimeError("no worker process")
+    monkeypatch.setattr(distributed, "LocalCluster", Mock(side_effect=[died, "started"]))
     assert workers._started(Cluster(1)) == "started"
-    monkeypatch.setattr(distributed, "LocalCluster", _Failing(9))
+    monkeypatch.setattr(distributed, "LocalCluster", Mock(side_effect=died))
     with pytest.raises(NoResultError, match=r"could not be started \(no worker process\): run "):
         workers._started(Cluster(1))

@@ -79,14 +79,26 @@ def test_a_job_from_store_to_store(store: Any, tmp_path: Path) -> None:
     again = run(job, OUT, tmp_path)
     assert not again.resumed
     assert b"changed" in store.cat("/bucket/maps/monday/map/part-0")
+    store.rm("/bucket/maps/monday/report.html")
+    assert folder_at(OUT, "monday").stored() is None
 
 
-def test_a_reason_names_the_log_as_the_user_does(store: Any, tmp_path: Path) -> None:
-    url = put(store, "logs/monday.mcap", "damaged")
-    result = record_of(url, tmp_path)
-    assert result.kind == "log"
-    assert result.reason == f"{url}: cut off after 12 bytes; no message can be read"
-    assert names(store, "/bucket/maps/monday") == {"job.json", "log.txt"}
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ("damaged", "cut off after 12 bytes; no message can be read"),
+        (None, "no such file or directory"),
+    ],
+)
+def test_a_reason_names_the_log_as_the_user_does(
+    store: Any, tmp_path: Path, words: str | None, reason: str
+) -> None:
+    url = "memory://bucket/logs/monday.mcap"
+    if words is not None:
+        put(store, "logs/monday.mcap", words)
+    record = record_of(url, tmp_path)
+    assert (record.kind, record.reason) == ("log", f"{url}: {reason}")
+    assert names(store, "/bucket/maps/monday") - {"log.txt"} == {"job.json"}
 
 
 def test_what_is_found_in_a_store(store: Any) -> None:
@@ -141,13 +153,6 @@ def test_logs_that_do_not_fit_into_the_scratch_are_refused(
         "the logs need 3 MB, 1 MB are free: choose another scratch directory"
     )
     assert not run(Job("monday", (url,), ALL), OUT, tmp_path).resumed
-
-
-@pytest.mark.usefixtures("store")
-def test_a_log_that_is_not_in_the_store(tmp_path: Path) -> None:
-    result = record_of("memory://bucket/gone.mcap", tmp_path, "gone")
-    assert result.kind == "log"
-    assert result.reason == "memory://bucket/gone.mcap: no such file or directory"
 
 
 class _Cut(BaseException):
@@ -227,13 +232,6 @@ def test_what_somebody_else_keeps_in_the_store_is_not_touched(store: Any, tmp_pa
     assert names(store, "/bucket/maps/monday") == {"thesis.txt"}
 
 
-def test_a_result_that_lost_a_file_is_none(store: Any, tmp_path: Path) -> None:
-    url = put(store, "logs/monday.mcap")
-    record_of(url, tmp_path)
-    store.rm("/bucket/maps/monday/report.html")
-    assert folder_at(OUT, "monday").stored() is None
-
-
 def test_a_store_that_cannot_be_reached_may_be_tried_again(
     store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -248,24 +246,21 @@ def test_a_store_that_cannot_be_reached_may_be_tried_again(
     assert str(result.reason).endswith("cannot be reached or used: the line is cut")
 
 
-def test_what_is_a_store() -> None:
+def test_what_is_a_store_and_what_is_a_path(tmp_path: Path) -> None:
     assert path_at("s3:/x") == Path("s3:/x")
+    assert path_at(f"file://{tmp_path}") == tmp_path
+    (tmp_path / "a.mcap").write_bytes(b"x")
+    assert jobs_of([f"file://{tmp_path}/a.mcap"])[0].logs == (str(tmp_path / "a.mcap"),)
     with pytest.raises(UsageError, match="nowhere"):
         store_at("nowhere://x/y")
+    with pytest.raises(PlaceError), reaching("here"):
+        raise RuntimeError("anything")
 
 
 def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(UsageError, match=r"pip install 'specmap-cli\[batch\]'"):
         store_at("s3://bucket/logs")
-
-
-def test_files_of_this_machine_may_be_named_by_url(tmp_path: Path) -> None:
-    assert path_at(f"file://{tmp_path}") == tmp_path
-    (tmp_path / "a.mcap").write_bytes(b"x")
-    assert jobs_of([f"file://{tmp_path}/a.mcap"])[0].logs == (str(tmp_path / "a.mcap"),)
-    with pytest.raises(PlaceError), reaching("here"):
-        raise RuntimeError("anything")
 
 
 def test_what_killed_runs_left_is_removed_and_what_lives_stays(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ import pytest
 
 from specmap_cli.cli import main
 from specmap_cli.maps import directory as map_directory
-from specmap_cli.maps.leftovers import put_right
+from specmap_cli.maps.directory import put_right
 from specmap_cli.maps.store import read_map
 from specmap_cli.pipelines import worker
 from tests.cli.conftest import QUICK, leftovers

@@ -24,7 +24,7 @@ from specmap_cli.evaluation.trajectories import (
     reference_errors,
     relation_errors,
 )
-from specmap_cli.maps.tum import planar_trajectory_text, trajectory_text
+from specmap_cli.maps.text_files import planar_trajectory_text, trajectory_text
 from tests.strategies import poses, seeds
 
 

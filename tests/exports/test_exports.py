@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from pathlib import Path
@@ -13,9 +12,7 @@ import pytest
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.exports.table import GROUP, export_map, exporters
-from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.maps.writing import MapResult, write_map
-from specmap_cli.topology.topological_map import Door
+from specmap_cli.maps.store import StoredMap
 from tests.exports.consumers import consumer
 from tests.plugins import install
 
@@ -39,6 +36,7 @@ def test_graphml_is_the_graph_that_networkx_reads(stored: StoredMap, tmp_path: P
     assert graph.edges[0, 1]["traversals"] == 1
     assert graph.edges[0, 1]["distance_m"] == pytest.approx(record.edges[0].distance_m)
     assert "x" not in graph.edges[0, 2]  # a closure was never crossed
+    assert "anchor_x" not in graph.nodes[0]
 
 
 def test_geojson_has_closed_outlines_and_links_through_their_crossings(
@@ -62,30 +60,12 @@ def test_geojson_has_closed_outlines_and_links_through_their_crossings(
     assert driven["properties"]["traversals"] == 1
 
 
-@pytest.fixture
-def passable(tmp_path: Path, result: MapResult) -> StoredMap:
-    """The house with a door between its submaps 0 and 1, an anchor and a way."""
-    door = Door(id=0, x=-3.0, y=1.25, width_m=0.9, theta=1.5, between=(0, 1))
-    path = np.array([[0.0, 0.5], [-3.0, 1.0], [-3.0, 3.5]])
-    old = result.topology
-    way = dataclasses.replace(old.edges[0, 1], doors=(0,), path=path, length_m=5.5, clearance_m=0.4)
-    edges = {**old.edges, (0, 1): way}
-    anchored = dataclasses.replace(old.submaps[0], anchor=(0.0, 0.5), anchor_clearance_m=0.8)
-    topology = dataclasses.replace(
-        old, submaps={**old.submaps, 0: anchored}, edges=edges, doors=(door,), robot_radius_m=0.2
-    )
-    out = tmp_path / "passable"
-    out.mkdir()
-    write_map(out, dataclasses.replace(result, topology=topology))
-    return read_map(out)
-
-
 def test_geojson_has_doors_from_wall_to_wall_anchors_and_ways(
-    passable: StoredMap, tmp_path: Path
+    home: StoredMap, tmp_path: Path
 ) -> None:
-    export_map(passable, "geojson", tmp_path / "house.geojson")
+    export_map(home, "geojson", tmp_path / "house.geojson")
     features = json.loads((tmp_path / "house.geojson").read_text())["features"]
-    by_kind = {feature["properties"]["kind"]: feature for feature in features}
+    by_kind = {feature["properties"]["kind"]: feature for feature in features[::-1]}
     assert by_kind["anchor"]["geometry"]["coordinates"] == [0.0, 0.5]
     sides = by_kind["door"]["geometry"]["coordinates"]
     assert math.dist(*sides) == pytest.approx(0.9, abs=1e-5)
@@ -93,24 +73,22 @@ def test_geojson_has_doors_from_wall_to_wall_anchors_and_ways(
     assert by_kind["door"]["properties"]["driven"] is False
     way = by_kind["traversed"]
     assert way["geometry"]["coordinates"] == [[0.0, 0.5], [-3.0, 1.0], [-3.0, 3.5]]
-    assert (way["properties"]["length_m"], way["properties"]["passable"]) == (5.5, True)
-    assert by_kind["closure"]["properties"]["passable"] is False
+    assert way["properties"]["length_m"] == pytest.approx(home.record.edges[0].length_m)
+    assert way["properties"]["passable"] is True
+    assert by_kind["seen"]["properties"]["passable"] is False
 
 
-def test_graphml_has_lengths_doors_and_anchors(passable: StoredMap, tmp_path: Path) -> None:
-    export_map(passable, "graphml", tmp_path / "house.graphml")
+def test_graphml_has_doors_and_anchors(home: StoredMap, tmp_path: Path) -> None:
+    export_map(home, "graphml", tmp_path / "house.graphml")
     graph = nx.read_graphml(tmp_path / "house.graphml", node_type=int)
     assert (graph.nodes[0]["anchor_x"], graph.nodes[0]["anchor_y"]) == (0.0, 0.5)
-    assert "anchor_x" not in graph.nodes[1]
     assert graph.edges[0, 1]["doors"] == "0"
-    assert graph.edges[0, 1]["length_m"] == 5.5
-    assert (graph.edges[0, 1]["passable"], graph.edges[0, 2]["passable"]) == (True, False)
 
 
-def test_topology_json_with_doors_and_ways_is_read_by_networkx(passable: StoredMap) -> None:
-    document = json.loads((passable.path / "topology.json").read_text())
+def test_topology_json_with_doors_and_ways_is_read_by_networkx(home: StoredMap) -> None:
+    document = json.loads((home.path / "topology.json").read_text())
     graph = nx.node_link_graph(document, edges="edges")
-    assert nx.path_weight(graph, [0, 1], "length_m") == 5.5
+    assert nx.path_weight(graph, [0, 1], "length_m") == home.record.edges[0].length_m
     assert graph.graph["doors"][0]["width_m"] == 0.9
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from specmap_cli.exports.foxglove_schemas import FOXGLOVE
+from specmap_cli.exports.foxglove_schemas import description, encode
 from tests.exports.consumers import consumer
 
 TOPICS = ("Grid", "SceneUpdate", "PoseInFrame", "PosesInFrame", "FrameTransform", "LaserScan")
@@ -34,7 +34,7 @@ def test_the_schema_is_that_of_the_sdk(name: str) -> None:
     messages = consumer("foxglove.messages")
     sdk = getattr(messages, name).get_schema()
     assert (sdk.name, sdk.encoding) == (f"foxglove.{name}", "protobuf")
-    assert files(FOXGLOVE.description(f"foxglove.{name}")) == files(sdk.data)
+    assert files(description(name)) == files(sdk.data)
 
 
 def test_a_message_is_what_the_sdk_encodes() -> None:
@@ -63,7 +63,7 @@ def test_a_message_is_what_the_sdk_encodes() -> None:
         "end_angle": 1.5,
         "ranges": [1.0, math.inf, 2.5],
     }
-    assert FOXGLOVE.encode("foxglove.LaserScan", ours) == scan.encode()
+    assert encode("LaserScan", ours) == scan.encode()
 
 
 def test_a_scene_is_what_the_sdk_encodes() -> None:
@@ -99,9 +99,9 @@ def test_a_scene_is_what_the_sdk_encodes() -> None:
         ],
     }
     scene = messages.SceneUpdate(entities=[entity])
-    assert FOXGLOVE.encode("foxglove.SceneUpdate", {"entities": [ours]}) == scene.encode()
+    assert encode("SceneUpdate", {"entities": [ours]}) == scene.encode()
 
 
 def test_a_field_that_is_none_of_a_message_is_refused() -> None:
     with pytest.raises(ValueError, match="colour"):
-        FOXGLOVE.encode("foxglove.Color", {"colour": 1.0})
+        encode("Color", {"colour": 1.0})

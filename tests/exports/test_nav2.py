@@ -82,11 +82,11 @@ def test_every_edge_runs_through_free_cells(
 def test_doors_stand_where_ways_go_through_them(rooms: StoredMap) -> None:
     found = routes(rooms.record)
     doors = {door.id: door for door in rooms.record.graph.doors}
-    passed = {stop.door: stop for stop in found.stops if stop.door is not None}
+    passed = {waypoint.door: waypoint for waypoint in found.waypoints if waypoint.door is not None}
     assert sorted(passed) == sorted(door for edge in rooms.record.edges for door in edge.doors)
-    for id_, stop in passed.items():
+    for id_, waypoint in passed.items():
         door = doors[id_]
-        assert math.dist((stop.x, stop.y), (door.x, door.y)) <= door.width_m / 2
+        assert math.dist((waypoint.x, waypoint.y), (door.x, door.y)) <= door.width_m / 2
 
 
 def test_narrow_and_forbidden_links_are_left_out_and_told(

@@ -22,6 +22,7 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers import compression
 from specmap_cli.logs.readers.recording import Message
+from tests.logs.recordings import write_db3
 
 PACK: dict[str, Callable[[bytes], bytes]] = {
     "zstd": zstandard.compress,
@@ -155,7 +156,7 @@ def test_the_copy_of_a_compressed_file_is_bounded(tmp_path: Path, name: str) -> 
 
 
 def test_a_chunk_and_a_message_have_their_bound(
-    tmp_path: Path, drive: Path, write_db3: Callable[..., None], drive_messages: list[Message]
+    tmp_path: Path, drive: Path, drive_messages: list[Message]
 ) -> None:
     small = LogConfig(chunk_max_mb=0.0003)  # a scan has 240 bytes, an odometry message 700
     with pytest.raises(LogError, match=r"beyond log\.chunk_max_mb|no message can be read"):
@@ -208,15 +209,3 @@ def test_a_link_to_itself_is_one_line(tmp_path: Path) -> None:
         with pytest.raises(LogError) as caught:
             open_log(path)
         assert str(caught.value) == (f"{path}: cannot read: Too many levels of symbolic links")
-
-
-def test_a_directory_that_cannot_be_searched_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "stat", refuse)
-    with pytest.raises(LogError) as caught:
-        open_log(tmp_path / "locked" / "log.mcap")
-    assert str(caught.value) == f"{tmp_path}/locked/log.mcap: cannot read: Permission denied"

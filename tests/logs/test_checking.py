@@ -1,21 +1,22 @@
-"""Reading a recording to its end, and what is told of it."""
+"""What `info` says that `build` will meet, and of reading a recording to its end."""
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs import open_log
 from specmap_cli.logs.inspection import summarize
-from specmap_cli.logs.readers.encoding import ODOMETRY, odometry_cdr, scan_cdr
+from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.summary import Pauses, TopicCheck
+from specmap_cli.logs.summary import Gap, Pauses, Preview, StampFaults, TopicCheck
 from specmap_cli.logs.writer import LogWriter
+from tests.logs.recordings import write_db3
 from tests.turning import configured, turn
 
 SECOND = 1_000_000_000
@@ -65,8 +66,7 @@ def test_pauses_are_counted_and_the_longest_is_placed(tmp_path: Path) -> None:
     assert scans.pauses.count == 3
 
 
-def test_stamps_that_step_back_or_repeat(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_stamps_that_step_back_or_repeat(path: Path) -> None:
     with LogWriter(path) as log:
         for number, stamp in enumerate([0, 1, 2, 1, 2, 2, 3]):
             time = START + number * SECOND
@@ -80,8 +80,7 @@ def test_stamps_that_step_back_or_repeat(tmp_path: Path) -> None:
     )
 
 
-def test_messages_without_a_stamp_have_the_recorders_times(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_messages_without_a_stamp_have_the_recorders_times(path: Path) -> None:
     with LogWriter(path) as log:
         for number in range(4):
             data = scan_cdr("laser", 0, -1.0, 0.5, [2.0] * 5, range_max=8.0)
@@ -90,8 +89,7 @@ def test_messages_without_a_stamp_have_the_recorders_times(tmp_path: Path) -> No
     assert (scans.steps_back, scans.repeats, scans.pauses.count) == (0, 0, 0)
 
 
-def test_messages_that_cannot_be_decoded_are_unusable(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_messages_that_cannot_be_decoded_are_unusable(path: Path) -> None:
     with LogWriter(path) as log:
         log.raw("/scan", SCAN, b"\x00\x01\x00\x00rubbish", START)
         log.scan("/scan", "laser", START + 1, -1.0, 0.5, [2.0] * 5, range_max=8.0)
@@ -103,8 +101,7 @@ def test_messages_that_cannot_be_decoded_are_unusable(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("time_ns", [(1 << 64) - 1, 1 << 63, 1])
-def test_times_beyond_all_bounds_are_no_fault(tmp_path: Path, time_ns: int) -> None:
-    path = tmp_path / "log.mcap"
+def test_times_beyond_all_bounds_are_no_fault(path: Path, time_ns: int) -> None:
     with LogWriter(path) as log:
         for time in (0, time_ns):
             log.raw("/map", "nav_msgs/msg/OccupancyGrid", b"\x00\x01\x00\x00", time)
@@ -113,9 +110,8 @@ def test_times_beyond_all_bounds_are_no_fault(tmp_path: Path, time_ns: int) -> N
 
 
 def test_info_counts_what_is_lost_only_when_all_is_read(
-    tmp_path: Path, drive_messages: list[Message], write_db3: Callable[..., None]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.db3"
     write_db3(path, drive_messages)
     with sqlite3.connect(path) as db:
         last = "(SELECT MAX(id) FROM messages WHERE topic_id = 3)"
@@ -142,12 +138,154 @@ def test_info_counts_what_is_lost_only_when_all_is_read(
 
 
 def test_a_topic_of_which_nothing_is_left_is_listed(
-    tmp_path: Path, drive_messages: list[Message], write_db3: Callable[..., None]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.db3"
     write_db3(path, drive_messages)
     with sqlite3.connect(path) as db:
         db.execute("UPDATE messages SET data = 'no bytes' WHERE topic_id = 1")
     db.close()
     found = {topic.name: (topic.read, topic.expected) for topic in check_of(path)}
     assert found == {"/odom": (60, 60), "/scan": (30, 30), "/tf_static": (0, 1)}
+
+
+def write(path: Path, times_s: list[float], step_m: float = 0.1, hangs: range = range(0)) -> None:
+    """Scans at these times, odometry with them; a robot that drives a step each time.
+
+    Those numbered in `hangs` are the same.
+    """
+    with LogWriter(path) as log:
+        for n, time_s in enumerate(times_s):
+            stamp = START + round(time_s * SECOND)
+            log.odometry("/odom", "odom", "laser", stamp, Pose2(n * step_m, 0.0, 0.0))
+            seen = hangs[0] if n in hangs else n
+            ranges = np.array([2.0 + 0.01 * seen, np.nan, np.inf, 3.0])
+            if n % 5 == 4:
+                ranges[:] = np.inf
+            log.scan("/scan", "laser", stamp, -1.0, 0.5, ranges, range_max=8.0)
+
+
+def lines_of(path: Path, complete: bool = False, **options: object) -> list[str]:
+    with open_log(path) as log:
+        lines = summarize(log, configured(LogConfig, "logs", options), complete=complete).lines()
+    place = next(n for n, line in enumerate(lines) if line.startswith("build would meet"))
+    end = next(n for n, line in enumerate(lines) if line.startswith("checked"))
+    return lines[place:end]
+
+
+def preview_of(path: Path, **options: object) -> Preview:
+    with open_log(path) as log:
+        found = summarize(log, configured(LogConfig, "logs", options)).preview
+    assert found is not None
+    return found
+
+
+def test_it_tells_the_spacing_and_what_is_blank(path: Path) -> None:
+    write(path, [0.2 * n for n in range(10)])
+    assert lines_of(path) == [
+        "build would meet, in 10 scans:",
+        "  5.0 scans a second, 0.10 m from one to the next while the robot moves",
+        "  blank scans, without any return: 2",
+        "  readings that are invalid: 20.0 %",
+    ]
+
+
+def test_scans_that_a_driver_repeats_while_the_robot_moves_are_told(path: Path) -> None:
+    write(path, [0.2 * n for n in range(10)], hangs=range(5, 9))
+    assert preview_of(path).stale_scans == 3
+    told = "  scans that repeat the one before while the robot moves: 3"
+    assert told in lines_of(path)
+    write(path, [0.2 * n for n in range(10)], step_m=0.0, hangs=range(5, 9))
+    assert preview_of(path).stale_scans == 0
+
+
+@pytest.mark.parametrize(("limit", "sparse"), [(0.25, True), (0.5, False)])
+def test_scans_far_apart_are_called_sparse(path: Path, limit: float, sparse: bool) -> None:
+    write(path, [0.2 * n for n in range(10)], step_m=0.4)
+    (_, spacing, *_) = lines_of(path, sparse_step_m=limit)
+    said = ": sparse, so that much depends on the odometry"
+    assert spacing.endswith(said) is sparse
+
+
+def test_a_robot_that_stands_has_no_step(path: Path) -> None:
+    write(path, [0.2 * n for n in range(10)], step_m=0.0)
+    assert preview_of(path).spacing.step_m is None
+    assert preview_of(path, use_odometry=False).spacing.step_m is None
+    assert lines_of(path)[1] == "  5.0 scans a second"
+
+
+def test_gaps_are_told_with_their_places(path: Path) -> None:
+    times = [0.0, 0.1, 0.2, 1.7, 1.8, 2.5, 2.6, 6.6, 6.7, 8.7, 8.8, 9.9]
+    write(path, times)
+    assert preview_of(path).gaps == (
+        Gap(1.5, 1_700_000_000.2),
+        Gap(4.0, 1_700_000_002.6),
+        Gap(2.0, 1_700_000_006.7),
+        Gap(1.1, 1_700_000_008.8),
+    )
+    assert (
+        "  4 gaps between scans: the longest 4.00 s from 1700000002.600 s on, 2.00 s from "
+        "1700000006.700 s on, 1.50 s from 1700000000.200 s on"
+    ) in lines_of(path)
+    assert len(preview_of(path, gap_s=0.6).gaps) == 5
+    assert len(preview_of(path, pause_intervals=18.0).gaps) == 2
+
+
+def test_a_log_at_one_hertz_has_no_gaps(tmp_path: Path) -> None:
+    write(tmp_path / "log.mcap", [1.5 * n for n in range(9)])
+    assert preview_of(tmp_path / "log.mcap").gaps == ()
+
+
+def test_only_the_first_scans_are_read_unless_all_are_asked_for(path: Path) -> None:
+    write(path, [0.1 * n for n in range(30)])
+    assert lines_of(path, look_scans=20)[0] == "build would meet, in the first 20 of 30 scans:"
+    assert lines_of(path, complete=True, look_scans=20)[0] == "build would meet, in 30 scans:"
+
+
+def write_stamps(path: Path, stamps_s: list[float]) -> None:
+    with LogWriter(path) as log:
+        for n, stamp_s in enumerate(stamps_s):
+            data = scan_cdr("laser", round(stamp_s * SECOND), -1.0, 1.0, [2.0] * 3, range_max=8.0)
+            log.raw("/scan", LASER_SCAN, data, START + n * SECOND // 10)
+
+
+TODAY = START / SECOND
+
+
+@pytest.mark.parametrize(
+    ("stamps_s", "said"),
+    [
+        ([TODAY, TODAY + 1, TODAY + 2], ""),
+        ([0.0, TODAY, 0.0], "zero: 2"),
+        ([TODAY, TODAY, TODAY + 1], "equal to the stamp before: 1"),
+        ([TODAY + 2, TODAY, TODAY + 1], "earlier than the stamp before: 1"),
+        ([5.0, 6.0, 7.0], "before 1990 or in the future: 3, such as 5.000 s"),
+        (
+            [TODAY, 2_147_483_000.0, 2_147_483_001.0],
+            "before 1990 or in the future: 2, such as 2147483000.000 s (2038-01-19)",
+        ),
+        (
+            [9.0, 9.0, 0.0, 3.0],
+            "zero: 1; equal to the stamp before: 1; before 1990 or in the future: 3, "
+            "such as 9.000 s",
+        ),
+    ],
+)
+def test_faulty_stamps_are_counted(path: Path, stamps_s: list[float], said: str) -> None:
+    write_stamps(path, stamps_s)
+    found = [line for line in lines_of(path) if "stamps on" in line]
+    expected = f"  stamps on /scan, of {len(stamps_s)} messages: {said}"
+    assert found == ([expected] if said else [])
+
+
+def test_a_date_beyond_the_calendar_is_left_out() -> None:
+    faults = StampFaults(topic="/scan", messages=1, elsewhen=1, example_s=1e15)
+    assert faults.text().endswith("such as 1000000000000000.000 s")
+
+
+def test_it_is_part_of_the_json(path: Path) -> None:
+    write(path, [0.0, 0.1, 0.2])
+    with open_log(path) as log:
+        plain = summarize(log).to_dict()["preview"]
+    assert plain["spacing"] == {"rate_hz": 10.0, "step_m": 0.1, "is_sparse": False}
+    assert plain["sensors"] == (("laser", 3),)
+    assert [faults["topic"] for faults in plain["stamps"]] == ["/scan", "/odom"]

@@ -11,7 +11,7 @@ import pytest
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.clocks import Beside, Clock, choose_clock
+from specmap_cli.logs.clocks import Clock, StampPair, choose_clock
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
 from specmap_cli.logs.stream import SweepStream
@@ -72,9 +72,9 @@ def test_scans_by_order_leave_the_time_to_drive(
 ) -> None:
     """Otherwise the odometry of a sparse log would seem to jump."""
     zeros = [0] * 9
-    besides = [Beside((0, 0), (0, 0), (n * step_m, 0.0)) for n in range(3)]
+    pairs = [StampPair((0, 0), (0, 0), (n * step_m, 0.0)) for n in range(3)]
     turn("logs", order_speed_mps=speed_mps)
-    clock = choose_clock(glimpses(zeros, zeros), besides)
+    clock = choose_clock(glimpses(zeros, zeros), pairs)
     assert clock.interval_ns == round(interval_s * SECOND)
 
 
@@ -86,9 +86,9 @@ def test_the_settings_say_how_far_apart_the_clocks_may_be(
 ) -> None:
     times = tenths(9)
     ahead = [t + round(apart_s * SECOND) for t in times]
-    besides = [Beside((t, t), (s, t)) for s, t in zip(ahead, times, strict=True)]
+    pairs = [StampPair((t, t), (s, t)) for s, t in zip(ahead, times, strict=True)]
     turn("logs", clocks_apart_s=limit_s)
-    clock = choose_clock(glimpses(ahead, times), besides)
+    clock = choose_clock(glimpses(ahead, times), pairs)
     assert clock.odometry_shift_ns == round(shift_s * SECOND)
 
 
@@ -137,8 +137,7 @@ def places(sweeps: list[Sweep]) -> list[float | None]:
 HALVES = pytest.approx([n + 0.5 for n in range(19)])
 
 
-def test_odometry_of_another_clock_is_shifted_to_the_scans(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_odometry_of_another_clock_is_shifted_to_the_scans(path: Path) -> None:
     write(path, tick(TODAY), tick(0), tick(TODAY))
     sweeps, warnings = read(path)
     assert [s.stamp_ns for s in sweeps] == [tick(TODAY)(2 * n + 1) for n in range(20)]
@@ -149,8 +148,7 @@ def test_odometry_of_another_clock_is_shifted_to_the_scans(tmp_path: Path) -> No
     ]
 
 
-def test_scans_of_another_clock_keep_their_stamps(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_scans_of_another_clock_keep_their_stamps(path: Path) -> None:
     write(path, tick(5), tick(TODAY), tick(TODAY))
     sweeps, warnings = read(path)
     assert sweeps[0].stamp_ns == tick(5)(1)
@@ -175,9 +173,8 @@ def test_scans_of_another_clock_keep_their_stamps(tmp_path: Path) -> None:
     ],
 )
 def test_stamps_that_never_change_leave_the_recorders_times(
-    tmp_path: Path, scan: Stamp, odometry: Stamp, said: str
+    path: Path, scan: Stamp, odometry: Stamp, said: str
 ) -> None:
-    path = tmp_path / "log.mcap"
     write(path, scan, odometry, tick(TODAY))
     sweeps, warnings = read(path)
     assert [s.stamp_ns for s in sweeps] == [tick(TODAY)(2 * n + 1) for n in range(20)]
@@ -185,8 +182,7 @@ def test_stamps_that_never_change_leave_the_recorders_times(
     assert warnings == [said]
 
 
-def test_without_any_times_the_order_remains(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_without_any_times_the_order_remains(path: Path) -> None:
     write(path, lambda _: 0, lambda _: 0, lambda _: 0)
     sweeps, warnings = read(path)
     assert [s.stamp_ns for s in sweeps] == [n * 2 * SECOND for n in range(20)]
@@ -197,8 +193,7 @@ def test_without_any_times_the_order_remains(tmp_path: Path) -> None:
     ]
 
 
-def test_a_few_scans_that_were_never_stamped_have_the_recorders_times(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_few_scans_that_were_never_stamped_have_the_recorders_times(path: Path) -> None:
     write(path, lambda n: 0 if n < 4 else tick(TODAY)(n), tick(TODAY), tick(TODAY))
     sweeps, warnings = read(path)
     assert [s.stamp_ns for s in sweeps] == [tick(TODAY)(2 * n + 1) for n in range(20)]

@@ -1,4 +1,4 @@
-"""Times of points as the usual drivers write them: names, units, clocks."""
+"""Clouds: the times of their points, the floor they show, and those of planar lasers."""
 
 from __future__ import annotations
 
@@ -7,13 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.clouds import CloudPoints, PointClock, cloud_points
+from specmap_cli.logs.clouds import CloudLeveller, CloudPoints, PointClock, cloud_points, floor_of
 from specmap_cli.logs.messages import CloudRecord
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
+from tests.logs.recordings import sweeps_of
+from tests.turning import turn
 
 STAMP = 1_700_000_000_250_000_000
 XYZ = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
@@ -93,8 +98,7 @@ def test_the_first_full_sweep_settles_the_unit() -> None:
     assert whole.times_s.max() == pytest.approx(0.1)
 
 
-def test_a_foreign_clock_is_said_once(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_foreign_clock_is_said_once(path: Path) -> None:
     rng = np.random.default_rng(1)
     with LogWriter(path) as log:
         for number in range(3):
@@ -107,3 +111,142 @@ def test_a_foreign_clock_is_said_once(tmp_path: Path) -> None:
             "scans whose point times have another clock than their stamps and were counted from "
             "the earliest point: 3"
         ) in stream.warnings
+
+
+def room(seed: int = 0) -> FloatArray:
+    """A room of 8 by 6 m around the origin, its floor at -1.2 m, with a ceiling and a table."""
+    rng = np.random.default_rng(seed)
+    flat = rng.uniform((-4, -3, 0), (4, 3, 0), (3000, 3))
+    walls = rng.uniform((-4, -3, -1.2), (4, 3, 1.8), (2400, 3))
+    walls[:800, 0], walls[800:1600, 1], walls[1600:, 1] = 4.0, -3.0, 3.0
+    table = rng.uniform((1, 1, -0.45), (2.5, 2.5, -0.45), (800, 3))
+    points = np.concatenate([flat - (0, 0, 1.2), flat + (0, 0, 1.8), walls, table])
+    return np.asarray(points + rng.normal(0.0, 0.01, points.shape))
+
+
+@pytest.mark.parametrize("roll", [-0.6, -0.2, 0.0, 0.3])
+@pytest.mark.parametrize("pitch", [-0.4, 0.0, 0.25])
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_a_tilted_lidar_is_levelled_and_keeps_its_heading(
+    roll: float, pitch: float, yaw: float
+) -> None:
+    turned = Rotation.from_euler("Z", yaw).apply(room())
+    level_from_lidar = Rotation.from_euler("YX", [pitch, roll])
+    found = floor_of(level_from_lidar.inv().apply(turned))
+    assert found is not None
+    off = Rotation.from_matrix(found.rotation) * level_from_lidar.inv()
+    assert off.magnitude() < 0.004
+    assert found.floor_m == pytest.approx(-1.2, abs=0.01)
+
+
+def test_returns_beneath_the_floor_do_not_hide_it() -> None:
+    """A shiny floor mirrors the ceiling."""
+    mirrored = room()[3000:6000][::40] * (1.0, 1.0, -1.0) - (0.0, 0.0, 2.4)
+    found = floor_of(np.concatenate([room(), mirrored]))
+    assert found is not None
+    assert found.floor_m == pytest.approx(-1.2, abs=0.01)
+
+
+def only(*keep: str) -> FloatArray:
+    parts = {"floor": (0, 3000), "ceiling": (3000, 6000), "walls": (6000, 8400)}
+    return np.concatenate([room()[slice(*parts[name])] for name in keep])
+
+
+@pytest.mark.parametrize(
+    ("cloud", "settings_"),
+    [
+        (np.zeros((0, 3)), {}),
+        (only("floor")[:20], {}),
+        (only("walls", "ceiling"), {}),
+        (only("floor")[np.abs(only("floor")[:, 1]) < 0.1], {}),  # a strip says nothing across it
+        (only("floor"), {"floor_radius_m": 1.0}),
+        (room(), {"floor_share": 0.9}),
+    ],
+    ids=["nothing", "few", "no floor", "strip", "too far", "small share"],
+)
+def test_a_cloud_without_a_floor_says_so(cloud: FloatArray, settings_: dict[str, float]) -> None:
+    turn("logs", **settings_)
+    assert floor_of(cloud) is None
+
+
+def test_a_floor_tilted_beyond_the_limit_is_none() -> None:
+    tilted = Rotation.from_euler("X", 0.5).apply(only("floor"))
+    assert floor_of(tilted) is not None
+    turn("logs", floor_tilt_max_rad=0.3)
+    assert floor_of(tilted) is None
+
+
+def test_a_cloud_without_a_floor_has_the_level_of_the_one_before() -> None:
+    leveller = CloudLeveller()
+    first = leveller.level(only("walls", "ceiling"))
+    np.testing.assert_array_equal(first.rotation, np.eye(3))
+    assert first.floor_m is None
+    second = leveller.level(Rotation.from_euler("X", 0.2).apply(room()))
+    assert second.floor_m == pytest.approx(-1.2, abs=0.01)
+    assert leveller.level(only("walls")) is second
+
+
+LASTS_S = 0.08
+
+
+def write(
+    path: Path,
+    tour: list[tuple[Sweep, Pose2]],
+    *,
+    mounted: bool = True,
+    timed: bool = False,
+    height_m: float = 0.0,
+) -> Path:
+    """The returns of a tour as clouds, in a laser frame on the floor or in that of the base."""
+    with LogWriter(path) as log:
+        if mounted:
+            log.static_transform("base_link", "laser", (0.0, 0.0, 0.0))
+        for sweep, _ in tour:
+            scan = sweep.planar
+            hit = np.isfinite(scan.ranges)
+            r, b = scan.ranges[hit], scan.bearings[hit]
+            points = np.column_stack([r * np.cos(b), r * np.sin(b), np.full(len(r), height_m)])
+            times = np.linspace(0.0, LASTS_S, len(hit))[hit] if timed else None
+            log.cloud("/points", "laser" if mounted else "base_link", sweep.stamp_ns, points, times)
+    return path
+
+
+@pytest.mark.parametrize(("mounted", "height_m"), [(True, 0.0), (False, 0.1), (False, 2.0)])
+def test_their_points_count_at_any_height_and_become_a_planar_scan(
+    flat_tour: list[tuple[Sweep, Pose2]], tmp_path: Path, mounted: bool, height_m: float
+) -> None:
+    tour = flat_tour[:20]
+    path = write(tmp_path / "log.mcap", tour, mounted=mounted, height_m=height_m)
+    sweeps, stream = sweeps_of(path)
+    assert len(sweeps) == len(tour)
+    assert "height band" not in stream.selection.note
+    for found, (true, _) in zip(sweeps, tour, strict=True):
+        assert found.cloud is None
+        assert len(found.planar.hits()) == pytest.approx(len(true.planar.hits()), rel=0.02)
+
+
+def test_the_times_of_their_points_become_those_of_the_beams(
+    flat_tour: list[tuple[Sweep, Pose2]], tmp_path: Path
+) -> None:
+    sweeps, _ = sweeps_of(write(tmp_path / "log.mcap", flat_tour[:5], timed=True))
+    for found, (true, _) in zip(sweeps, flat_tour[:5], strict=True):
+        times = found.planar.beam_times_s
+        assert times is not None
+        hit = np.isfinite(found.planar.ranges)
+        hit[[0, -1]] = False  # straight behind, where the first beam is the last as well
+        of_beams = np.linspace(0.0, LASTS_S, len(true.planar.bearings))
+        expected = np.interp(found.planar.bearings[hit], true.planar.bearings, of_beams)
+        assert times[hit] == pytest.approx(expected, abs=2e-3)
+
+
+def test_one_cloud_with_height_makes_it_a_lidar_in_space(
+    flat_tour: list[tuple[Sweep, Pose2]], path: Path
+) -> None:
+    with LogWriter(path) as log:
+        for number, (sweep, _) in enumerate(flat_tour[:5]):
+            points = np.column_stack([sweep.planar.hits(), np.full(len(sweep.planar.hits()), 0.5)])
+            points[0, 2] += 0.1 if number == 3 else 0.0
+            log.cloud("/points", "base_link", sweep.stamp_ns, points)
+    sweeps, stream = sweeps_of(path)
+    assert "height band 0.15 to 1.5 m" in stream.selection.note
+    assert all(sweep.cloud is not None for sweep in sweeps)

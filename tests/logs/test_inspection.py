@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs import open_log
 from specmap_cli.logs.inspection import summarize
+from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.summary import (
-    Extent,
-    FrameSummary,
     LogSummary,
-    Outlook,
-    ScanSummary,
-    TopicSummary,
 )
 from specmap_cli.logs.writer import LogWriter
 from tests.turning import configured
@@ -82,9 +78,8 @@ def test_times_that_have_not_come_yet_are_said(tmp_path: Path) -> None:
     )
 
 
-def test_odometry_of_another_time_is_said(tmp_path: Path) -> None:
+def test_odometry_of_another_time_is_said(path: Path) -> None:
     """The recorder's times are as far apart as the stamps: nothing tells where it belongs."""
-    path = tmp_path / "log.mcap"
     with LogWriter(path) as log:
         for number in range(5):
             log.odometry("/odom", "odom", "laser", number * SECOND, Pose2(0.0, 0.0, 0.0))
@@ -156,17 +151,17 @@ def test_a_log_of_unreadable_scans_has_no_next_command(tmp_path: Path) -> None:
         for number in range(2):
             log.scan("/scan", "laser", START + number, -1.0, 0.5, [], range_max=8.0)
     summary = summary_of(tmp_path / "log.mcap")
-    assert summary.outlook.problem == "no usable scan on /scan"
-    assert summary.outlook.next_command is None
-    assert summary.outlook.chosen is not None
+    assert summary.problem == "no usable scan on /scan"
+    assert summary.next_command is None
+    assert summary.chosen is not None
     assert summary.scan is None
 
 
 def test_a_named_frame_that_is_not_there_is_a_problem_with_a_command(drive: Path) -> None:
     summary = summary_of(drive, base_frame="body", scan_topic="/scan")
-    assert summary.outlook.problem is not None
-    assert "--base-frame body: no transform joins it" in summary.outlook.problem
-    assert summary.outlook.next_command == f"specmap build {drive} --scan-topic /scan"
+    assert summary.problem is not None
+    assert "--base-frame body: no transform joins it" in summary.problem
+    assert summary.next_command == f"specmap build {drive} --scan-topic /scan"
     assert [frame.child for frame in summary.frames] == ["laser"]
 
 
@@ -178,67 +173,10 @@ def test_many_files_are_named_in_short(tmp_path: Path) -> None:
     first = ", ".join(str(path) for path in paths[:3])
     assert summary.lines()[0].startswith(f"{first} ...: MCAP, 0.0 MB")
     quoted = " ".join(f"'{path}'" for path in paths)
-    assert summary.outlook.next_command == f"specmap build {quoted}"
+    assert summary.next_command == f"specmap build {quoted}"
 
 
-def test_every_line_has_its_place() -> None:
-    summary = LogSummary(
-        extent=Extent(
-            files=("log",),
-            format="MCAP",
-            size_bytes=2_500_000,
-            messages=1,
-            start_s=0.5,
-            end_s=2.0,
-            duration_s=1.5,
-        ),
-        topics=(
-            TopicSummary(name="/a", type="T", count=1234, rate_hz=0.04),
-            TopicSummary(name="/long", type="U", count=2, rate_hz=0.05),
-        ),
-        frames=(
-            FrameSummary(
-                parent="a",
-                child="b",
-                xyz_m=(1.0, 0.0, 0.0),
-                roll_pitch_yaw_deg=(0.0, 0.0, 0.5),
-                moving=False,
-            ),
-        ),
-        scan=ScanSummary(
-            topic="/a",
-            frame="elsewhere",
-            beams=3,
-            field_of_view_deg=90.0,
-            full_circle=False,
-            range_max_m=8.0,
-            point_times=False,
-            points=None,
-        ),
-        outlook=Outlook(chosen="all", problem="none", next_command="go", warnings=("w1", "w2")),
-        damage=("d",),
-    )
-    assert summary.lines() == [
-        "log: MCAP, 2.5 MB",
-        "1 message in 1.5 s, 0.500 s to 2.000 s",
-        "topics:",
-        "  /a        1,234  T",
-        "  /long         2  U  0.1 Hz",
-        "frames:",
-        "  a -> b  at (1, 0, 0) m, roll 0, pitch 0, yaw 0.5 degrees",
-        "scan: 3 beams over 90 degrees in frame elsewhere, up to 8 m, all at one time",
-        "build would read: all",
-        "checked: only the beginning; --check reads all messages and compares the counts",
-        "warning: w1",
-        "warning: w2",
-        "damage: d",
-        "problem: none",
-        "next: go",
-    ]
-
-
-def test_names_that_a_terminal_would_obey_are_shown_escaped(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_names_that_a_terminal_would_obey_are_shown_escaped(path: Path) -> None:
     with LogWriter(path) as log:
         log.static_transform("base_link", "las\x1b[31mER", stamp_ns=1)
         log.odometry("/odom\n/evil\u202e", "odom", "base_link", 1, Pose2(0.0, 0.0, 0.0))
@@ -252,6 +190,87 @@ def test_names_that_a_terminal_would_obey_are_shown_escaped(tmp_path: Path) -> N
     assert all(line.isprintable() for line in lines)
     assert any("/odom\\n/evil\\u202e" in line for line in chosen.lines())
     assert any("frame las\\x1b[31mER" in line for line in chosen.lines())
-    assert both.outlook.problem is not None
-    assert "`--scan-topic /scan\\x07`" in both.outlook.problem
+    assert both.problem is not None
+    assert "`--scan-topic /scan\\x07`" in both.problem
     assert {t.name for t in both.topics} >= {"/scan\x07", "/odom\n/evil\u202e"}
+
+
+def test_a_drive_is_summed_up(drive: Path) -> None:
+    summary = summary_of(drive)
+    assert summary.messages == 91
+    assert summary.duration_s == pytest.approx(2.95)
+    rates = {t.name: t.rate_hz for t in summary.topics}
+    assert rates["/odom"] == pytest.approx(59 / 2.95)
+    assert rates["/tf_static"] == 0.0
+    (frame,) = summary.frames
+    assert (frame.parent, frame.child, frame.xyz_m) == ("base_link", "laser", (0.2, 0.0, 0.3))
+    assert summary.scan is not None
+    assert summary.scan.beams == 40
+    assert summary.scan.field_of_view_deg == pytest.approx(171.89, abs=0.01)
+    assert summary.scan.range_max_m == 8.0
+    assert summary.next_command == f"specmap build {drive}"
+    assert summary.problem is None
+    assert json.loads(json.dumps(summary.to_dict()))["topics"][0]["name"] == "/odom"
+
+
+def test_an_ambiguous_log_gets_a_command_that_runs(tmp_path: Path) -> None:
+    path = tmp_path / "two scans.mcap"
+    with LogWriter(path) as log:
+        for i in range(3):
+            log.scan("/rear", "rear", i, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
+            log.cloud("/points", "lidar", i, np.ones((4, 3)))
+        log.scan("/front", "front", 1, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
+        log.odometry("/odom", "odom", "base", 1, Pose2(0.0, 0.0, 0.0))
+        for i in range(2):
+            log.odometry("/visual", "odom", "base", i, Pose2(0.0, 0.0, 0.0))
+    summary = summary_of(path)
+    assert summary.problem is not None
+    assert "3 topics carry scans" in summary.problem
+    assert summary.next_command == (
+        f"specmap build '{path}' --scan-topic /rear --odom-topic /visual"
+    )
+    with open_log(path) as log_:
+        options = LogConfig(scan_topic="/rear", odom_topic="/visual")
+        assert len(list(SweepStream(log_, options))) == 3
+
+
+def test_a_log_without_scans_has_no_next_command(path: Path) -> None:
+    with LogWriter(path) as log:
+        log.odometry("/odom", "odom", "base", 1, Pose2(0.0, 0.0, 0.0))
+    summary = summary_of(path)
+    assert summary.next_command is None
+    assert summary.problem is not None
+    assert "problem: " in "\n".join(summary.lines())
+
+
+def test_every_line_has_its_place(drive: Path) -> None:
+    summary = replace(
+        summary_of(drive),
+        chosen="all",
+        problem="none",
+        next_command="go",
+        warnings=("w1", "w2"),
+        damage=("d",),
+        preview=None,
+    )
+    rates = zip(summary.topics, (0.04, 0.05, 9.8), strict=True)
+    summary = replace(summary, topics=tuple(replace(topic, rate_hz=hz) for topic, hz in rates))
+    size = f"{drive.stat().st_size / 1e6:.1f} MB"
+    assert summary.lines() == [
+        f"{drive}: MCAP, {size}",
+        "91 messages in 3.0 s, 100.000 s to 102.950 s",
+        "topics:",
+        "  /odom             60  nav_msgs/msg/Odometry",
+        "  /scan             30  sensor_msgs/msg/LaserScan  0.1 Hz",
+        "  /tf_static         1  tf2_msgs/msg/TFMessage  9.8 Hz",
+        "frames:",
+        "  base_link -> laser  at (0.2, 0, 0.3) m, roll 0, pitch 0, yaw 0 degrees",
+        "scan: 40 beams over 171.89 degrees in frame laser, up to 8 m, all at one time",
+        "build would read: all",
+        "checked: only the beginning; --check reads all messages and compares the counts",
+        "warning: w1",
+        "warning: w2",
+        "damage: d",
+        "problem: none",
+        "next: go",
+    ]

@@ -24,7 +24,6 @@ from specmap_cli.logs.messages import (
     decode_odometry,
     decode_scan,
     decode_transforms,
-    frame_name,
 )
 from specmap_cli.logs.readers.encoding import (
     LASER_SCAN,
@@ -138,40 +137,14 @@ def test_any_layout_gives_the_points_and_their_times(
         assert times is None
 
 
-@pytest.mark.parametrize("name", ["t", "time", "timestamp", "time_stamp", "offset_time"])
-@pytest.mark.parametrize(
-    ("kind", "values"),
-    [
-        ("f4", [0.0, 0.05, 0.1]),  # seconds after the stamp
-        ("f8", [STAMP / 1e9 + t for t in (0.0, 0.05, 0.1)]),  # seconds, absolute
-        ("f8", [STAMP + t * 1e9 for t in (0.0, 0.05, 0.1)]),  # nanoseconds, absolute
-        ("u4", [0, 50_000_000, 100_000_000]),  # nanoseconds after the stamp
-        ("f4", [0.0, 5e7, 1e8]),
-    ],
-)
-def test_point_times_of_every_kind(name: str, kind: str, values: list[float]) -> None:
-    layout = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), (name, f"<{kind}")])
-    table = np.ones((1, 3), dtype=layout)
-    table[name] = values
-    _, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
-    assert times is not None
-    np.testing.assert_allclose(times, [0.0, 0.05, 0.1], atol=3e-7)
-
-
-def test_times_before_the_stamp_are_kept() -> None:
-    table = np.ones((1, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4")])
-    table["time"] = [-0.1, -0.05, 0.0]
-    _, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
-    np.testing.assert_allclose(times, [-0.1, -0.05, 0.0], atol=1e-7)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("values", [[0.1, 0.1, 0.1], [0.0, math.nan, 0.1], [0.0, 1e12, 2e12]])
 def test_times_that_cannot_be_relied_on_are_none(values: list[float]) -> None:
     table = np.ones((1, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f8")])
     table["time"] = values
-    points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
+    points, times, far = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
     assert len(points) == 3
     assert times is None
+    assert far is (max(values) > 1.0)
 
 
 def test_points_at_the_origin_and_beyond_range_are_left_out_with_their_times() -> None:
@@ -244,24 +217,14 @@ def test_the_first_echo_counts() -> None:
 def test_odometry_and_transforms_are_matrices() -> None:
     data = odometry_cdr("odom", "base", STAMP, Pose2(1.0, 2.0, 0.5))
     odometry = decode_odometry(Message("/odom", ODOMETRY, 1, data))
-    assert (odometry.frame, odometry.child, odometry.stamp_ns) == ("odom", "base", STAMP)
-    assert Pose2.from_matrix(odometry.frame_from_child) == pytest.approx((1.0, 2.0, 0.5))
+    assert (odometry.parent, odometry.child, odometry.stamp_ns) == ("odom", "base", STAMP)
+    assert Pose2.from_matrix(odometry.parent_from_child) == pytest.approx((1.0, 2.0, 0.5))
     turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.0])
     data = transform_cdr("base", "/laser", STAMP, (1.0, 2.0, 3.0), turn.as_quat())
     (transform,) = decode_transforms(Message("/tf", TF_MESSAGE, 1, data)).records
     assert (transform.parent, transform.child) == ("base", "laser")
     np.testing.assert_allclose(transform.parent_from_child[:3, :3], turn.as_matrix(), atol=1e-12)
     assert transform.parent_from_child[:3, 3].tolist() == [1.0, 2.0, 3.0]
-
-
-def test_values_that_are_not_finite_are_refused() -> None:
-    data = odometry_cdr("odom", "base", STAMP, Pose2(math.nan, 2.0, 0.5))
-    with pytest.raises(BadMessageError, match="not finite"):
-        decode_odometry(Message("/odom", ODOMETRY, 1, data))
-    data = transform_cdr("base", "laser", STAMP, (math.inf, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    assert decode_transforms(Message("/tf", TF_MESSAGE, 1, data)) == Transforms(
-        records=(), absurd=(("base", "laser"),)
-    )
 
 
 @pytest.mark.parametrize("kind", [LASER_SCAN, MULTI_ECHO, POINT_CLOUD])
@@ -295,13 +258,6 @@ def test_times_are_used_as_far_from_the_stamp_as_the_settings_allow(
     assert found.far_times is far
 
 
-@pytest.mark.parametrize("values", [[0.1, 0.1, 0.1], [0.0, math.nan, 0.1]])
-def test_times_of_no_use_are_not_far(values: list[float]) -> None:
-    table = np.ones((1, 3), dtype=[*XYZ, ("time", "<f4")])
-    table["time"] = values
-    assert not cloud_points(decoded_cloud(cloud_message(table)), STAMP).far_times
-
-
 def test_a_time_that_is_not_finite_counts_only_with_its_point() -> None:
     table = np.ones((1, 3), dtype=[*XYZ, ("time", "<f4")])
     table["time"] = [0.0, math.nan, 0.1]
@@ -316,17 +272,6 @@ def test_a_field_of_another_name_is_no_time() -> None:
     assert cloud_points(decoded_cloud(cloud_message(table)), STAMP).times_s is None
 
 
-@pytest.mark.parametrize(("reach", "count"), [(100.0, 3), (5.1, 2), (4.9, 1), (1.0, 0)])
-def test_points_beyond_the_range_of_the_settings_are_left_out(reach: float, count: int) -> None:
-    table = np.zeros((1, 3), dtype=XYZ)
-    table["x"] = [3.0, 3.0, 30.0]
-    table["y"] = [0.0, 4.0, 0.0]
-    turn("logs", cloud_range_max_m=reach)
-    points, times_s, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
-    assert len(points) == count
-    assert times_s is None
-
-
 def test_fields_of_unknown_datatypes_are_passed_over() -> None:
     table = np.ones((2, 2), dtype=[*XYZ, ("odd", "<f4")])
     field = message_class("sensor_msgs/msg/PointField")
@@ -335,12 +280,6 @@ def test_fields_of_unknown_datatypes_are_passed_over() -> None:
     record = decoded_cloud(cloud_message(table, fields=fields))
     assert record.points.dtype.names == ("x", "y", "z")
     assert len(cloud_points(record, STAMP).points) == 4
-
-
-def test_a_message_of_another_type_is_no_scan() -> None:
-    data = odometry_cdr("odom", "base", STAMP, Pose2(0.0, 0.0, 0.0))
-    with pytest.raises(BadMessageError, match=r"^nav_msgs/msg/Odometry is no scan$"):
-        decode_scan(Message("/odom", ODOMETRY, 1, data))
 
 
 def test_all_transforms_of_a_message_are_read_and_those_not_finite_left_out() -> None:
@@ -371,10 +310,10 @@ def test_messages_of_another_type_on_a_topic_are_refused(
     assert str(caught.value).startswith(kind)
 
 
-@pytest.mark.parametrize("far", [1.1e8, 1e20, 1e308, -1e9])
-def test_places_beyond_the_earth_are_refused(far: float) -> None:
+@pytest.mark.parametrize("far", [1.1e8, 1e20, 1e308, -1e9, math.nan, math.inf])
+def test_places_that_are_not_on_earth_are_refused(far: float) -> None:
     near = odometry_cdr("odom", "base", STAMP, Pose2(4e7, -4e7, 0.5))
-    assert decode_odometry(Message("/odom", ODOMETRY, 1, near)).frame_from_child[0, 3] == 4e7
+    assert decode_odometry(Message("/odom", ODOMETRY, 1, near)).parent_from_child[0, 3] == 4e7
     data = odometry_cdr("odom", "base", STAMP, Pose2(0.0, far, 0.5))
     with pytest.raises(BadMessageError, match="beyond all bounds"):
         decode_odometry(Message("/odom", ODOMETRY, 1, data))
@@ -382,13 +321,6 @@ def test_places_beyond_the_earth_are_refused(far: float) -> None:
     assert decode_transforms(Message("/tf", TF_MESSAGE, 1, data)) == Transforms(
         records=(), absurd=(("base", "laser"),)
     )
-
-
-@pytest.mark.parametrize(
-    ("recorded", "name"), [("/laser", "laser"), ("laser", "laser"), ("//a/b", "a/b"), ("", "")]
-)
-def test_frames_lose_the_slash_of_ros_1(recorded: str, name: str) -> None:
-    assert frame_name(recorded) == name
 
 
 def test_scans_and_clouds_of_absurd_size_are_refused() -> None:

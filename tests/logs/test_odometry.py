@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.logs.odometry import MAX_POSES, OdometryBuffer, interpolated
-from tests.strategies import poses
+from specmap_cli.logs.odometry import MAX_POSES, OdometryBuffer
 from tests.turning import turn
 
 MS = 1_000_000
@@ -29,46 +28,6 @@ def test_poses_between_stamps_lie_on_the_way(share: float, start: float, turn: f
     assert math.remainder(pose.theta - start - share * turn, 2 * math.pi) == pytest.approx(
         0.0, abs=1e-6
     )
-
-
-def test_the_order_of_arrival_does_not_matter() -> None:
-    rng = np.random.default_rng(6)
-    stamps = rng.permutation(50)
-    buffer = OdometryBuffer()
-    for stamp in stamps.tolist():
-        buffer.add(1000 * MS + stamp * 20 * MS, Pose2(float(stamp), 0.0, 0.0))
-    for tenth in range(490):
-        pose = buffer.at(1000 * MS + tenth * 2 * MS)
-        assert pose is not None
-        assert pose.x == pytest.approx(tenth / 10)
-
-
-def test_there_is_no_pose_in_holes_nor_far_outside() -> None:
-    buffer = OdometryBuffer()
-    assert buffer.at(5) is None
-    buffer.add(1000 * MS, Pose2(1.0, 0.0, 0.0))
-    buffer.add(9000 * MS, Pose2(9.0, 0.0, 0.0))
-    assert buffer.at(5000 * MS) is None
-    assert buffer.at(1000 * MS) == (1.0, 0.0, 0.0)
-    assert buffer.at(950 * MS) == (1.0, 0.0, 0.0), "held for a tenth of a second"
-    assert buffer.at(9050 * MS) == (9.0, 0.0, 0.0)
-    assert buffer.at(800 * MS) is None
-    assert buffer.at(9200 * MS) is None
-
-
-def test_a_repeated_stamp_replaces_the_pose() -> None:
-    buffer = OdometryBuffer()
-    buffer.add(1000 * MS, Pose2(1.0, 0.0, 0.0))
-    buffer.add(1000 * MS, Pose2(2.0, 0.0, 0.0))
-    assert buffer.at(1000 * MS) == (2.0, 0.0, 0.0)
-
-
-def test_a_clock_set_back_starts_anew() -> None:
-    buffer = OdometryBuffer()
-    buffer.add(100_000 * MS, Pose2(1.0, 0.0, 0.0))
-    buffer.add(1000 * MS, Pose2(5.0, 0.0, 0.0))
-    assert buffer.latest_ns == 1000 * MS
-    assert buffer.at(100_000 * MS) is None
 
 
 def test_memory_is_bounded() -> None:
@@ -97,15 +56,6 @@ def test_poses_are_those_of_linear_interpolation(found: list[tuple[int, float]])
         assert pose.x == pytest.approx(expected, abs=1e-5)
         assert pose.y == pytest.approx(-expected, abs=1e-5)
     assert len(buffer) == len(known)
-
-
-@given(poses, poses)
-def test_interpolation_starts_and_ends_at_its_poses(a: Pose2, b: Pose2) -> None:
-    for found, expected in ((interpolated(a, b, 0.0), a), (interpolated(a, b, 1.0), b)):
-        assert found[:2] == pytest.approx(expected[:2])
-        assert math.remainder(found.theta - expected.theta, 2 * math.pi) == pytest.approx(
-            0.0, abs=1e-9
-        )
 
 
 @pytest.mark.parametrize(

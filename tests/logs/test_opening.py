@@ -10,11 +10,14 @@ from typing import Any
 
 import lz4.frame
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from specmap_cli.core.errors import LogError
-from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.opening import HEAD_BYTES, head_of, open_log
 from specmap_cli.logs.readers.mcap import McapFile
-from specmap_cli.logs.readers.recording import Message
+from specmap_cli.logs.readers.recording import Message, is_text
+from tests.logs.recordings import read_rest
 
 
 def test_missing_paths_are_refused(tmp_path: Path) -> None:
@@ -38,8 +41,7 @@ def test_missing_paths_are_refused(tmp_path: Path) -> None:
         (b"\x1f\x8b" + bytes(40), "the file is empty (inside gzip compression)"),
     ],
 )
-def test_other_files_are_refused(tmp_path: Path, content: bytes, said: str) -> None:
-    path = tmp_path / "log.mcap"
+def test_other_files_are_refused(path: Path, content: bytes, said: str) -> None:
     path.write_bytes(content)
     with pytest.raises(LogError) as caught:
         open_log(path)
@@ -58,18 +60,6 @@ def test_a_directory_is_searched_for_recordings(tmp_path: Path, drive: Path) -> 
     with open_log(folder) as log:
         assert log.paths == [folder / "notes"]
         assert log.given == (folder,)
-
-
-def test_an_unreadable_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "log.mcap"
-    path.write_bytes(b"x")
-
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(LogError, match=r"log\.mcap: cannot read: Permission denied"):
-        open_log(path)
 
 
 @pytest.mark.parametrize(
@@ -114,27 +104,13 @@ def test_hidden_files_and_folders_in_a_directory_are_passed_over(
     )
 
 
-def test_a_directory_that_cannot_be_listed_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(_: Path) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "iterdir", refuse)
-    with pytest.raises(LogError) as caught:
-        open_log(tmp_path)
-    assert str(caught.value) == f"{tmp_path}: cannot read: Permission denied"
-
-
 @pytest.mark.parametrize("pack", [gzip.compress, lz4.frame.compress])
 def test_a_compressed_log_is_read_in_all_its_blocks(
     drive: Path, drive_messages: list[Message], pack: Callable[[bytes], bytes]
 ) -> None:
     whole = drive.read_bytes()
     drive.write_bytes(pack(whole[:3000]) + pack(whole[3000:]))
-    with open_log(drive) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == []
+    assert read_rest(drive) == (drive_messages, [])
 
 
 @pytest.mark.parametrize(
@@ -146,9 +122,8 @@ def test_a_compressed_log_is_read_in_all_its_blocks(
     ],
 )
 def test_what_is_inside_a_compressed_file_is_told_under_its_name(
-    tmp_path: Path, content: bytes, said: str
+    path: Path, content: bytes, said: str
 ) -> None:
-    path = tmp_path / "log.gz"
     path.write_bytes(gzip.compress(content))
     with pytest.raises(LogError) as caught:
         open_log(path)
@@ -183,9 +158,10 @@ def test_a_damaged_file_beside_a_sound_one_is_no_error(
 ) -> None:
     rubble = tmp_path / "rubble.mcap"
     rubble.write_bytes(drive.read_bytes()[:40])
-    with open_log([rubble, drive]) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == [f"{rubble}: cut off at byte 40: everything is lost"]
+    assert read_rest([rubble, drive]) == (
+        drive_messages,
+        [f"{rubble}: cut off at byte 40: everything is lost"],
+    )
     with pytest.raises(LogError, match="cut off at byte 40: everything is lost; no message can be"):
         open_log(rubble)
 
@@ -194,8 +170,46 @@ def test_garbage_behind_a_compressed_log_is_told(
     drive: Path, drive_messages: list[Message]
 ) -> None:
     drive.write_bytes(gzip.compress(drive.read_bytes()) + b"garbage")
-    with open_log(drive) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == [
-            f"{drive}: what follows the gzip compression is no part of it and was left out"
-        ]
+    assert read_rest(drive) == (
+        drive_messages,
+        [f"{drive}: what follows the gzip compression is no part of it and was left out"],
+    )
+
+
+@pytest.mark.parametrize("size", [0, 1, HEAD_BYTES, HEAD_BYTES + 1])
+def test_a_head_is_as_long_as_the_file_or_a_page(tmp_path: Path, size: int) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(bytes(size))
+    assert head_of(path) == bytes(min(size, 4096))
+
+
+def test_a_file_that_is_not_there_has_no_head(tmp_path: Path) -> None:
+    with pytest.raises(LogError) as caught:
+        head_of(tmp_path / "log")
+    assert str(caught.value) == f"{tmp_path / 'log'}: no such file or directory"
+    with pytest.raises(LogError, match="cannot read: Is a directory"):
+        head_of(tmp_path)
+
+
+@given(st.text("aß€😀", min_size=1), st.integers(1, 40))
+def test_text_is_text_wherever_its_head_ends(text: str, length: int) -> None:
+    assert is_text(text.encode()[:length])
+
+
+@pytest.mark.parametrize("head", [b"\xff\xfe plain", b"plain \x80 and plain", b"\xc3 (cut) again"])
+def test_other_bytes_are_no_text(head: bytes) -> None:
+    assert not is_text(head)
+
+
+@pytest.mark.parametrize("step", ["open", "iterdir", "stat"])
+def test_what_the_system_refuses_is_one_line(
+    drive: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    path = drive.parent if step == "iterdir" else drive
+    monkeypatch.setattr(Path, step, refuse)
+    with pytest.raises(LogError) as caught:
+        open_log(path)
+    assert str(caught.value) == f"{path}: cannot read: Permission denied"

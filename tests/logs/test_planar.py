@@ -9,13 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
-from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.clouds import CloudFlattener, lowest_returns
+from specmap_cli.logs.clouds import CloudFlattener
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 from specmap_cli.logs.planar import (
     Mount,
@@ -211,30 +210,6 @@ def test_a_bearing_is_empty_where_the_lidar_looks_and_unknown_where_it_never_did
     assert np.isposinf(later.ranges[left]).all(), "it looked there before"
 
 
-def test_a_band_without_height_is_refused() -> None:
-    with pytest.raises(ValidationError, match="band_min_m must be below band_max_m"):
-        LogConfig(band_min_m=2.0)
-
-
-def test_a_coarse_lidar_gets_fewer_bearings() -> None:
-    angles = np.radians(np.arange(0, 360, 2) + 0.5)
-    ring = np.column_stack([3 * np.cos(angles), 3 * np.sin(angles), np.ones(180)])
-    scan = CloudFlattener(np.eye(4), 0.0, LogConfig()).flatten(ring, 1)
-    assert len(scan.bearings) == 180
-    np.testing.assert_allclose(scan.ranges, 3.0)
-
-
-def test_an_unknown_floor_is_where_the_lowest_returns_are() -> None:
-    rng = np.random.default_rng(4)
-    floor = np.column_stack([rng.uniform(-3, 3, (900, 2)), np.full(900, -1.2)])
-    wall = np.array([[2.0, 0.0, -1.15], [2.5, 0.0, -0.2], [1.5, 0.0, 0.9]])
-    scan = CloudFlattener(
-        np.eye(4), None, configured(LogConfig, "logs", {"cloud_beams": 16})
-    ).flatten(np.vstack([floor, wall]), 1)
-    assert np.isfinite(scan.ranges).sum() == 1
-    assert np.nanmin(scan.ranges) == pytest.approx(2.5)
-
-
 @pytest.mark.parametrize(
     ("increment", "longest", "timed"),
     [(0.1, 1.0, True), (0.1, 0.9, True), (0.1, 0.8, False), (0.2, 1.0, False), (0.2, 2.0, True)],
@@ -255,31 +230,6 @@ def test_a_scan_of_one_beam_takes_no_time() -> None:
     scan = levelled(record([1.5], 0.3, 0.0, time_increment=0.5))
     assert scan.bearings.tolist() == [0.3]
     assert scan.beam_times_s is None
-
-
-@given(
-    ranges=st.lists(st.floats(0, 20, width=32), min_size=1, max_size=30),
-    range_min=st.floats(0, 2),
-    range_max=st.floats(3, 15),
-)
-def test_every_reading_is_a_return_or_none_or_invalid(
-    ranges: list[float], range_min: float, range_max: float
-) -> None:
-    scan = levelled(record(ranges, range_min=range_min, range_max=range_max))
-    for recorded, found in zip(ranges, scan.ranges.tolist(), strict=True):
-        if recorded == 0.0 or recorded >= range_max:
-            assert found == math.inf
-        elif recorded < range_min:
-            assert math.isnan(found)
-        else:
-            assert found == recorded
-    assert scan.hits().shape == (int(np.isfinite(scan.ranges).sum()), 2)
-
-
-def test_a_leveller_leaves_the_message_as_it_is() -> None:
-    scan = record([0.0, 0.05, 9.0])
-    levelled(scan)
-    assert scan.ranges.tolist() == pytest.approx([0.0, 0.05, 9.0])
 
 
 @pytest.mark.parametrize(
@@ -303,12 +253,6 @@ def test_the_settings_say_where_a_floor_of_unknown_height_is_sought(
     )
     scan = CloudFlattener(np.eye(4), None, config).flatten(np.vstack([cloud, mast]), 1)
     assert scan.hits() == pytest.approx(np.array([[1.0, 1.0]]), abs=0.3)
-
-
-def test_the_lowest_returns_of_nothing_are_at_the_origin() -> None:
-    assert lowest_returns(np.zeros((0, 3)), 2.0) == 0.0
-    heights = np.column_stack([np.zeros((101, 2)), np.arange(101.0)])
-    assert lowest_returns(heights, 2.0) == 2.0
 
 
 @pytest.mark.parametrize(

@@ -59,8 +59,8 @@ def test_recordings_are_read_whole(
     mount: tuple[float, float, float],
 ) -> None:
     summary = summary_of(name)
-    assert summary.outlook.chosen is not None
-    assert odometry in summary.outlook.chosen
+    assert summary.chosen is not None
+    assert odometry in summary.chosen
     assert summary.scan is not None
     assert summary.scan.field_of_view_deg == pytest.approx(view, abs=0.01)
     assert summary.scan.beams == beams
@@ -80,14 +80,14 @@ def test_the_damaged_bag_says_what_is_wrong_and_loses_no_scan() -> None:
     summary = summary_of("damaged/laser_scan_matcher_demo.bag")
     assert len(summary.damage) == 1
     assert "the record at byte 792650 is damaged" in summary.damage[0]
-    assert summary.extent.messages == 360
-    assert summary.extent.duration_s == pytest.approx(35.811, abs=0.001)
+    assert summary.messages == 360
+    assert summary.duration_s == pytest.approx(35.811, abs=0.001)
 
 
 def test_a_damaged_bag_cut_off_keeps_its_first_chunk(tmp_path: Path) -> None:
     path = tmp_path / "cut.bag"
     path.write_bytes((DATA / "damaged/laser_scan_matcher_demo.bag").read_bytes()[:800_000])
     summary = summary_of(str(path))
-    assert 278 <= summary.extent.messages < 360
+    assert 278 <= summary.messages < 360
     assert "the record at byte 792650 is damaged" in summary.damage[0]
     assert "what followed" in summary.damage[1]

@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.sensors import SeveralSensorsError
-from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
-from tests.turning import configured
+from tests.logs.recordings import sweeps_of
 
 SECOND = 1_000_000_000
 START = 100 * SECOND
@@ -36,20 +34,13 @@ def write(path: Path, lasers: list[Laser], beams: int = 11) -> None:
             log.scan("/scan", frame, stamp, low, step, np.full(beams, 2.0), range_max=8.0)
 
 
-def read(path: Path, **options: object) -> tuple[list[Sweep], SweepStream]:
-    with open_log(path) as log:
-        stream = SweepStream(log, configured(LogConfig, "logs", options))
-        return list(stream), stream
-
-
 FRONT, REAR = ("front", -1.5, 1.5), ("rear", -1.5, 1.5)
 
 
-def test_two_frames_that_take_turns_must_be_chosen(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_two_frames_that_take_turns_must_be_chosen(path: Path) -> None:
     write(path, list(islice(cycle([FRONT, REAR]), 30)))
     with pytest.raises(UsageError) as caught:
-        read(path)
+        sweeps_of(path)
     assert str(caught.value) == (
         f"{path}: /scan: 2 sensors on one topic: choose `--scan-frame front` (15 of the first 30 "
         "scans) or `--scan-frame rear` (15 of the first 30 scans)"
@@ -58,10 +49,9 @@ def test_two_frames_that_take_turns_must_be_chosen(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "x"), [("front", 0.2), ("/rear", -0.2)])
-def test_only_the_sweeps_of_the_chosen_sensor_are_read(tmp_path: Path, name: str, x: float) -> None:
-    path = tmp_path / "log.mcap"
+def test_only_the_sweeps_of_the_chosen_sensor_are_read(path: Path, name: str, x: float) -> None:
     write(path, list(islice(cycle([FRONT, REAR]), 31)))
-    sweeps, stream = read(path, scan_frame=name)
+    sweeps, stream = sweeps_of(path, scan_frame=name)
     count = 16 if x > 0 else 15
     assert [sweep.index for sweep in sweeps] == list(range(count))
     assert {sweep.base_from_laser.x for sweep in sweeps} == {x}
@@ -74,55 +64,49 @@ def test_only_the_sweeps_of_the_chosen_sensor_are_read(tmp_path: Path, name: str
     )
 
 
-def test_an_unknown_sensor_is_refused_with_those_there_are(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_an_unknown_sensor_is_refused_with_those_there_are(path: Path) -> None:
     write(path, [FRONT, REAR, FRONT])
     with pytest.raises(UsageError) as caught:
-        read(path, scan_frame="top")
+        sweeps_of(path, scan_frame="top")
     assert str(caught.value) == (
         f"{path}: /scan: --scan-frame top: no scans of such a sensor; there are "
         "front (2 of the first 3 scans), rear (1 of the first 3 scans)"
     )
 
 
-def test_a_sensor_that_shows_up_late_is_left_out_and_said(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_sensor_that_shows_up_late_is_left_out_and_said(path: Path) -> None:
     write(path, [FRONT] * 12 + [REAR] * 4)
-    sweeps, stream = read(path, look_scans=10)
+    sweeps, stream = sweeps_of(path, look_scans=10)
     assert len(sweeps) == stream.counts["scans"] == 12
     assert stream.counts["other_sensor"] == 4
     assert "scans of another sensor on the topic that were left out: 4" in stream.warnings
 
 
 @pytest.mark.parametrize(("rare", "asks"), [(2, False), (3, True)])
-def test_a_rare_sensor_is_left_out_without_a_question(
-    tmp_path: Path, rare: int, asks: bool
-) -> None:
+def test_a_rare_sensor_is_left_out_without_a_question(path: Path, rare: int, asks: bool) -> None:
     """As a scan whose frame was damaged; a tenth of the scans is no accident."""
-    path = tmp_path / "log.mcap"
     write(path, [REAR] * rare + [FRONT] * (30 - rare))
     if asks:
         with pytest.raises(SeveralSensorsError) as caught:
-            read(path)
+            sweeps_of(path)
         assert caught.value.best == "front"
         return
-    sweeps, stream = read(path)
+    sweeps, stream = sweeps_of(path)
     assert len(sweeps) == 30 - rare
     assert stream.selection.sensor.frame == "front"
     assert stream.counts["other_sensor"] == rare
 
 
-def test_one_frame_with_two_fields_of_view_by_turns_is_two_sensors(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_one_frame_with_two_fields_of_view_by_turns_is_two_sensors(path: Path) -> None:
     wide, narrow = ("laser", -2.0, 2.0), ("laser", -0.5, 0.5)
     write(path, list(islice(cycle([wide, narrow]), 20)))
     with pytest.raises(UsageError) as caught:
-        read(path)
+        sweeps_of(path)
     assert str(caught.value).endswith(
         "choose `--scan-frame 'laser#1'` (-115 to 115 degrees, 10 of the first 20 scans) or "
         "`--scan-frame 'laser#2'` (-29 to 29 degrees, 10 of the first 20 scans)"
     )
-    sweeps, stream = read(path, scan_frame="laser#2")
+    sweeps, stream = sweeps_of(path, scan_frame="laser#2")
     assert len(sweeps) == stream.counts["other_sensor"] == 10
     assert {float(sweep.planar.bearings[0]) for sweep in sweeps} == {-0.5}
 
@@ -139,45 +123,41 @@ def test_one_frame_with_two_fields_of_view_by_turns_is_two_sensors(tmp_path: Pat
         pytest.param([("laser", -1.5, 1.5), ("/laser", -1.5, 1.5)] * 10, id="slash"),
     ],
 )
-def test_one_laser_stays_one(tmp_path: Path, lasers: list[Laser]) -> None:
-    path = tmp_path / "log.mcap"
+def test_one_laser_stays_one(path: Path, lasers: list[Laser]) -> None:
     write(path, lasers)
-    sweeps, stream = read(path)
+    sweeps, stream = sweeps_of(path)
     assert len(sweeps) == 20
     assert [sensor.name for sensor in stream.selection.sensors] == ["laser"]
 
 
-def test_a_number_of_beams_that_varies_is_no_other_sensor(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_number_of_beams_that_varies_is_no_other_sensor(path: Path) -> None:
     with LogWriter(path) as log:
         for number in range(20):
             beams = 355 + number % 7
             ranges, step = np.full(beams, 2.0), 2 * math.pi / (beams - 1)
             stamp = START + number * SECOND // 10
             log.scan("/scan", "laser", stamp, -math.pi, step, ranges, range_max=8.0)
-    sweeps, stream = read(path)
+    sweeps, stream = sweeps_of(path)
     assert (len(sweeps), stream.counts["other_sensor"]) == (20, 0)
 
 
-def test_clouds_of_two_frames_are_two_sensors(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_clouds_of_two_frames_are_two_sensors(path: Path) -> None:
     with LogWriter(path) as log:
         for number in range(6):
             stamp = START + number * SECOND // 10
             log.cloud("/points", f"lidar_{number % 2}", stamp, np.eye(3))
     with pytest.raises(UsageError, match=r"`--scan-frame lidar_0` .* or `--scan-frame lidar_1`"):
-        read(path)
-    assert len(read(path, scan_frame="lidar_1")[0]) == 3
+        sweeps_of(path)
+    assert len(sweeps_of(path, scan_frame="lidar_1")[0]) == 3
 
 
-def test_info_lists_the_sensors_and_the_command_that_chooses(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_info_lists_the_sensors_and_the_command_that_chooses(path: Path) -> None:
     write(path, list(islice(cycle([FRONT, FRONT, REAR]), 30)))
     with open_log(path) as log:
         summary = summarize(log)
         chosen = summarize(log, LogConfig(scan_frame="rear"))
-    assert summary.outlook.problem is not None
-    assert "2 sensors on one topic" in summary.outlook.problem
-    assert summary.outlook.next_command == f"specmap build {path} --scan-frame front"
-    assert chosen.outlook.next_command == f"specmap build {path} --scan-frame rear"
+    assert summary.problem is not None
+    assert "2 sensors on one topic" in summary.problem
+    assert summary.next_command == f"specmap build {path} --scan-frame front"
+    assert chosen.next_command == f"specmap build {path} --scan-frame rear"
     assert "  several sensors on the topic: front (20 scans), rear (10 scans)" in chosen.lines()

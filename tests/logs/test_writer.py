@@ -1,4 +1,4 @@
-"""The writer against the readers of rosbags and mcap, which know nothing of ours."""
+"""The writer against the readers of rosbags and mcap, which know nothing of ours; converting."""
 
 from __future__ import annotations
 
@@ -13,9 +13,15 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import LogError, UsageError
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.logs.writer import LogWriter
+from specmap_cli.core.progress import Silent
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs import open_log
+from specmap_cli.logs.readers.recording import Message, TopicInfo
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.logs.writer import LogWriter, convert
+from tests.logs.recordings import write_bag, write_db3
 
 
 def write_small(path: Path) -> None:
@@ -27,8 +33,7 @@ def write_small(path: Path) -> None:
         log.cloud("/points", "lidar", 2_000_000_012, np.eye(3), times_s=[0.0, 0.1, 0.2])
 
 
-def test_messages_are_read_back_by_other_readers(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_messages_are_read_back_by_other_readers(path: Path) -> None:
     write_small(path)
     found = {}
     with path.open("rb") as file:
@@ -110,8 +115,7 @@ def test_a_file_may_be_written_again_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("end", [LogWriter.close, LogWriter.discard])
-def test_a_closed_writer_takes_no_more(tmp_path: Path, end: Callable[[LogWriter], None]) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_closed_writer_takes_no_more(path: Path, end: Callable[[LogWriter], None]) -> None:
     log = LogWriter(path)
     end(log)
     with pytest.raises(ValueError, match="is closed: it takes no more messages"):
@@ -144,8 +148,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_only_static_transforms_are_kept_for_late_subscribers(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_only_static_transforms_are_kept_for_late_subscribers(path: Path) -> None:
     write_small(path)
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
@@ -155,8 +158,7 @@ def test_only_static_transforms_are_kept_for_late_subscribers(tmp_path: Path) ->
     assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
 
 
-def test_times_before_1970_are_written_as_its_beginning(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_times_before_1970_are_written_as_its_beginning(path: Path) -> None:
     with LogWriter(path) as log:
         log.odometry("/odom", "odom", "base_link", -5, Pose2(0.0, 0.0, 0.0))
     with path.open("rb") as file:
@@ -167,8 +169,7 @@ def test_times_before_1970_are_written_as_its_beginning(tmp_path: Path) -> None:
     assert header.stamp.sec * 10**9 + header.stamp.nanosec == -5
 
 
-def test_an_old_file_is_replaced_only_by_a_complete_one(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_an_old_file_is_replaced_only_by_a_complete_one(path: Path) -> None:
     path.write_text("old")
     log = LogWriter(path)
     log.discard()
@@ -184,3 +185,118 @@ def test_what_a_killed_run_had_begun_is_removed(tmp_path: Path) -> None:
         with LogWriter(tmp_path / "other.mcap"):
             assert len(list(tmp_path.iterdir())) == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["log.mcap", "other.mcap"]
+
+
+class Steps(Silent):
+    """A progress that writes down what it is told."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stages: list[tuple[str, int | None]] = []
+        self.done = 0
+
+    def start(self, stage: str, total: int | None) -> None:
+        self.stages.append((stage, total))
+
+    def advance(self, steps: int = 1) -> None:
+        self.done += steps
+
+
+def test_a_bag_is_converted_and_reads_the_same(
+    tmp_path: Path, drive_messages: list[Message]
+) -> None:
+    write_bag(tmp_path / "log.bag", drive_messages)
+    result = convert(tmp_path / "log.bag", tmp_path / "out.mcap")
+    assert {t.name: t.count for t in result.written} == {"/odom": 60, "/scan": 30, "/tf_static": 1}
+    assert result.skipped == ()
+    with open_log(tmp_path / "out.mcap") as log:
+        assert list(log.messages()) == drive_messages
+    with pytest.raises(UsageError, match="exists already; use --overwrite"):
+        convert(tmp_path / "log.bag", tmp_path / "out.mcap")
+    first = (tmp_path / "out.mcap").read_bytes()
+    convert(tmp_path / "log.bag", tmp_path / "out.mcap", overwrite=True)
+    assert (tmp_path / "out.mcap").read_bytes() == first
+
+
+def test_a_carmen_log_is_converted_and_gives_the_same_sweeps(tmp_path: Path) -> None:
+    lines = [
+        f"FLASER 3 1.0 2.0 80.0 {x + 0.1} 0.0 0.0 {x} 0.0 0.0 {x}.5 nohost {x}.5\n"
+        for x in range(1, 9)
+    ]
+    path = tmp_path / "log.clf"
+    path.write_text("".join(lines))
+    convert(path, tmp_path / "out.mcap")
+    with open_log(path) as before, open_log(tmp_path / "out.mcap") as after:
+        pairs = zip(SweepStream(before, LogConfig()), SweepStream(after, LogConfig()), strict=True)
+        for a, b in pairs:
+            assert a.stamp_ns == b.stamp_ns
+            assert a.odom_from_base == b.odom_from_base
+            assert a.base_from_laser == b.base_from_laser == pytest.approx((0.1, 0.0, 0.0))
+            np.testing.assert_array_equal(a.planar.ranges, b.planar.ranges)
+
+
+def test_what_no_stage_reads_is_left_out_and_said(
+    tmp_path: Path, drive_messages: list[Message]
+) -> None:
+    extra = Message("/cmd_vel", "geometry_msgs/msg/Twist", drive_messages[-1].time_ns, bytes(52))
+    write_db3(tmp_path / "log.db3", [*drive_messages, extra])
+    result = convert(tmp_path / "log.db3", tmp_path / "out.mcap")
+    assert result.lines()[0] == f"wrote {tmp_path / 'out.mcap'}: 91 messages"
+    assert result.lines()[-1] == "left out /cmd_vel: 1 message of geometry_msgs/msg/Twist"
+    write_db3(tmp_path / "other.db3", [extra])
+    with pytest.raises(LogError, match="no scans, odometry or transforms; it has /cmd_vel"):
+        convert(tmp_path / "other.db3", tmp_path / "nothing.mcap")
+    assert not (tmp_path / "nothing.mcap").exists()
+
+
+def test_what_was_converted_is_told(
+    tmp_path: Path, drive: Path, drive_messages: list[Message]
+) -> None:
+    drive.write_bytes(drive.read_bytes()[:-700])
+    with open_log(drive) as log:
+        kept = len(list(log.messages()))
+        damage = log.damage
+    steps = Steps()
+    result = convert(str(drive), str(tmp_path / "out.mcap"), progress=steps)
+    assert steps.stages == [("converting", kept)]
+    assert steps.done == kept
+    assert result.path == tmp_path / "out.mcap"
+    assert result.damage == tuple(damage) != ()
+    written = {topic.name: topic for topic in result.written}
+    lasers = sum(m.topic == "/scan" for m in drive_messages[:kept])
+    assert written["/scan"] == TopicInfo("/scan", "sensor_msgs/msg/LaserScan", lasers)
+    assert result.lines() == [
+        f"wrote {tmp_path / 'out.mcap'}: {kept} messages",
+        *(f"  {t.name}  {t.count}  {t.type}" for t in result.written),
+        f"damage: {damage[0]}",
+    ]
+
+
+def test_a_log_may_be_converted_onto_itself(drive: Path, drive_messages: list[Message]) -> None:
+    convert(drive, drive, overwrite=True)
+    with open_log(drive) as log:
+        assert list(log.messages()) == drive_messages
+    assert [path.name for path in drive.parent.iterdir()] == [drive.name]
+
+
+@pytest.mark.parametrize(
+    ("paths", "out", "said"),
+    [
+        (None, "out.mcap", r"^paths: expected a path.*, found None"),
+        ("log.bag", 3, r"^out: expected a path.*, found 3"),
+        ("log.bag", ["out.mcap"], r"^out: expected a path.*, found \['out.mcap'\]"),
+    ],
+)
+def test_wrong_types_are_refused_before_the_log_is_opened(paths: Any, out: Any, said: str) -> None:
+    with pytest.raises(TypeError, match=said):
+        convert(paths, out)
+
+
+def test_an_unwritable_place_is_told_before_the_log_is_read(tmp_path: Path, drive: Path) -> None:
+    with pytest.raises(UsageError, match=r"out\.mcap: cannot write: No such file or directory"):
+        convert(drive, tmp_path / "missing" / "out.mcap")
+    with pytest.raises(UsageError, match="is a directory; name the MCAP file to write"):
+        convert(drive, tmp_path, overwrite=True)
+    with pytest.raises(LogError, match="no such file or directory"):
+        convert(tmp_path / "missing.bag", tmp_path / "out.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == [drive.name]

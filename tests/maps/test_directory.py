@@ -20,8 +20,8 @@ from typing import Any
 import pytest
 
 from specmap_cli.core.errors import UsageError
+from specmap_cli.maps import directory as leftovers
 from specmap_cli.maps import directory as module
-from specmap_cli.maps import leftovers
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.filenames import TOPOLOGY
 

@@ -18,8 +18,8 @@ from specmap_cli.maps.edits import (
     edits_text,
     read_edits,
     said_in,
+    written,
 )
-from specmap_cli.maps.edits_text import written
 from specmap_cli.topology.topological_map import Merge, Said, Split
 
 BY_HAND = """# ours

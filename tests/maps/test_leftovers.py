@@ -19,8 +19,7 @@ import pytest
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.progress import Silent
 from specmap_cli.maps import directory as module
-from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.leftovers import held, put_right
+from specmap_cli.maps.directory import OutputDirectory, held, put_right
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.writing import MapResult, write_map
 

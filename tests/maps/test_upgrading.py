@@ -18,7 +18,7 @@ from specmap_cli.core.text import plain as plain_values
 from specmap_cli.exports.table import export_map
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import read_map
-from specmap_cli.maps.upgrading import upgraded, version_of
+from specmap_cli.maps.topology_file import upgraded, version_of
 from specmap_cli.maps.writing import MapResult
 
 OLD = Path(__file__).with_name("topology_1.json")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import hashlib
 import json
@@ -104,14 +103,6 @@ def test_a_submap_that_owns_nothing_is_written(tmp_path: Path, result: MapResult
     assert (node.centroid, node.polygon, node.area_m2) == (None, [], 0.0)
 
 
-def test_a_map_without_links(tmp_path: Path, result: MapResult) -> None:
-    only = TopologicalMap(submaps={0: result.topology.submaps[0]})
-    labels = dataclasses.replace(result.labels, submaps=np.zeros(30, dtype=np.int64))
-    write_map(tmp_path, dataclasses.replace(result, topology=only, labels=labels))
-    assert not read_map(tmp_path).topology.edges
-    assert read_map(tmp_path).record.edges == ()
-
-
 def test_a_finished_map_cut_into_regions(tmp_path: Path) -> None:
     grid = GridMap(np.zeros((20, 40), dtype=np.uint8), 0.1, (1.0, 2.0))
     owner = np.zeros((20, 40), dtype=np.int64)
@@ -140,15 +131,6 @@ def test_a_finished_map_cut_into_regions(tmp_path: Path) -> None:
     assert (tmp_path / "overview.png").is_file()
     with pytest.raises(MapError, match="classifiers"):
         _ = read_map(tmp_path).classifiers
-
-
-def test_labels_csv(stored: Path) -> None:
-    with (stored / "labels.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["stamp", "x", "y", "theta", "submap"]
-    assert len(rows) == 30
-    assert rows[0]["stamp"] == "1700000000.123456789"
-    assert [row["submap"] for row in rows[8:12]] == ["0", "0", "1", "1"]
 
 
 def test_trajectory_tum(stored: Path, result: MapResult) -> None:
@@ -204,11 +186,3 @@ def test_labels_png_holds_any_division(seed: int, height: int, width: int) -> No
             "submaps",
             "topology.json",
         ]
-
-
-def test_every_submap_s_grid_is_beside_the_map(tmp_path: Path, result: MapResult) -> None:
-    write_map(tmp_path, result)
-    for id_, submap in result.topology.submaps.items():
-        written = read_grid(tmp_path / "submaps" / f"{id_:03d}.yaml")
-        np.testing.assert_array_equal(written.cells, submap.grid.cells)
-        assert written.resolution == submap.grid.resolution

@@ -85,6 +85,13 @@ def bytes_of(directory: Path, name: str) -> bytes:
     return (directory / name).read_bytes()
 
 
+def edit(
+    map_: StoredMap | Path, *changes: dict[str, Any], out: Path | None = None, **said: Any
+) -> EditReport:
+    """What `edit_map` tells of some changes and of what is said of submaps."""
+    return edit_map(map_, RequestedEdits(changes=changes, **said), out)
+
+
 class TestNames:
     """Names, kinds and properties: at once, and nothing else changes."""
 
@@ -92,10 +99,8 @@ class TestNames:
         room = built.rooms[0]
         (own / "notes.txt").write_text("mine", encoding="utf-8")
         (own / "keyframes.mcap").unlink()  # nothing needs them
-        wishes = RequestedEdits(
-            names={room: "Küche"}, kinds={room: "hall"}, properties={room: {"floor": 2, "to": None}}
-        )
-        report = edit_map(own, wishes)
+        floor = {"floor": 2, "to": None}
+        report = edit(own, names={room: "Küche"}, kinds={room: "hall"}, properties={room: floor})
         assert not report.remade
         node = read_map(own).record.nodes[room]
         assert (node.name, node.kind, node.properties) == ("Küche", "hall", {"floor": 2})
@@ -112,10 +117,10 @@ class TestNames:
         room = built.rooms[0]
         edit_map(own)
         picture = bytes_of(own, "overview.png")
-        edit_map(own, RequestedEdits(names={room: "Küche"}, kinds={room: "hall"}))
-        edit_map(own, RequestedEdits(names={room: ""}))
+        edit(own, names={room: "Küche"}, kinds={room: "hall"})
+        edit(own, names={room: ""})
         assert read_map(own).record.nodes[room].name == f"submap {room}"
-        edit_map(own, RequestedEdits(forget=(room,)))
+        edit(own, forget=(room,))
         assert bytes_of(own, "topology.json") == bytes_of(built.map, "topology.json")
         assert bytes_of(own, "overview.png") == picture
 
@@ -133,15 +138,15 @@ class TestNames:
         document = json.loads((own / "topology.json").read_text(encoding="utf-8"))
         document["nodes"][0] |= {"name": "Hall", "properties": {"floor": 2}}
         (own / "topology.json").write_text(json.dumps(document), encoding="utf-8")
-        report = edit_map(own, RequestedEdits(names={1: "Lab"}))
+        report = edit(own, names={1: "Lab"})
         assert read_map(own).names == {0: "Hall", 1: "Lab"}
         assert report.edits.submaps[0].properties == {"floor": 2}
 
     def test_edits_that_the_map_shows_must_not_be_lost_unsaid(self, own: Path) -> None:
-        edit_map(own, RequestedEdits(names={0: "Hall"}))
+        edit(own, names={0: "Hall"})
         (own / "edits.toml").unlink()
         with pytest.raises(MapError, match=r"edits\.toml: is missing, but the map shows edits"):
-            edit_map(own, RequestedEdits(names={1: "Lab"}))
+            edit(own, names={1: "Lab"})
 
     def test_a_finished_grid_has_names_and_forbidden_doors(self, tmp_path: Path) -> None:
         segment_map(SAMPLE_LOGS / "office.yaml", tmp_path / "seg", QUICK)
@@ -149,12 +154,12 @@ class TestNames:
         edge = stored.record.edges[0]
         picture = bytes_of(tmp_path / "seg", "overview.png")
         pair = [edge.source, edge.target]
-        report = edit_map(stored, RequestedEdits(names={0: "Lab"}, changes=({"forbid": pair},)))
+        report = edit(stored, {"forbid": pair}, names={0: "Lab"})
         assert report.forbidden == (tuple(pair),)
         assert read_map(tmp_path / "seg").names == {0: "Lab"}
         assert bytes_of(tmp_path / "seg", "overview.png") != picture
         with pytest.raises(MapError, match=r"has no keyframes\.mcap: merges and splits need"):
-            edit_map(tmp_path / "seg", RequestedEdits(changes=({"merge": pair},)))
+            edit(tmp_path / "seg", {"merge": pair})
 
 
 @dataclass(frozen=True)
@@ -177,12 +182,10 @@ def remade(built: Built, tmp_path_factory: pytest.TempPathFactory) -> Remade:
     run["versions"]["specmap"] = "0.0.1"
     (old / "run.json").write_text(json.dumps(run), encoding="utf-8")
     wish = split(read_map(old), built.corridor)
-    divided = edit_map(
-        old, RequestedEdits(changes=(wish,), names={built.rooms[0]: "Lab"}), folder / "divided"
-    )
-    joined = RequestedEdits(changes=({"merge": [built.corridor, built.rooms[0]]},))
-    merged = edit_map(divided.out, joined, folder / "merged")
-    undone = edit_map(merged.out, RequestedEdits(undo=(1, 2)), folder / "undone")
+    divided = edit(old, wish, names={built.rooms[0]: "Lab"}, out=folder / "divided")
+    joined = {"merge": [built.corridor, built.rooms[0]]}
+    merged = edit(divided.out, joined, out=folder / "merged")
+    undone = edit(merged.out, undo=(1, 2), out=folder / "undone")
     assert all(report.remade for report in (divided, merged, undone))
     return Remade(
         before=read_map(built.map),
@@ -232,40 +235,36 @@ class TestBorders:
         """Or its features would be taken for those of the version before."""
         assert remade.divided.run["versions"] == remade.before.run["versions"]
 
-    def test_the_map_stays_when_a_wish_does_not_apply(self, built: Built, own: Path) -> None:
-        before = {path.name: path.read_bytes() for path in own.iterdir() if path.is_file()}
-        for wishes, complaint in (
-            (
-                RequestedEdits(changes=({"merge": [0, 99]},)),
-                "cannot merge 99 into 0: there is no submap 99",
-            ),
-            (
-                RequestedEdits(changes=({"split": 0, "line": [[90, 90], [91, 91]]},)),
-                "the line does not cross submap 0",
-            ),
-            (
-                RequestedEdits(changes=({"forbid": list(built.rooms[:2])},)),
-                "there is no link between",
-            ),
-            (
-                RequestedEdits(
-                    changes=({"merge": list(built.rooms[:2])}, {"forbid": list(built.rooms[:2])})
-                ),
-                "there is no link between",
-            ),
-            (RequestedEdits(names={99: "x"}), "there is no submap 99 to name or to describe"),
-            (RequestedEdits(names={0: " x"}), "must be one line of printable characters"),
-            (RequestedEdits(kinds={0: "cellar"}), "Input should be 'room', 'corridor' or 'hall'"),
-            (
-                RequestedEdits(undo=(1,)),
-                "--undo 1: there is no such change: edits.toml has 0 changes",
-            ),
-        ):
-            notes = Notes()
-            with pytest.raises(UsageError, match=complaint):
-                edit_map(own, wishes, progress=notes)
-            assert notes.lines == []
-        after = {path.name: path.read_bytes() for path in own.iterdir() if path.is_file()}
+    @pytest.mark.parametrize(
+        ("changes", "said", "complaint"),
+        [
+            ([{"merge": [0, 99]}], {}, "cannot merge 99 into 0: there is no submap 99"),
+            ([{"split": 0, "line": [[90, 90], [91, 91]]}], {}, "the line does not cross submap 0"),
+            ([{"forbid": "rooms"}], {}, "there is no link between"),
+            ([{"merge": "rooms"}, {"forbid": "rooms"}], {}, "there is no link between"),
+            ([], {"names": {99: "x"}}, "there is no submap 99 to name or to describe"),
+            ([], {"names": {0: " x"}}, "must be one line of printable characters"),
+            ([], {"kinds": {0: "cellar"}}, "Input should be 'room', 'corridor' or 'hall'"),
+            ([], {"undo": (1,)}, "--undo 1: there is no such change: edits.toml has 0 changes"),
+        ],
+    )
+    def test_the_map_stays_when_a_request_does_not_apply(
+        self,
+        built: Built,
+        changes: list[dict[str, Any]],
+        said: dict[str, Any],
+        complaint: str,
+    ) -> None:
+        rooms, notes = list(built.rooms[:2]), Notes()
+        asked = [
+            {key: rooms if value == "rooms" else value for key, value in change.items()}
+            for change in changes
+        ]
+        before = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
+        with pytest.raises(UsageError, match=complaint):
+            edit_map(built.map, RequestedEdits(changes=tuple(asked), **said), progress=notes)
+        assert notes.lines == []
+        after = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
         assert after == before
 
     def test_what_no_longer_applies_is_told_and_kept(self, own: Path) -> None:
@@ -284,8 +283,8 @@ class TestBorders:
 
 @pytest.fixture(scope="module")
 def shut(built: Built, tmp_path_factory: pytest.TempPathFactory) -> EditReport:
-    wishes = RequestedEdits(changes=({"forbid": [built.rooms[0], built.corridor]},))
-    return edit_map(built.map, wishes, tmp_path_factory.mktemp("shut") / "map")
+    out = tmp_path_factory.mktemp("shut") / "map"
+    return edit(built.map, {"forbid": [built.rooms[0], built.corridor]}, out=out)
 
 
 class TestForbiddenDoors:
@@ -312,32 +311,29 @@ class TestForbiddenDoors:
         edge = read_map(own).topology.edges[min(pair), max(pair)]
         assert edge.crossing is not None
         x, y = edge.crossing
-        far = RequestedEdits(changes=({"forbid": pair, "at": [x + 5.0, y]},))
         with pytest.raises(UsageError, match=r"no door between the two is within 2 m of"):
-            edit_map(own, far)
-        near = RequestedEdits(changes=({"forbid": pair, "at": [x + 0.2, y]},))
-        assert edit_map(own, near).forbidden == ((min(pair), max(pair)),)
+            edit(own, {"forbid": pair, "at": [x + 5.0, y]})
+        near = edit(own, {"forbid": pair, "at": [x + 0.2, y]})
+        assert near.forbidden == ((min(pair), max(pair)),)
 
     def test_it_holds_for_what_the_submaps_become(
         self, built: Built, shut: EditReport, tmp_path: Path
     ) -> None:
         room, other = built.rooms[:2]
-        wishes = RequestedEdits(changes=({"merge": [other, room]},))
-        report = edit_map(shut.out, wishes, tmp_path / "map")
+        report = edit(shut.out, {"merge": [other, room]}, out=tmp_path / "map")
         assert report.forbidden == (tuple(sorted((other, built.corridor))),)
 
     def test_it_holds_when_the_split_that_made_its_submap_is_undone(
         self, built: Built, own: Path
     ) -> None:
-        wish = split(read_map(own), built.corridor)
-        edit_map(own, RequestedEdits(changes=(wish,)))
+        edit(own, split(read_map(own), built.corridor))
         stored = read_map(own)
         new = stored.topology.next_id - 1
         ends = [
             pair for pair in stored.topology.edges if new in pair and built.corridor not in pair
         ]
-        edit_map(own, RequestedEdits(changes=({"forbid": list(ends[0])},)))
-        report = edit_map(own, RequestedEdits(undo=(1,)))
+        edit(own, {"forbid": list(ends[0])})
+        report = edit(own, undo=(1,))
         (room,) = set(ends[0]) - {new}
         assert report.unapplied == ()
         assert report.forbidden == ((min(room, built.corridor), max(room, built.corridor)),)
@@ -347,13 +343,15 @@ class TestForbiddenDoors:
 def edited(built: Built, tmp_path_factory: pytest.TempPathFactory) -> EditReport:
     """A room named, described and shut off, the corridor divided, and a word about no submap."""
     room, before = built.rooms[0], read_map(built.map)
-    wishes = RequestedEdits(
+    made = edit(
+        before,
+        split(before, built.corridor),
+        {"forbid": [room, built.corridor]},
         names={room: "Küche"},
         kinds={room: "hall"},
         properties={room: {"floor": 2}},
-        changes=(split(before, built.corridor), {"forbid": [room, built.corridor]}),
+        out=tmp_path_factory.mktemp("edited") / "own",
     )
-    made = edit_map(before, wishes, tmp_path_factory.mktemp("edited") / "own")
     text = (made.out / "edits.toml").read_text(encoding="utf-8")
     text = f"# by Ann\n{text}\n[submaps.99]\nname = 'Attic'\n"
     (made.out / "edits.toml").write_text(text, encoding="utf-8")
@@ -390,7 +388,7 @@ def test_edits_survive_another_recording(
     cells = np.argwhere(old.regions.owner == new)
     there = stored.regions.owners(old.map_grid.centres_of(cells))
     assert (there == new).mean() > 0.9
-    undone = edit_map(stored, RequestedEdits(undo=(1,)), tmp_path / "undone")
+    undone = edit(stored, undo=(1,), out=tmp_path / "undone")
     assert new not in undone.names
     assert other in undone.names
 
@@ -402,7 +400,7 @@ def test_a_merged_map_has_the_edits_of_both(
     (link,) = (edge for edge in second.record.edges if edge.target == max(second.ids))
     wish = {"forbid": [link.source, link.target], "at": [link.x, link.y]}
     names = {link.source: "Annex", link.target: "Annex 2"}
-    edit_map(second, RequestedEdits(names=names, changes=(wish,)), tmp_path / "second")
+    edit(second, wish, names=names, out=tmp_path / "second")
     merge_maps([edited.out, tmp_path / "second"], tmp_path / "both", QUICK)
     both = read_map(tmp_path / "both")
     assert both.names[built.rooms[0]] == "Küche"
@@ -419,10 +417,9 @@ def test_borders_moved_in_a_later_map_are_moved_in_the_merged_one(
     corridor = corridor_of(second)
     room = next(id_ for id_ in second.ids if id_ != corridor)
     plain = merge_maps([own, second], tmp_path / "plain", QUICK)
-    changes = (split(second, corridor), {"merge": [corridor, room]})
-    new = max(edit_map(second, RequestedEdits(changes=changes)).names)
-    edit_map(read_map(second.path), RequestedEdits(names={new: "Far end", corridor: "Hall"}))
-    edit_map(own, RequestedEdits(names={plain.ids["second"][corridor]: "Lobby"}))
+    new = max(edit(second, split(second, corridor), {"merge": [corridor, room]}).names)
+    edit(read_map(second.path), names={new: "Far end", corridor: "Hall"})
+    edit(own, names={plain.ids["second"][corridor]: "Lobby"})
     with (second.path / "edits.toml").open("a", encoding="utf-8") as file:
         file.write(f"\n[[changes]]\nmerge = [{corridor}, 99]\n")
     report = merge_maps([own, second.path], tmp_path / "both", QUICK)
@@ -442,5 +439,5 @@ def test_borders_moved_in_a_later_map_are_moved_in_the_merged_one(
         edited.labels.poses[:, :2], both.labels.poses[-len(edited.labels.poses) :, :2]
     )
     assert (edited.regions.owners(motion.inverse().apply(places)) == new).mean() > 0.8
-    undone = edit_map(both, RequestedEdits(undo=(1, 2)), tmp_path / "undone")
+    undone = edit(both, undo=(1, 2), out=tmp_path / "undone")
     assert sorted(undone.names) == read_map(tmp_path / "plain").ids

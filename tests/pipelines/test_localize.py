@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from specmap_cli import localize_log
-from specmap_cli.core.errors import LogError, MapError, UsageError
+from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.settings import Config, LogConfig
@@ -97,6 +97,7 @@ def test_the_map_s_own_log_is_found_where_it_was_taken(
         frame = flat_map.topology.submaps[scan.label.filtered_submap].map_from_submap
         place = frame @ scan.submap_from_base
         off.append(math.dist(place[:2], flat_map.labels.poses[k, :2].tolist()))
+    assert np.mean([scan.label.filtered_submap is not None for scan in metric.scans]) > 0.99
     assert len(right) > 150
     assert np.mean(right) > 0.9
     assert np.median(off) < 0.05
@@ -143,11 +144,6 @@ def test_poses_without_walls_are_refused(own_log: Path, flat_map: StoredMap) -> 
         localize_log(own_log, flat_map, config, metric=True)
 
 
-def test_a_log_without_a_usable_scan_is_refused(flat_map: StoredMap, tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="no such file"):
-        localize_log(tmp_path / "gone.mcap", flat_map)
-
-
 def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: StoredMap) -> None:
     record = flat_map.record
     fewer = record.model_copy(update={"nodes": record.nodes[:-1]})
@@ -191,10 +187,6 @@ def test_an_older_map_is_used_offline_without_poses_and_what_it_lacks_is_told(
     assert not [warning for warning in metric.warnings if "how sure" in warning]
     assert np.mean([scan.label.filtered_submap is not None for scan in report.scans]) > 0.97
     assert all(scan.submap_from_base is None for scan in report.scans), "nobody asked for poses"
-
-
-def test_the_map_s_own_log_is_not_unknown_in_it(metric: LocalizationReport) -> None:
-    assert np.mean([scan.label.filtered_submap is not None for scan in metric.scans]) > 0.99
 
 
 class TestReport:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import cv2
@@ -15,7 +14,6 @@ from specmap_cli.core.errors import MapError, NoResultError, UsageError
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
-from tests.drawing.looking import colours_in
 
 
 @pytest.fixture
@@ -36,6 +34,7 @@ def test_the_rooms_of_the_flat_are_found(plan: Path, tmp_path: Path, flat: GridM
     assert found["area_m2"] == pytest.approx(flat.free_area_m2, rel=0.03)
     stored = read_map(tmp_path / "rooms")
     assert stored.ids == [0, 1, 2, 3]
+    assert [log.name for log in stored.logs] == ["flat.yaml"]
     for edge in stored.record.edges:
         assert edge.kind == "doorway"
         assert edge.width_m == pytest.approx(0.9, abs=0.1)
@@ -58,13 +57,6 @@ def test_the_label_picture_has_the_size_of_the_map(plan: Path, tmp_path: Path) -
     assert (labels[grid == 0] == 0).mean() > 0.9  # walls belong to nobody; the desk to its room
 
 
-def test_what_was_looked_at_is_drawn_when_asked_for(plan: Path, tmp_path: Path) -> None:
-    segment_map(plan, tmp_path / "rooms", explain=str(tmp_path / "nodes.png"))
-    picture = cv2.imread(str(tmp_path / "nodes.png"))
-    assert picture is not None
-    assert colours_in(picture) > 10
-
-
 def test_the_settings_are_used(plan: Path, tmp_path: Path) -> None:
     config = load_config(overrides={"segmentation": {"eigenvalue_min": 0.999, "halve": False}})
     assert segment_map(plan, tmp_path / "whole", config).as_dict()["submaps"] == 1
@@ -85,13 +77,3 @@ def test_what_cannot_be_divided_is_one_line_and_leaves_nothing(
         segment_map(plan.with_suffix(".png"), tmp_path / "rooms", resolution=resolution)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "rooms").exists()
-
-
-def test_an_existing_result_is_replaced_only_when_asked_to(plan: Path, tmp_path: Path) -> None:
-    segment_map(plan, tmp_path / "rooms")
-    before = (tmp_path / "rooms" / "topology.json").read_bytes()
-    with pytest.raises(UsageError, match="already holds a map"):
-        segment_map(plan, tmp_path / "rooms")
-    segment_map(plan, tmp_path / "rooms", overwrite=True)
-    assert (tmp_path / "rooms" / "topology.json").read_bytes() == before
-    assert json.loads(before)["graph"]["logs"][0]["name"] == "flat.yaml"

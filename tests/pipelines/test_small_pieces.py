@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import time
 
 import numpy as np
@@ -57,15 +56,6 @@ def test_height_roll_and_pitch_are_kept_from_the_first_3d_pose_on() -> None:
     for k, (roll, pitch, _) in rolls.items():
         assert tilt[k] == pytest.approx([0.25 * k, roll, pitch])
     assert np.abs(tilt[[0, 2, 4]]).max() == 0.0
-
-
-def test_a_trajectory_taken_early_does_not_grow() -> None:
-    recorder = TrajectoryRecorder()
-    recorder.append(posed(7, Pose2(0.0, 0.0, math.pi / 2)))
-    early = recorder.trajectory()
-    recorder.append(posed(8, Pose2(1.0, 0.0, 0.0)))
-    assert early.stamps_ns.tolist() == [7]
-    assert len(recorder.trajectory().stamps_ns) == 2
 
 
 def test_a_stage_inside_another_is_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:

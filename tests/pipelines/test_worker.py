@@ -56,15 +56,43 @@ class StubbornError(Exception):
         super().__init__(f"{first} and {second}")
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="needs Linux")
-@pytest.mark.parametrize(("said", "ahead_of_us"), [("1", False), ("2", True), ("", True)])
-def test_one_process_is_enough_where_others_need_the_processors(
-    monkeypatch: pytest.MonkeyPatch, said: str, ahead_of_us: bool
+@pytest.mark.parametrize(
+    ("processors", "said", "platform", "ahead_of_us"),
+    [
+        ({0, 1}, "", "linux", True),
+        ({0, 1}, "2", "linux", True),
+        ({0, 1}, "1", "linux", False),  # others need the second one
+        ({0}, "", "linux", False),
+        ({0, 1}, "", "darwin", False),
+    ],
+)
+def test_work_is_done_ahead_where_it_can_be(
+    monkeypatch: pytest.MonkeyPatch,
+    processors: set[int],
+    said: str,
+    platform: str,
+    ahead_of_us: bool,
 ) -> None:
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: processors, raising=False)
+    monkeypatch.setattr(sys, "platform", platform)
     monkeypatch.setenv("SPECMAP_PROCESSES", said)
     with ahead(lambda: pids(3)) as work:
         assert (set(work) != {os.getpid()}) == ahead_of_us
+        assert work.result == 3
+
+
+@pytest.mark.usefixtures("two_processors")
+def test_another_thread_works_in_one_process() -> None:
+    makers: list[int] = []
+
+    def work() -> None:
+        with ahead(lambda: pids(1)) as items:
+            makers.extend(items)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert makers == [os.getpid()]
 
 
 @pytest.mark.usefixtures("two_processors")
@@ -102,21 +130,29 @@ class TestChild:
                 next(items)
         assert not hasattr(caught.value, "__notes__")
 
-    def test_a_bug_tells_where_it_is(self) -> None:
-        def faulty() -> Generator[float, None, None]:
-            yield 1 / 0
+    @pytest.mark.parametrize(
+        ("error", "kind", "words"),
+        [
+            (ZeroDivisionError("a bug"), ZeroDivisionError, "^a bug"),
+            (FileNotFoundError(2, "gone", "/nowhere"), FileNotFoundError, "/nowhere"),
+            (StubbornError("this", "that"), RuntimeError, "^StubbornError: this and that"),
+            (ValueError("locked", threading.Lock()), RuntimeError, "ValueError: .*locked"),
+        ],
+    )
+    def test_another_error_comes_with_its_place_or_is_told_as_itself(
+        self, error: Exception, kind: type[Exception], words: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        # Dask, imported after this module, can send every error that there is by then
+        monkeypatch.delitem(copyreg.dispatch_table, StubbornError, raising=False)
 
-        with ahead(faulty) as items, pytest.raises(ZeroDivisionError) as caught:
-            next(items)
-        assert "in faulty" in caught.value.__notes__[0]
+        def work() -> Work:
+            os.kill(os.getpid(), signal.SIGINT)  # for the parent to decide
+            yield 1
+            raise error
 
-    def test_errors_of_the_system_keep_their_number(self) -> None:
-        def work() -> Generator[int, None, None]:
-            yield len(Path("/nowhere/log.mcap").read_bytes())
-
-        with ahead(work) as items, pytest.raises(FileNotFoundError) as caught:
-            next(items)
-        assert caught.value.filename == "/nowhere/log.mcap"
+        with ahead(work) as items, pytest.raises(kind, match=words) as caught:
+            list(items)
+        assert "in work" in caught.value.__notes__[0]
 
     def test_a_child_that_was_killed_is_an_error(self) -> None:
         def work() -> Generator[int, None, None]:
@@ -164,29 +200,6 @@ class TestChild:
             next(running)
             assert running.result == 3  # what was not taken is skipped
 
-    def test_an_error_that_cannot_be_sent_is_told_as_itself(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        # Dask, imported after this module, can send every error that there is by then
-        monkeypatch.delitem(copyreg.dispatch_table, StubbornError, raising=False)
-
-        def work() -> Work:
-            yield 1
-            raise StubbornError("this", "that")
-
-        with ahead(work) as items, pytest.raises(RuntimeError, match="this and that") as caught:
-            list(items)
-        assert str(caught.value) == "StubbornError: this and that"
-        assert "in work" in caught.value.__notes__[0]
-
-    def test_an_error_that_holds_what_cannot_be_sent(self) -> None:
-        def work() -> Work:
-            yield 1
-            raise ValueError("locked", threading.Lock())
-
-        with ahead(work) as items, pytest.raises(RuntimeError, match=r"ValueError: .*locked"):
-            list(items)
-
     def test_threads_of_opencv_are_as_before(self) -> None:
         before = cv2.getNumThreads()
         try:
@@ -196,14 +209,6 @@ class TestChild:
             assert cv2.getNumThreads() == 2
         finally:
             cv2.setNumThreads(before)
-
-    def test_ctrl_c_is_for_the_parent_to_decide(self) -> None:
-        def work() -> Generator[int, None, None]:
-            os.kill(os.getpid(), signal.SIGINT)
-            yield 7
-
-        with ahead(work) as items:
-            assert list(items) == [7]
 
     def test_it_waits_for_a_slow_reader(self) -> None:
         """What is made ahead waits in the pipe, and no more than fits there."""
@@ -230,38 +235,10 @@ def test_small_items_travel_together_and_large_ones_alone() -> None:
     assert large in {5, 6}
 
 
-@pytest.mark.usefixtures("two_processors")
-def test_another_thread_works_in_one_process() -> None:
-    makers: list[int] = []
-
-    def work() -> None:
-        with ahead(lambda: pids(1)) as items:
-            makers.extend(items)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert makers == [os.getpid()]
-
-
-@pytest.mark.usefixtures("two_processors")
-def test_other_systems_work_in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "platform", "darwin")
-    with ahead(lambda: pids(2)) as items:
-        assert set(items) == {os.getpid()}
-        assert items.result == 2
-
-
 def test_the_module_needs_nothing_that_other_systems_lack() -> None:
     code = "import sys; sys.modules['fcntl'] = None; import specmap_cli.pipelines.worker; print(1)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert found.stdout == "1\n", found.stderr
-
-
-def test_a_single_processor_works_in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_processors", lambda: 1)
-    with ahead(lambda: pids(2)) as items:
-        assert set(items) == {os.getpid()}
 
 
 def test_a_killed_parent_leaves_no_child() -> None:

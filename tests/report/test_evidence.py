@@ -15,6 +15,7 @@ from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.report import evidence_of, report_map
 from specmap_cli.pipelines.segment import segment_map
 from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost, feature_shares
+from specmap_cli.recognition.learning.trees import Forest
 from specmap_cli.report.evidence import Evidence
 from tests.flats import Explained
 
@@ -100,11 +101,8 @@ def test_stumps_share_by_their_votes() -> None:
 
 
 def test_trees_share_by_how_far_apart_their_votes_lie() -> None:
-    def split(feature: str) -> dict[str, object]:
-        return {"feature": feature, "threshold": 0.5}
-
-    tree = {"root": split("a"), "below": split("b"), "above": split("c")}
-    data = {"kind": "trees", "rounds": [{**tree, "votes": [-1.0, -1.0, 1.0, 3.0]}]}
-    shares = feature_shares(TreeBoost.from_dict(data, ("a", "b", "c", "d")))
+    votes = np.array([[-1.0, -1.0, 1.0, 3.0]])
+    forest = Forest(np.array([[0, 1, 2]]), np.full((1, 3), 0.5), votes)
+    shares = feature_shares(TreeBoost.of(("a", "b", "c", "d"), forest))
     # the root parts -1 from 2, on average; the node above parts 1 from 3 for every second scan
     assert shares == pytest.approx([0.75, 0.0, 0.25, 0.0])

@@ -118,17 +118,20 @@ def test_a_long_way_is_thinned() -> None:
     assert max(ends)[0] == FRAME.place((0.1 * (3 * MOST_POINTS - 1), 0.0))[0]
 
 
-def luminance(colour: str) -> float:
-    """Relative luminance by WCAG 2."""
-    values = [int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
-    red, green, blue = (v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in values)
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+def xyz(colour: str) -> np.ndarray:
+    """A colour of sRGB in CIE XYZ; Y is its relative luminance by WCAG 2."""
+    values = np.array([int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)])
+    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    to_xyz = np.array(
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    )
+    return np.asarray((to_xyz * linear).sum(axis=1))
 
 
 def contrast(one: str, other: str) -> float:
     """Contrast of two colours by WCAG 2, 1 to 21."""
-    low, high = sorted((luminance(one), luminance(other)))
-    return (high + 0.05) / (low + 0.05)
+    low, high = sorted((xyz(one)[1], xyz(other)[1]))
+    return float((high + 0.05) / (low + 0.05))
 
 
 @pytest.mark.parametrize("which", BOTH)
@@ -147,13 +150,8 @@ def test_words_and_lines_are_legible(which: str) -> None:
 
 def lab(colour: str) -> np.ndarray:
     """CIELAB of a colour, by its definition."""
-    values = np.array([int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)])
-    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-    to_xyz = np.array(
-        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-    )
-    xyz = (to_xyz * linear).sum(axis=1) / (0.9505, 1.0, 1.089)
-    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16.0 / 116.0)
+    share = xyz(colour) / (0.9505, 1.0, 1.089)
+    f = np.where(share > 0.008856, np.cbrt(share), 7.787 * share + 16.0 / 116.0)
     return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
 
 
@@ -167,26 +165,18 @@ def test_regions_that_differ_by_day_differ_by_night() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "shown", "length"),
+    ("written", "as_read"),
     [
-        (7, "0:07", "7 s"),
-        (65, "1:05", "65 s"),
-        (600, "10:00", "10 min"),
-        (3700, "1:01:40", "1 h 2 min"),
+        *[(html.clock(7), "0:07"), (html.clock(65), "1:05"), (html.clock(3700), "1:01:40")],
+        *[(html.lasting(65), "65 s"), (html.lasting(600), "10 min")],
+        (html.lasting(3700), "1 h 2 min"),
+        (html.moment(1211.52), "1211.5 s"),  # counts from no day
+        (html.moment(1_700_000_000.0), "2023-11-14 22:13:20 UTC"),
+        (html.shown("  a\n\tb\x1b[31m "), "a b\\x1b[31m"),
     ],
 )
-def test_times_read_as_people_write_them(seconds: float, shown: str, length: str) -> None:
-    assert html.clock(seconds) == shown
-    assert html.lasting(seconds) == length
-
-
-def test_stamps_that_count_from_no_day_stay_seconds() -> None:
-    assert html.moment(1211.52) == "1211.5 s"
-    assert html.moment(1_700_000_000.0) == "2023-11-14 22:13:20 UTC"
-
-
-def test_a_person_s_text_takes_one_line() -> None:
-    assert html.shown("  a\n\tb\x1b[31m ") == "a b\\x1b[31m"
+def test_figures_and_texts_read_as_people_write_them(written: str, as_read: str) -> None:
+    assert written == as_read
 
 
 def test_features_are_explained_where_they_are_ours() -> None:

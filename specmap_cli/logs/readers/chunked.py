@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import heapq
 import os
+import struct
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -80,7 +81,7 @@ class Listing(NamedTuple):
     """What stands behind a chunk: its messages by channel, and on demand their times and places."""
 
     counts: Mapping[int, int]
-    entries: Callable[[], list[tuple[int, int]]]
+    entries: Callable[[], list[tuple[int, ...]]]
 
     def next_start(self, position: int) -> int | None:
         """Where in the records of the chunk the first message behind `position` starts."""
@@ -236,6 +237,14 @@ class ChunkedFile(Recording):
             return os.pread(self._fd, max(min(length, self.size - offset), 0), offset)
         except OSError as error:
             raise unreadable(self.path, error) from None
+
+    def rows_at(
+        self, places: Iterable[tuple[int, int]], row: struct.Struct
+    ) -> Iterator[tuple[int, ...]]:
+        """The whole rows of a table whose pieces stand at (offset, length)."""
+        for offset, length in places:
+            data = self.read_at(offset, min(length, self.chunk_max))
+            yield from row.iter_unpack(data[: len(data) // row.size * row.size])
 
     def report_end(self, offset: int, last_ns: int) -> None:
         """Note that no record can be read at `offset`, where the walk ends; at the end: cut off."""

@@ -9,9 +9,8 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from io import BytesIO
 from pathlib import Path
 
@@ -200,7 +199,17 @@ class McapFile(ChunkedFile):
         return found._replace(complete=found.complete and record.startswith(head))
 
     def _listing(self, ref: ChunkRef) -> Listing:
-        return listing_at(ref.offset + ref.length, self.read_at, self.chunk_max)
+        counts: Counter[int] = Counter()
+        places: list[tuple[int, int]] = []
+        position = ref.offset + ref.length
+        while len(head := self.read_at(position, INDEX_HEAD.size)) == INDEX_HEAD.size:
+            opcode, length, channel, size = INDEX_HEAD.unpack(head)
+            if opcode != MESSAGE_INDEX or size != length - 6 or size % INDEX_ENTRY.size:
+                break
+            counts[channel] += size // INDEX_ENTRY.size
+            places.append((position + INDEX_HEAD.size, size))
+            position += INDEX_HEAD.size + size
+        return Listing(counts, lambda: sorted(self.rows_at(places, INDEX_ENTRY)))
 
     def _salvaged(self) -> Iterator[Entry]:
         found: Counter[int] = Counter()
@@ -367,35 +376,6 @@ class McapFile(ChunkedFile):
         except BAD_BODY:
             return False
         return True
-
-
-# Up to so many bytes from an offset on: offset, length.
-ReadAt = Callable[[int, int], bytes]
-
-
-def listing_at(position: int, read_at: ReadAt, limit: int) -> Listing:
-    """What the message indexes say that stand from `position` on, behind a chunk."""
-    counts: dict[int, int] = {}
-    places: list[tuple[int, int]] = []  # of the entries: offset and length
-    while len(head := read_at(position, INDEX_HEAD.size)) == INDEX_HEAD.size:
-        opcode, length, channel, size = INDEX_HEAD.unpack(head)
-        if opcode != MESSAGE_INDEX or size != length - 6 or size % INDEX_ENTRY.size:
-            break
-        counts[channel] = counts.get(channel, 0) + size // INDEX_ENTRY.size
-        places.append((position + INDEX_HEAD.size, size))
-        position += INDEX_HEAD.size + size
-    return Listing(counts, partial(_entries, places, read_at, limit))
-
-
-def _entries(
-    places: Sequence[tuple[int, int]], read_at: ReadAt, limit: int
-) -> list[tuple[int, int]]:
-    entries: list[tuple[int, int]] = []
-    for offset, length in places:
-        data = read_at(offset, min(length, limit))
-        whole = data[: len(data) // INDEX_ENTRY.size * INDEX_ENTRY.size]
-        entries += INDEX_ENTRY.iter_unpack(whole)
-    return sorted(entries)
 
 
 def records_of(body: bytes, limit: int) -> Unpacked:

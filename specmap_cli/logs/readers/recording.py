@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
-from specmap_cli.core.errors import LogError, reason
+from specmap_cli.core.errors import LOG_MISSING, LogError, reason
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
 
@@ -214,7 +214,9 @@ def refused(where: Path | str, found: str, hint: str = "", code: str | None = No
 
 
 def unreadable(path: Path, error: OSError) -> LogError:
-    """The error for a file the system refuses to read."""
+    """The error for a file that is not there or that the system refuses to read."""
+    if isinstance(error, FileNotFoundError):
+        return refused(path, "no such file or directory", code=LOG_MISSING)
     return refused(path, f"cannot read: {reason(error)}")
 
 

@@ -12,10 +12,8 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.readers.chunked import (
     MAX_SPOTS,
     NOTHING_LISTED,
@@ -121,6 +119,8 @@ def time_of(value: bytes) -> int:
 
 
 MAGIC = b"#ROSBAG V"
+_FIRST_LINE = b"#ROSBAG V2.0"
+_FIRST_RECORD = len(_FIRST_LINE) + 1
 _MAX_HEADER_BYTES = 1 << 20  # headers have some hundred bytes: a longer one is damaged
 _RECORDS_CHECKED = 20_000  # about a second of reading, for an explanation that nothing needs
 _BAD_RECORD = (BadRecordError, KeyError, struct.error)
@@ -132,21 +132,14 @@ class Rosbag1File(ChunkedFile):
     format = "ROS 1 bag"
     magic = MAGIC
 
-    def __init__(
-        self, file: Path, path: Path | None = None, config: LogConfig | None = None
-    ) -> None:
-        self._first = 0
-        super().__init__(file, path, config)
-
     def _read_index(self) -> Index | None:
         line = self.read_at(0, 32).split(b"\n")[0]
-        if line != b"#ROSBAG V2.0":
+        if line != _FIRST_LINE:
             version = line.removeprefix(MAGIC).decode("ascii", errors="replace")
             found = f"bag format {version[:8]} is not supported"
             raise refused(self.path, found, "bring it to 2.0 with `rosbag fix`")
-        self._first = len(line) + 1
         try:
-            header = self._record(self._first)
+            header = self._record(_FIRST_RECORD)
             if header.opcode != BAG_HEADER:
                 return None
             position = U64.unpack(header.fields[b"index_pos"])[0]
@@ -201,7 +194,7 @@ class Rosbag1File(ChunkedFile):
 
         Looks at so many records only, as it explains damage but is not needed for reading.
         """
-        offset = before = self._first
+        offset = before = _FIRST_RECORD
         checked = 0
         for chunk in chunks:
             while offset < chunk and checked < _RECORDS_CHECKED:
@@ -239,22 +232,12 @@ class Rosbag1File(ChunkedFile):
             counts[connection_of(fields)] += count
             places.append((record.start, record.length))
             position = record.end
-        return Listing(counts, partial(self._listed_entries, places))
-
-    def _listed_entries(self, places: list[tuple[int, int]]) -> list[tuple[int, int]]:
-        entries: list[tuple[int, int]] = []
-        for offset, length in places:
-            data = self.read_at(offset, min(length, self.chunk_max))
-            whole = data[: len(data) // INDEX_ENTRY.size * INDEX_ENTRY.size]
-            entries += [
-                (seconds * NS_PER_S + nanoseconds, start)
-                for seconds, nanoseconds, start in INDEX_ENTRY.iter_unpack(whole)
-            ]
-        return sorted(entries)
+        rows = partial(self.rows_at, places, INDEX_ENTRY)
+        return Listing(counts, lambda: sorted((s * NS_PER_S + ns, at) for s, ns, at in rows()))
 
     def _salvaged(self) -> Iterator[Entry]:
-        offset, last = self._first, 0
-        while offset < self.size or offset == self._first:
+        offset, last = _FIRST_RECORD, 0
+        while offset < self.size or offset == _FIRST_RECORD:
             record = self._record_or_none(offset)
             if record is None:
                 self.report_end(offset, last)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import sqlite3
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -341,7 +342,7 @@ class Rows:
             query = "SELECT data FROM messages NOT INDEXED WHERE rowid = ?"
             found = self._db.execute(query, (row,)).fetchone()
         except sqlite3.Error as fault:
-            return Fault(str(fault), time, topic), _Place(time, row)
+            found, error = None, str(fault)
         if found is None:  # a damaged table leads elsewhere by the number of the row
             return Fault(error, time, topic), _Place(time, row)
         return Row(topic, time, found[0]), _Place(time, row)
@@ -356,14 +357,8 @@ class Rows:
             step *= 2
             if last + step >= _ROWS_END:
                 return None
-        fails, works = step // 2, step
-        while works - fails > 1:
-            middle = (fails + works) // 2
-            if self._can_go_on(last + middle):
-                works = middle
-            else:
-                fails = middle
-        return _Place(None, last + works)
+        tried = range(last + step)
+        return _Place(None, bisect_left(tried, True, lo=last + step // 2 + 1, key=self._can_go_on))
 
     def _can_go_on(self, row: int) -> bool:
         """Whether what follows a row can be read."""

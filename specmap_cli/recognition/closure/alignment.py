@@ -18,7 +18,7 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
-from specmap_cli.grids.gridmap import FREE, GridMap
+from specmap_cli.grids.gridmap import FREE
 from specmap_cli.grids.matching import refine
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.closure.common_ground import CommonGround, Joint, common_ground, joints
@@ -29,7 +29,7 @@ from specmap_cli.recognition.closure.verification import (
     RIVAL_RAD,
     TransformSearch,
     differ,
-    net_walls_m,
+    judge,
 )
 from specmap_cli.recognition.closure.votes import Party, likely_pairs, parties_of, votes_of
 
@@ -39,81 +39,6 @@ _FINE_STEPS, _FINE_SHIFT_M = 15, 0.2
 _NEAR_SCORE, _FEWEST_NEAR = 0.1, 50  # of a wide field: two sigma of it, some 0.6 m
 _WALLS_PER_M2 = 3.0  # of rooms, with all that stands in them; offices have two
 _FLOOR_POINTS = 5000  # of the free space: its share that both saw to a hundredth
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A refined transform, the metres of wall that speak for it, and the party that found it.
-
-    Walls count only as far as there are rooms between them: maps that touch back to back have
-    straight walls in common, and nothing else.
-    """
-
-    old_from_new: Pose2
-    merit_m: float
-    party: Party | None
-
-    @property
-    def strength(self) -> int:
-        """How many submaps of either map found it by themselves."""
-        return 0 if self.party is None else self.party.strength
-
-
-@dataclass(frozen=True, slots=True)
-class Floors:
-    """What was seen free: in the old map's `grid`, and points (n, 2) of the new map's free space.
-
-    Each point stands for `area_m2`.
-    """
-
-    grid: GridMap
-    points: FloatArray
-    area_m2: float
-
-    @classmethod
-    def of(cls, old: GridMap, new: GridMap) -> Floors:
-        """The free space of two maps."""
-        free = np.argwhere(new.free)
-        points = evenly(free, _FLOOR_POINTS)
-        area_m2 = new.free_area_m2 / max(1, len(points))
-        return cls(old, new.centres_of(points), area_m2)
-
-    def common_m2(self, old_from_new: Pose2) -> float:
-        """Square metres that are free in both maps."""
-        values = self.grid.values_at(old_from_new.apply(self.points))
-        return float(np.count_nonzero(values == FREE)) * self.area_m2
-
-
-def refined(
-    old: PreparedGrid,
-    new: PreparedGrid,
-    floors: Floors,
-    guess: Pose2,
-    party: Party | None,
-) -> Candidate:
-    """A guess that `party` made, if any, moved to where the walls of both maps fit best."""
-    few = evenly(_near_walls(old, new, guess), _ROUGH_POINTS)
-    near = _about_their_middle(old.field, few, guess, _ROUGH_STEPS, _ROUGH_SHIFT_M)
-    walls = _near_walls(old, new, near)
-    fine = _about_their_middle(old.field.sharper(), walls, near, _FINE_STEPS, _FINE_SHIFT_M)
-    around_m = _WALLS_PER_M2 * floors.common_m2(fine)
-    return Candidate(fine, min(net_walls_m(old, new, fine), around_m), party)
-
-
-def _near_walls(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> FloatArray:
-    """(N, 2) the points on the new map's walls that come near walls of the old one; or all."""
-    near = old.wide.at(old_from_new.apply(new.walls)) > _NEAR_SCORE
-    return new.walls[near] if np.count_nonzero(near) >= _FEWEST_NEAR else new.walls
-
-
-def _about_their_middle(
-    field: ScoreField, points: FloatArray, guess: Pose2, steps: int, shift_m: float
-) -> Pose2:
-    """`refine`, by no more than a shift where the points (N, 2) are: the frame may lie far off."""
-    x, y = points.mean(axis=0).tolist()
-    found = refine(field, points - (x, y), guess @ Pose2(x, y, 0.0), steps, shift_m)
-    return found.pose @ Pose2(-x, -y, 0.0)
-
 
 _LEAST_SCORE = 0.5  # of all that both saw; halls of other buildings that touch reach more
 _MOST_ODD = 0.2  # of the walls: one room of five was rebuilt; more may be another floor
@@ -154,11 +79,11 @@ def align(old: MapToAlign, new: MapToAlign, config: Config) -> Alignment:
     lie, they are matched with more.
     """
     recognition = config.recognition
-    wholes = [prepared(known.whole) for known in (old, new)]
+    wholes = [prepared(map_.whole) for map_ in (old, new)]
     if wholes[0] is None or wholes[1] is None:
         return Alignment(old_from_new=None, reason="a map shows too few walls to match")
     pieces = PreparedMap(old), PreparedMap(new)
-    two = _Two(pieces, (wholes[0], wholes[1]), Floors.of(old.whole, new.whole))
+    two = _TwoMaps(pieces, (wholes[0], wholes[1]))
     likely, others = likely_pairs(old, new, CANDIDATES)
     votes = votes_of(likely, *pieces, recognition)
     found = two.aligned(parties_of(votes))
@@ -166,25 +91,48 @@ def align(old: MapToAlign, new: MapToAlign, config: Config) -> Alignment:
         found = two.aligned(parties_of([*votes, *votes_of(others, *pieces, recognition)]))
     if found.old_from_new is None:
         return found
+    reason = (
+        f"aligned by {counted(found.party, 'submap')} of either map, "
+        f"{found.area_m2:.0f} m2 are in both maps"
+    )
     agreed = joints(*pieces, found.old_from_new, recognition)
-    return replace(found, reason=_praise(found), joints=agreed)
+    return replace(found, reason=reason, joints=agreed)
 
 
-@dataclass(frozen=True)  # without slots: the search and what it finds are made once
-class _Two:
-    """Two maps, the old one first: their submaps, their whole grids, and what was seen free."""
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A refined transform, the metres of wall that speak for it, and the party that found it.
 
-    pieces: tuple[PreparedMap, PreparedMap]
-    wholes: tuple[PreparedGrid, PreparedGrid]
-    floors: Floors
+    Walls count only as far as there are rooms between them: maps that touch back to back have
+    straight walls in common, and nothing else.
+    """
+
+    old_from_new: Pose2
+    merit_m: float
+    party: Party | None
+
+    @property
+    def strength(self) -> int:
+        """How many submaps of either map found it by themselves."""
+        return 0 if self.party is None else self.party.strength
+
+
+class _TwoMaps:
+    """Two maps, the old one first: their submaps and their whole grids."""
+
+    def __init__(
+        self,
+        pieces: tuple[PreparedMap, PreparedMap],
+        wholes: tuple[PreparedGrid, PreparedGrid],
+    ) -> None:
+        self.pieces, self.wholes = pieces, wholes
+        self.search = TransformSearch(*wholes)
+        free = np.argwhere(pieces[1].map.whole.free)
+        self._floor = pieces[1].map.whole.centres_of(evenly(free, _FLOOR_POINTS))
+        self._floor_m2 = pieces[1].map.whole.free_area_m2 / max(1, len(self._floor))
 
     @cached_property
-    def search(self) -> TransformSearch:
-        """The search for transforms of the whole maps."""
-        return TransformSearch(*self.wholes)
-
-    @cached_property
-    def of_wholes(self) -> list[Candidate]:
+    def _of_wholes(self) -> list[_Candidate]:
         """What the whole maps say of where they lie."""
         return [self._refined(pose, None) for pose in self.search.best(self.search.many)]
 
@@ -201,39 +149,66 @@ class _Two:
             votes=0 if best.party is None else len(best.party.votes),
             party=best.strength,
             ground=self._ground(best),
-            area_m2=self.floors.common_m2(best.old_from_new),
+            area_m2=self._common_m2(best.old_from_new),
             rival=rivals[0].merit_m / best.merit_m if rivals else 0.0,
         )
-        doubt = _doubt(found, best, rivals)
-        return replace(found, old_from_new=None, reason=doubt) if doubt else found
+        why_not = _why_not(found, best, rivals)
+        return replace(found, old_from_new=None, reason=why_not) if why_not else found
 
-    def _ground(self, candidate: Candidate) -> CommonGround:
+    def _ground(self, candidate: _Candidate) -> CommonGround:
         old, new = zip(self.pieces, self.wholes, strict=True)
         return common_ground(old, new, candidate.old_from_new)
 
-    def _candidates(self, parties: Sequence[Party]) -> list[Candidate]:
+    def _candidates(self, parties: Sequence[Party]) -> list[_Candidate]:
         """Different transforms, the best first: those of votes, and of the whole maps."""
-        found = [*(self._refined(one.old_from_new, one) for one in parties), *self.of_wholes]
-        kept: list[Candidate] = []
+        found = [*(self._refined(one.old_from_new, one) for one in parties), *self._of_wholes]
+        kept: list[_Candidate] = []
         for one in sorted(found, key=lambda candidate: -candidate.merit_m):
-            near = [k for k, other in enumerate(kept) if _is_same(one, other, self.search)]
+            near = [k for k, other in enumerate(kept) if not self._differ(one, other)]
             if not near and one.merit_m > 0.0:
                 kept.append(one)
             elif near and kept[near[0]].party is None:  # the same, and some submaps found it
                 kept[near[0]] = replace(kept[near[0]], party=one.party)
         return kept
 
-    def _refined(self, guess: Pose2, party: Party | None) -> Candidate:
-        return refined(*self.wholes, self.floors, guess, party)
+    def _differ(self, one: _Candidate, other: _Candidate) -> bool:
+        poses = one.old_from_new, other.old_from_new
+        return differ(*poses, self.search.centre, RIVAL_M, RIVAL_RAD)
+
+    def _common_m2(self, old_from_new: Pose2) -> float:
+        """Square metres that are free in both maps."""
+        values = self.pieces[0].map.whole.values_at(old_from_new.apply(self._floor))
+        return float(np.count_nonzero(values == FREE)) * self._floor_m2
+
+    def _refined(self, guess: Pose2, party: Party | None) -> _Candidate:
+        """A guess that `party` made, if any, moved to where the walls of both maps fit best."""
+        field = self.wholes[0].field
+        few = evenly(self._near_walls(guess), _ROUGH_POINTS)
+        near = _about_their_middle(field, few, guess, _ROUGH_STEPS, _ROUGH_SHIFT_M)
+        walls = self._near_walls(near)
+        fine = _about_their_middle(field.sharper(), walls, near, _FINE_STEPS, _FINE_SHIFT_M)
+        around_m = _WALLS_PER_M2 * self._common_m2(fine)
+        return _Candidate(fine, min(judge(*self.wholes, fine).net_walls_m, around_m), party)
+
+    def _near_walls(self, old_from_new: Pose2) -> FloatArray:
+        """(N, 2) the points on the new map's walls that come near walls of the old one; or all."""
+        old, new = self.wholes
+        near = old.wide.at(old_from_new.apply(new.walls)) > _NEAR_SCORE
+        return new.walls[near] if np.count_nonzero(near) >= _FEWEST_NEAR else new.walls
 
 
-def _is_same(one: Candidate, other: Candidate, search: TransformSearch) -> bool:
-    return not differ(one.old_from_new, other.old_from_new, search.centre, RIVAL_M, RIVAL_RAD)
+def _about_their_middle(
+    field: ScoreField, points: FloatArray, guess: Pose2, steps: int, shift_m: float
+) -> Pose2:
+    """`refine`, by no more than a shift where the points (N, 2) are: the frame may lie far off."""
+    x, y = points.mean(axis=0).tolist()
+    found = refine(field, points - (x, y), guess @ Pose2(x, y, 0.0), steps, shift_m)
+    return found.pose @ Pose2(-x, -y, 0.0)
 
 
 def _rivals(
-    ranked: Sequence[Candidate], ground: Callable[[Candidate], CommonGround]
-) -> list[Candidate]:
+    ranked: Sequence[_Candidate], ground: Callable[[_Candidate], CommonGround]
+) -> list[_Candidate]:
     """The transforms but the best that are to be weighed against it, in their order.
 
     Not those that are clearly worse, though they explain much, as in a building that looks nearly
@@ -253,7 +228,7 @@ def _rivals(
     ]
 
 
-def _doubt(found: Alignment, best: Candidate, rivals: Sequence[Candidate]) -> str:
+def _why_not(found: Alignment, best: _Candidate, rivals: Sequence[_Candidate]) -> str:
     """Why a transform is not to be believed; empty when it is."""
     ground = found.ground
     assert ground is not None
@@ -273,34 +248,20 @@ def _doubt(found: Alignment, best: Candidate, rivals: Sequence[Candidate]) -> st
             "in submaps that do not fit: another floor of one plan, or a part that was rebuilt"
         ).replace("%", " %")
     if found.rival > _MOST_RIVAL:
-        return f"ambiguous: the maps fit in more than one way, {_gap(best, rivals[0])}"
-    if found.party < _LEAST_PARTY and not _is_large(found, ground):
+        away = best.old_from_new.inverse() @ rivals[0].old_from_new
+        turn = math.degrees(abs(wrap_angle(away.theta)))
         return (
-            "too few submaps were recognised: a few rooms that look alike may be of two buildings"
+            f"ambiguous: the maps fit in more than one way, {away.distance:.1f} m "
+            f"and {turn:.0f} degrees apart"
         )
-    return ""
-
-
-def _is_large(found: Alignment, ground: CommonGround) -> bool:
-    """Whether what few submaps found is large, and like nothing else."""
-    return (
+    large = (
         found.votes > 0
         and found.area_m2 >= _LARGE_M2
         and ground.confirmed_m >= _LARGE_WALLS_M
         and found.rival <= _LARGE_RIVAL
     )
-
-
-def _gap(best: Candidate, rival: Candidate) -> str:
-    """How far apart two transforms are, in words."""
-    away = best.old_from_new.inverse() @ rival.old_from_new
-    turn = math.degrees(abs(wrap_angle(away.theta)))
-    return f"{away.distance:.1f} m and {turn:.0f} degrees apart"
-
-
-def _praise(found: Alignment) -> str:
-    """What a transform stands on."""
-    return (
-        f"aligned by {counted(found.party, 'submap')} of either map, "
-        f"{found.area_m2:.0f} m2 are in both maps"
-    )
+    if found.party < _LEAST_PARTY and not large:
+        return (
+            "too few submaps were recognised: a few rooms that look alike may be of two buildings"
+        )
+    return ""

@@ -21,10 +21,9 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
-from specmap_cli.recognition.learning.boosting import FEATURE_SHARE, Booster, StumpBoost, TreeBoost
-from specmap_cli.recognition.learning.trees import CodeArray, Growth, Quantiser, Question, grown
+from specmap_cli.recognition.learning.boosting import Booster, boosted, boosted_trees
+from specmap_cli.recognition.learning.trees import CodeArray, Quantiser, Question
 
-_CLOSURE_SHRINKAGE = 0.5  # scale of every vote of trees while ranking
 SAMPLES_PER_SUBMAP = 60  # scans of a submap used for ranking
 
 IndexArray = NDArray[np.intp]
@@ -210,21 +209,11 @@ class ClaimRanker:
             )
             for end, scans, rows in zip(ends[1:].tolist(), own, others, strict=True)
         ]
-        return self._boosters(_Scans.joined([pool.scans, *own]), questions)
-
-    def _boosters(self, scans: _Scans, questions: Sequence[Question]) -> list[Booster]:
-        config, names = self.config, feature_names(self.config.feature_set)
+        scans = _Scans.joined([pool.scans, *own])
+        names, rounds = feature_names(self.config.feature_set), self.config.closure_rounds
         if self._quantiser is None or scans.codes is None:
-            return [
-                StumpBoost(names, config.closure_rounds).fit(
-                    scans.features[asked.samples], np.where(asked.positive, 1.0, -1.0)
-                )
-                for asked in questions
-            ]
-        rounds, shrinkage = config.closure_rounds, _CLOSURE_SHRINKAGE
-        growth = Growth(rounds, shrinkage, FEATURE_SHARE, int(self.rng.integers(2**31)))
-        forests = grown(scans.codes, self._quantiser, questions, growth)
-        return [TreeBoost.of(names, forest) for forest in forests]
+            return boosted(names, scans.features, questions, rounds)
+        return boosted_trees(names, scans.codes, self._quantiser, questions, rounds, self.rng)
 
     def _quantised(self, new: _Scans) -> _Scans:
         """The new scans cut into bins, after all old ones have theirs; stumps need none.

@@ -7,8 +7,9 @@ what a layout leaves open, and how far off it was is told.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +17,9 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.matching import refine
-from specmap_cli.recognition.closure.prepared import PreparedGrid, PreparedMap
+from specmap_cli.recognition.closure.prepared import PlacedGrid, PreparedGrid, PreparedMap
 from specmap_cli.recognition.closure.verification import (
     CONTRADICTION_WEIGHT,
-    LEAST_OVERLAP,
-    MIN_OVERLAP,
     MIN_WALL_M,
     Check,
     agreement,
@@ -32,6 +31,10 @@ from specmap_cli.recognition.closure.verification import (
 _SLACK_M, _SLACK_RAD = 0.5, math.radians(3.0)
 _ODD = 0.5  # score of a submap of which a quarter, at the least, is not what the other map saw
 _POINTS, _STEPS = 300, 8  # of the match of a submap
+# Of the match of two submaps near the transform of the maps.
+_JOINT_POINTS, _JOINT_STEPS, _JOINT_SHIFT_M = 1000, 15, 0.5
+_MOST_TURN_RAD = math.radians(3.0)
+_NEAR_SCORE = 0.1  # of a wide field: two sigma of it, some 0.6 m: no match moves a wall farther
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +69,8 @@ class CommonGround:
 
     `confirmed` and `contradicted` are shares of the walls that both maps know about, the worse of
     both maps'; `confirmed_m` metres of wall that agree; `shared` the part of the smaller map's
-    walls that the other one knows about; `residual_m` (root mean square): how far submaps lie off.
+    walls that the other one knows about; `at_odds` the share of the walls that are in submaps which
+    do not fit, the worse of both maps'; `residual_m` (root mean square): how far submaps lie off.
     """
 
     old_from_new: Pose2
@@ -75,14 +79,8 @@ class CommonGround:
     contradicted: float
     confirmed_m: float
     shared: float
+    at_odds: float
     residual_m: float
-
-    @property
-    def at_odds(self) -> float:
-        """The share of the walls that are in submaps which do not fit, the worse of both maps'."""
-        return max(
-            _at_odds([fit for fit in self.pieces if fit.of_new is side]) for side in (True, False)
-        )
 
     @property
     def score(self) -> float:
@@ -96,9 +94,9 @@ def common_ground(
     old_from_new: Pose2,
 ) -> CommonGround:
     """Two maps, each its submaps and its whole grid, under a transform."""
-    there = _fits(new[0], old[1], old_from_new)
-    back = [_turned(fit) for fit in _fits(old[0], new[1], old_from_new.inverse())]
-    sides = [_Side.of(there), _Side.of(back)]
+    there = [_fit(piece, old[1], old_from_new) for piece in new[0].all()]
+    back = [_turned(_fit(piece, new[1], old_from_new.inverse())) for piece in old[0].all()]
+    sides = _Side.of(there), _Side.of(back)
     fits = (*there, *back)
     weights = np.array([fit.confirmed_m for fit in fits])
     off = np.array([fit.off_m for fit in fits])
@@ -110,58 +108,45 @@ def common_ground(
         contradicted=max(side.contradicted for side in sides),
         confirmed_m=min(side.confirmed_m for side in sides),
         shared=max(side.shared for side in sides),
+        at_odds=max(side.at_odds for side in sides),
         residual_m=math.sqrt(float(np.average(off**2, weights=weights))) if heavy else 0.0,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Side:
+class _Side(NamedTuple):
     """The submaps of one map, judged by the other map."""
 
     confirmed: float
     contradicted: float
     confirmed_m: float
     shared: float
+    at_odds: float
 
     @classmethod
     def of(cls, fits: Sequence[PieceFit]) -> _Side:
         known = sum(fit.known_m for fit in fits)
         confirmed = sum(fit.confirmed_m for fit in fits)
         contradicted = sum(fit.contradicted_m for fit in fits)
+        odd = sum(fit.known_m for fit in fits if fit.score < _ODD)
         if known <= 0.0:
-            return cls(0.0, 0.0, 0.0, 0.0)
+            return cls(0.0, 0.0, 0.0, 0.0, 0.0)
         walls = sum(fit.walls_m for fit in fits)
-        return cls(confirmed / known, contradicted / known, confirmed, known / walls)
+        return cls(confirmed / known, contradicted / known, confirmed, known / walls, odd / known)
 
 
-def _fits(of: PreparedMap, whole: PreparedGrid, whole_from_map: Pose2) -> list[PieceFit]:
-    """Each submap of one map against the whole grid of the other."""
-    fits = []
-    for i in of.known.ids:
-        piece = of.of(i)
-        if piece is not None:
-            fits.append(_fit(i, piece, of.known.frames[i], whole, whole_from_map))
-    return fits
-
-
-def _fit(
-    submap: int,
-    piece: PreparedGrid,
-    frame: Pose2,
-    whole: PreparedGrid,
-    whole_from_map: Pose2,
-) -> PieceFit:
+def _fit(piece: PlacedGrid, whole: PreparedGrid, whole_from_map: Pose2) -> PieceFit:
+    """A submap of one map against the whole grid of the other."""
+    grid, frame = piece.grid, piece.frame
     guess = whole_from_map @ frame
-    points = evenly(piece.walls, _POINTS)
-    best = refine(whole.field, points, guess, _STEPS, _SLACK_M).pose
+    best = refine(whole.field, evenly(grid.walls, _POINTS), guess, _STEPS, _SLACK_M).pose
     if abs(wrap_angle(best.theta - guess.theta)) > _SLACK_RAD:
         best = guess
-    said = agreement(whole.area, best.apply(piece.walls))
-    walls_m = len(piece.walls) * piece.metres_a_point
+    said = agreement(whole.area, best.apply(grid.walls))
+    walls_m = len(grid.walls) * grid.metres_a_point
     known_m = said.known * walls_m
-    middle = piece.walls.mean(axis=0)[None]
+    middle = grid.walls.mean(axis=0)[None]
     return PieceFit(
-        submap=submap,
+        submap=piece.submap,
         of_new=True,
         walls_m=walls_m,
         known_m=known_m,
@@ -171,13 +156,6 @@ def _fit(
         off_m=math.dist(best.apply(middle)[0], guess.apply(middle)[0]),
         centre=frame.apply(middle)[0],
     )
-
-
-def _at_odds(fits: Sequence[PieceFit]) -> float:
-    """The share of the walls that the other map knows about in submaps that do not fit."""
-    known = sum(fit.known_m for fit in fits)
-    odd = sum(fit.known_m for fit in fits if fit.score < _ODD)
-    return odd / known if known > 0.0 else 0.0
 
 
 def _turned(fit: PieceFit) -> PieceFit:
@@ -190,30 +168,16 @@ def _turned(fit: PieceFit) -> PieceFit:
     )
 
 
-_JOINT_POINTS, _JOINT_STEPS, _JOINT_SHIFT_M = (
-    1000,
-    15,
-    0.5,
-)  # of a match near the transform of the maps
-_MOST_TURN_RAD = math.radians(3.0)
-_NEAR_SCORE = 0.1  # of a wide field: two sigma of it, some 0.6 m: no match moves a wall farther
-
-_Placed = tuple[int, PreparedGrid, Pose2]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Joint:
     """A submap of the old map and one of the new map whose grids match under an alignment.
 
-    `old_from_new` is between the frames of the two submaps, `map_from_map` what it says of the maps
-    (old from new), `off_m` how far from the alignment it puts the new submap. `check` judges it.
+    `check` is of the two grids, `map_from_map` what it says of the maps (old from new).
     """
 
     old: int
     new: int
-    old_from_new: Pose2
     map_from_map: Pose2
-    off_m: float
     check: Check
 
 
@@ -230,7 +194,7 @@ def joints(
         ends = ("old", i), ("new", j)
         if all(walls_m <= most.get(end, 0.0) for end in ends):
             continue  # neither's best: no more can be confirmed than lies near
-        joint = _joint(_placed(old, i), _placed(new, j), old_from_new, config)
+        joint = _joint(old.of(i), new.of(j), old_from_new, config)
         if joint is not None:
             found.append(joint)
             most |= {end: max(_confirmed_m(joint), most.get(end, 0.0)) for end in ends}
@@ -249,80 +213,50 @@ def _shared(
 ) -> list[tuple[float, int, int]]:
     """Pairs of submaps, old and new, that may match, those first that may share most wall.
 
-    With each the metres of the new one's walls that lie near walls of the old one.
+    With each the metres of the new one's walls that lie near walls of the old one. Pairs whose
+    boxes do not meet share none.
     """
     found = []
-    for j in new.known.ids:
-        piece = new.of(j)
-        for i in () if piece is None else _near(old, new, j, old_from_new):
-            one, old_frame = _placed(old, i)[1:]
-            assert piece is not None
-            guess = old_frame.inverse() @ old_from_new @ new.known.frames[j]
-            points = guess.apply(evenly(piece.walls, _JOINT_POINTS))
-            share = float((one.wide.at(points) > _NEAR_SCORE).mean())
-            walls_m = share * len(piece.walls) * piece.metres_a_point
+    for other in new.all():
+        low, high = _box(other, old_from_new @ other.frame)
+        for one in old.all():
+            other_low, other_high = _box(one, one.frame)
+            if (low >= other_high).any() or (other_low >= high).any():
+                continue
+            guess = one.frame.inverse() @ old_from_new @ other.frame
+            points = guess.apply(evenly(other.grid.walls, _JOINT_POINTS))
+            share = float((one.grid.wide.at(points) > _NEAR_SCORE).mean())
+            walls_m = share * len(other.grid.walls) * other.grid.metres_a_point
             if walls_m >= MIN_WALL_M:
-                found.append((walls_m, i, j))
+                found.append((walls_m, one.submap, other.submap))
     return sorted(found, key=lambda pair: (-pair[0], pair[2], pair[1]))
 
 
-def _placed(pieces: PreparedMap, submap: int) -> _Placed:
-    """A submap with its walls prepared, which it has, and its frame in the map."""
-    piece = pieces.of(submap)
-    assert piece is not None
-    return submap, piece, pieces.known.frames[submap]
-
-
-def _near(old: PreparedMap, new: PreparedMap, submap: int, old_from_new: Pose2) -> Iterator[int]:
-    """The submaps of the old map whose box meets that of one of the new map."""
-    placed = old_from_new @ new.known.frames[submap]
-    low, high = _box(new, submap, placed)
-    for i in old.known.ids:
-        if old.of(i) is not None:
-            other_low, other_high = _box(old, i, old.known.frames[i])
-            if (low < other_high).all() and (other_low < high).all():
-                yield i
-
-
-def _box(pieces: PreparedMap, submap: int, frame: Pose2) -> tuple[FloatArray, FloatArray]:
+def _box(placed: PlacedGrid, frame: Pose2) -> tuple[FloatArray, FloatArray]:
     """The corners (2,) of the box round a submap's walls, placed at a frame."""
-    piece = pieces.of(submap)
-    assert piece is not None
-    walls = frame.apply(piece.walls)
+    walls = frame.apply(placed.grid.walls)
     return walls.min(axis=0), walls.max(axis=0)
 
 
 def _joint(
-    old: _Placed,
-    new: _Placed,
+    old: PlacedGrid | None,
+    new: PlacedGrid | None,
     old_from_new: Pose2,
     config: RecognitionConfig,
 ) -> Joint | None:
     """The match of two submaps near where their maps put them, if it is one."""
-    (i, one, old_frame), (j, other, new_frame) = old, new
-    guess = old_frame.inverse() @ old_from_new @ new_frame
-    best = refine(
-        one.field, evenly(other.walls, _JOINT_POINTS), guess, _JOINT_STEPS, _JOINT_SHIFT_M
-    ).pose
-    check = judge(one, other, best)
-    turn = abs(wrap_angle(best.theta - guess.theta))
-    if turn > _MOST_TURN_RAD or not _matches(check, config):
+    if old is None or new is None:
         return None
-    middle = other.walls.mean(axis=0)[None]
+    guess = old.frame.inverse() @ old_from_new @ new.frame
+    points = evenly(new.grid.walls, _JOINT_POINTS)
+    best = refine(old.grid.field, points, guess, _JOINT_STEPS, _JOINT_SHIFT_M).pose
+    check = judge(old.grid, new.grid, best)
+    turn = abs(wrap_angle(best.theta - guess.theta))
+    if turn > _MOST_TURN_RAD or not check.matches(config.min_score):
+        return None
     return Joint(
-        old=i,
-        new=j,
-        old_from_new=best,
-        map_from_map=old_frame @ best @ new_frame.inverse(),
-        off_m=float(np.hypot(*(best.apply(middle) - guess.apply(middle))[0])),
+        old=old.submap,
+        new=new.submap,
+        map_from_map=old.frame @ best @ new.frame.inverse(),
         check=check,
-    )
-
-
-def _matches(check: Check, config: RecognitionConfig) -> bool:
-    return (
-        check.score >= config.min_score
-        and check.confirmed_m >= MIN_WALL_M
-        and check.overlap >= MIN_OVERLAP
-        and check.least_overlap >= LEAST_OVERLAP
     )

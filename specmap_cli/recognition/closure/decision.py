@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +22,26 @@ from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap, PackedGrid
 from specmap_cli.recognition.closure.verification import (
-    LEAST_OVERLAP,
     MIN_LEAD,
-    MIN_OVERLAP,
     MIN_WALL_M,
     Check,
     tracks_overlap,
 )
 
+_MERGE_OVERLAP = 0.4  # shared part of both tracks, for a merge
+_MERGE_REACH_M = 1.0  # tracks this close overlap
+_TWIN_MARGIN_M = 0.5  # a match that mends so much more than drift explains is of twin rooms
+
+# Rooms have right angles: a wrong match is turned by a quarter or by half. Tracking is not, unless
+# it turned a little with every metre of a long way.
+_MOST_TURN_RAD, _TURN_RAD_PER_M = math.pi / 4, 0.001
+
+_Tie = tuple[float, float, float]  # two places along the way, and the metres that part them
+
 
 @dataclass(frozen=True, kw_only=True)  # without slots: the area is computed once
 class Stay:
-    """What loop closure needs of a region that the robot has just left.
+    """What loop closure needs of a region that the robot has just left: a piece of its path.
 
     The first stay in a place is a submap of its own; one that is recognised becomes part of an old
     submap. `features` (n, F) are those of its raw scans; `packed` and `track` (k, 3), its grid and
@@ -59,18 +67,14 @@ class Stay:
         """The free area that was seen."""
         return self.grid.free_area_m2
 
-
-_MERGE_OVERLAP = 0.4  # shared part of both tracks, for a merge
-_MERGE_REACH_M = 1.0  # tracks this close overlap
-TWIN_MARGIN_M = 0.5  # a match that mends so much more than drift explains is of twin rooms
-
-# Rooms have right angles: a wrong match is turned by a quarter or by half. Tracking is not, unless
-# it turned a little with every metre of a long way.
-_MOST_TURN_RAD, _TURN_RAD_PER_M = math.pi / 4, 0.001
+    def tracked_from(self, other: Stay) -> Pose2 | None:
+        """This stay's frame from another one's as both were tracked; None where that is unknown."""
+        if self.map_from_stay is None or other.map_from_stay is None:
+            return None
+        return self.map_from_stay.inverse() @ other.map_from_stay
 
 
-@dataclass(frozen=True, slots=True)
-class Decision:
+class Decision(NamedTuple):
     """Whether the grids match, whether they are of one submap, and why or why not."""
 
     verified: bool
@@ -92,7 +96,7 @@ def decide(
         return Decision(False, False, "the grids do not match")
     if check.confirmed_m < MIN_WALL_M:
         return Decision(False, False, "too little wall matches")
-    if check.overlap < MIN_OVERLAP or check.least_overlap < LEAST_OVERLAP:
+    if not check.overlaps:
         return Decision(False, False, "the grids overlap too little")
     if check.lead < MIN_LEAD:
         return Decision(False, False, "ambiguous: the grids match in more than one way")
@@ -109,19 +113,15 @@ def expected_overlap(old: Stay, new: Stay, reach_m: float) -> float:
 
     0 where that says nothing: poses are not known, or tracking was lost between them.
     """
-    if old.map_from_stay is None or new.map_from_stay is None:
+    expected = old.tracked_from(new)
+    if expected is None or not math.isfinite(new.travelled_m - old.travelled_m):
         return 0.0
-    if not math.isfinite(new.travelled_m - old.travelled_m):
-        return 0.0
-    expected = old.map_from_stay.inverse() @ new.map_from_stay
     return tracks_overlap(old.track, new.track, expected, reach_m)
 
 
 def mended_m(old: Stay, new: Stay, old_from_new: Pose2) -> float:
     """How far tracking was off where the new stay begins if a match is right; 0 if unknown."""
-    if old.map_from_stay is None or new.map_from_stay is None:
-        return 0.0
-    expected = old.map_from_stay.inverse() @ new.map_from_stay
+    expected = old.tracked_from(new) or old_from_new
     return math.hypot(expected.x - old_from_new.x, expected.y - old_from_new.y)
 
 
@@ -129,23 +129,13 @@ def plausible(
     old: Stay, new: Stay, old_from_new: Pose2, way_m: float, config: RecognitionConfig
 ) -> bool:
     """Whether registration can have drifted, on a way, as far as a merge would say it has."""
-    most_m = TWIN_MARGIN_M + config.max_drift * way_m
+    expected = old.tracked_from(new) or old_from_new
+    turned_rad = abs(wrap_angle(expected.theta - old_from_new.theta))
     # not to be turned round: a way of NaN says nothing
     return not (
-        mended_m(old, new, old_from_new) > most_m
-        or _mended_rad(old, new, old_from_new) > _MOST_TURN_RAD + _TURN_RAD_PER_M * way_m
+        mended_m(old, new, old_from_new) > _TWIN_MARGIN_M + config.max_drift * way_m
+        or turned_rad > _MOST_TURN_RAD + _TURN_RAD_PER_M * way_m
     )
-
-
-def _mended_rad(old: Stay, new: Stay, old_from_new: Pose2) -> float:
-    """The same of the heading."""
-    if old.map_from_stay is None or new.map_from_stay is None:
-        return 0.0
-    expected = old.map_from_stay.inverse() @ new.map_from_stay
-    return abs(wrap_angle(expected.theta - old_from_new.theta))
-
-
-_Tie = tuple[float, float, float]  # two places along the way, and the metres that part them
 
 
 class DriftGraph:
@@ -162,8 +152,8 @@ class DriftGraph:
         as much. A match that cuts no way short is not kept: a robot that patrols makes many.
         """
         ends = old.travelled_m, new.travelled_m
-        known = old.map_from_stay is not None and new.map_from_stay is not None
-        if known and all(map(math.isfinite, ends)) and mended_m <= TWIN_MARGIN_M:
+        known = old.tracked_from(new) is not None and all(map(math.isfinite, ends))
+        if known and mended_m <= _TWIN_MARGIN_M:
             drift = self.config.max_drift
             metres = mended_m / drift if drift > 0.0 else 0.0
             if metres < self.between(old, new):

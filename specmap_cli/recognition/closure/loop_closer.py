@@ -36,6 +36,7 @@ _LEFTOVERS = 2  # pairs matched a submap in search of duplicates
 _MEMBERS = 2  # visits of an old submap whose grids are matched
 _PREPARED = 8  # grids prepared for matching at a time: each takes megabytes
 _NEAR_M = 2.0  # of tracks that may be of one place: a merge's reach, and what tracking is off
+_ALIKE_M = 1.0  # tracking is off by as much in either of two places
 _NO_CLAIMS = Claims.alike(0.0, 0)
 
 
@@ -84,7 +85,8 @@ class LoopCloser:
             return
         stays = [*self._submaps[kept], *self._submaps.pop(gone)]
         self._submap_of.update({stay.number: kept for stay in stays})
-        most = _largest(stays, self.config.stays_kept)
+        by_area = sorted(range(len(stays)), key=lambda k: -stays[k].area_m2)  # the older of equals
+        most = sorted(by_area[: self.config.stays_kept])
         self._submaps[kept] = [stays[k] for k in most]
         self._ranker.merge(kept, gone, most)
         gone_s = self._claims.pop(gone)
@@ -107,7 +109,7 @@ class LoopCloser:
         stay = next((s for s in self._submaps[own] if s.number == number), None)
         if stay is None or not self.config.verify:
             return []
-        expected = [place for place in self._expected(stay) if place[0] != own]
+        expected = [(old, k) for old, k in self._expected(stay) if old != own]
         found = [
             self._best_match(stay, old, self._best_claims(old, own), [k])
             for old, k in expected[:CANDIDATES]
@@ -155,8 +157,16 @@ class LoopCloser:
             self._compared = {pair for pair in self._compared if gone.isdisjoint(pair)}
 
     def _leftover_pairs(self, adjacency: Mapping[int, Collection[int]]) -> list[tuple[int, int]]:
-        """Pairs that may be duplicates, for each submap the best ranked of those near it."""
-        pairs = likely_duplicates(sorted(self._submaps), adjacency)
+        """Pairs that may be duplicates, for each submap the best ranked of those near it.
+
+        Near are submaps one or two edges apart.
+        """
+        pairs: list[tuple[int, int]] = []
+        for start in sorted(self._submaps):
+            near = set(adjacency.get(start, ()))
+            near |= {n for neighbour in near for n in adjacency.get(neighbour, ())}
+            near &= self._submaps.keys()
+            pairs.extend((start, other) for other in sorted(near) if other > start)
         pairs.sort(key=lambda pair: -self._best_claims(*pair).rank)
         taken: Counter[int] = Counter()
         chosen = []
@@ -182,23 +192,16 @@ class LoopCloser:
                 "xi passes the threshold" if merged else "xi below the threshold or not the best"
             )
             by_xi = Decision(False, merged, reason)
-            closures.append(_closure(new.number, old, claims[old], None, by_xi))
+            closures.append(_closure(new.number, old, claims[old], by_xi))
         return closures
 
     def _verified(self, new: Stay, claims: Mapping[int, Claims]) -> list[Closure]:
         """The best ranked candidates with their grids matched; the best of the merges wins."""
         ranked = sorted(claims, key=lambda i: (-claims[i].rank, i))
-        closures = []
-        for old in ranked[:CANDIDATES]:
-            by_stay = claims[old].by_stay
-            most_claimed = sorted(range(len(by_stay)), key=lambda k: (-by_stay[k], -k))
-            closure = self._best_match(new, old, claims[old], most_claimed)
-            if closure is not None:
-                closures.append(closure)
-        for old, k in self._expected(new)[:CANDIDATES]:
-            closure = self._best_match(new, old, claims[old], [k])
-            if closure is not None:
-                closures.append(closure)
+        orders = [(old, _most_claimed_first(claims[old])) for old in ranked[:CANDIDATES]]
+        orders += [(old, [k]) for old, k in self._expected(new)[:CANDIDATES]]
+        found = [self._best_match(new, old, claims[old], order) for old, order in orders]
+        closures = [closure for closure in found if closure is not None]
         closures = with_one_merge(closures, lambda c: self._moved_m(c, new), MIN_LEAD)
         return sorted(closures, key=lambda c: (not c.merged, not c.verified, -c.xi, c.old))
 
@@ -231,7 +234,7 @@ class LoopCloser:
                 continue
             self._compared.add(pair)
             closure = self._matched(stay, new, claims)
-            if best is None or merit(closure) > merit(best):
+            if best is None or _merit(closure) > _merit(best):
                 best = closure
             if closure.merged:
                 break
@@ -251,7 +254,7 @@ class LoopCloser:
         """What the grids of two stays say."""
         grids = [self._grids.of(stay.number, stay.grid) for stay in (old, new)]
         if grids[0] is None or grids[1] is None:
-            return _closure(new.number, old.number, claims, None, NO_WALLS)
+            return _closure(new.number, old.number, claims, NO_WALLS)
         way_m = self._way.between(old, new)
         check = verify(
             grids[0],
@@ -261,7 +264,7 @@ class LoopCloser:
         found = decide(old, new, check, way_m, self.config)
         if check is not None and found.verified:
             self._way.confirm(old, new, mended_m(old, new, check.old_from_new))
-        return _closure(new.number, old.number, claims, check, found)
+        return _closure(new.number, old.number, claims, found, check)
 
 
 def _packed(stay: Stay) -> PackedGrid:
@@ -269,28 +272,26 @@ def _packed(stay: Stay) -> PackedGrid:
     return PackedGrid.of(cropped(stay.grid))
 
 
-def _closure(new: int, old: int, claims: Claims, check: Check | None, found: Decision) -> Closure:
+def _closure(
+    new: int, old: int, claims: Claims, decision: Decision, check: Check | None = None
+) -> Closure:
     return Closure(
         new=new,
         old=old,
         xi=claims.xi,
         claims_new_by_old=claims.new_by_old,
         claims_old_by_new=claims.old_by_new,
-        verified=found.verified,
-        merged=found.merged,
+        verified=decision.verified,
+        merged=decision.merged,
         score=check.score if check is not None else math.nan,
-        reason=found.reason,
-        old_from_new=check.old_from_new if check is not None and found.verified else None,
+        reason=decision.reason,
+        old_from_new=check.old_from_new if check is not None and decision.verified else None,
     )
 
 
-def _largest(stays: Sequence[Stay], most: int) -> list[int]:
-    """Numbers, ascending, of the `most` stays that saw the largest area; the older of equals."""
-    by_area = sorted(range(len(stays)), key=lambda k: -stays[k].area_m2)  # sorted keeps their order
-    return sorted(by_area[:most])
-
-
-_ALIKE_M = 1.0  # tracking is off by as much in either of two places
+def _most_claimed_first(claims: Claims) -> list[int]:
+    """The stays of an old submap in the order in which they are matched, the later of equals."""
+    return sorted(range(len(claims.by_stay)), key=lambda k: (-claims.by_stay[k], -k))
 
 
 def with_one_merge(
@@ -317,20 +318,7 @@ def with_one_merge(
     ]
 
 
-def likely_duplicates(
-    ids: Sequence[int], adjacency: Mapping[int, Collection[int]]
-) -> list[tuple[int, int]]:
-    """Pairs (smaller, larger) of submaps one or two edges apart."""
-    pairs: list[tuple[int, int]] = []
-    left = set(ids)
-    for start in ids:
-        near = set(adjacency.get(start, ()))
-        near |= {n for neighbour in near for n in adjacency.get(neighbour, ())}
-        pairs.extend((start, other) for other in sorted(near & left) if other > start)
-    return pairs
-
-
-def merit(closure: Closure) -> tuple[bool, bool, float]:
+def _merit(closure: Closure) -> tuple[bool, bool, float]:
     """What makes one match with a submap better than another; no match at all is the worst."""
     score = -math.inf if math.isnan(closure.score) else closure.score
     return closure.merged, closure.verified, score

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from specmap_cli.grids.gridmap import FREE, NO_OBSTACLE_M, OCCUPIED, UNKNOWN, Gr
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 
+_PREPARED = 64  # grids at a time: each takes up to a megabyte
 _MATCH_CELL_M = 0.3  # two grids are first matched on cells of about this side
 _MATCH_SIGMA_M = 0.15  # how near matched walls pull each other
 INLIER_M = 0.15  # a wall point this near a wall agrees
@@ -219,9 +221,6 @@ def _centres(grid: GridMap, cells: BoolArray) -> FloatArray:
     return np.ascontiguousarray(grid.centres_of(np.argwhere(cells)))
 
 
-_PREPARED = 64  # grids at a time: each takes up to a megabyte
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapToAlign:
     """A finished map: its `whole` grid, and the grids of its submaps by id.
@@ -242,13 +241,26 @@ class MapToAlign:
         return sorted(self.frames)
 
 
+class PlacedGrid(NamedTuple):
+    """A submap's prepared grid, in its own frame, and that frame in the map."""
+
+    submap: int
+    grid: PreparedGrid
+    frame: Pose2
+
+
 class PreparedMap:
     """The submaps of a map prepared for matching, those last asked for kept."""
 
-    def __init__(self, known: MapToAlign) -> None:
-        self.known = known
+    def __init__(self, map_: MapToAlign) -> None:
+        self.map = map_
         self._grids = PreparedGrids(_PREPARED)
 
-    def of(self, submap: int) -> PreparedGrid | None:
-        """One submap's grid in its own frame; None when it shows too little of a wall."""
-        return self._grids.of(submap, self.known.grids[submap])
+    def of(self, submap: int) -> PlacedGrid | None:
+        """One submap; None when it shows too little of a wall."""
+        grid = self._grids.of(submap, self.map.grids[submap])
+        return None if grid is None else PlacedGrid(submap, grid, self.map.frames[submap])
+
+    def all(self) -> Iterator[PlacedGrid]:
+        """The submaps that show enough of a wall, by id."""
+        yield from filter(None, map(self.of, self.map.ids))

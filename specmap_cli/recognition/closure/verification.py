@@ -33,6 +33,22 @@ _DIFFERENT_M, _DIFFERENT_RAD = 0.5, math.radians(2.0)
 RIVAL_M, RIVAL_RAD = 1.0, math.radians(10.0)
 
 _Placed = tuple[float, Pose2]
+CANDIDATES = 3  # best ranked old submaps whose grids are matched
+_HOPELESS_SCORE = 0.3  # a match below this is given up
+_SURE_SCORE = 0.8  # a match above this needs no other rotation
+_CONTRADICTION_M = 0.3  # a wall point farther than this from walls, and in free space, contradicts
+_CONTRADICTION_DEPTH_M = 0.25  # free space counts this far from its edge, which noise blurs
+MIN_LEAD = 0.1  # score over the next best match, or it is ambiguous
+MIN_WALL_M = 5.0  # metres of wall that agree, cell by cell
+MIN_OVERLAP = 0.4  # shared part of the walls of one of two submaps
+LEAST_OVERLAP = 0.15  # shared part of the walls of the other one
+CONTRADICTION_WEIGHT = 2.0  # separates right from wrong transforms of fr079 without an error
+# A wall may be drawn one cell beside where it is, or two where a turned grid is laid on another.
+_INLIER_CELLS, _CONTRADICTION_CELLS = 1.0, 2.5
+_REFINED = 3
+# Points and shift of the refinement: first from a coarse cell away, then for the last centimetres.
+_ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 160, 6, 0.6
+_FINE_POINTS, _FINE_STEPS, _FINE_SHIFT_M = 1000, 15, 0.2
 
 
 class TransformSearch:
@@ -131,32 +147,16 @@ def _slacks(steps: int) -> Sequence[float]:
     return (0.0, *(sign * k * _SLACK_RAD for k in range(1, steps + 1) for sign in (-1.0, 1.0)))
 
 
-CANDIDATES = 3  # best ranked old submaps whose grids are matched
-_HOPELESS_SCORE = 0.3  # a match below this is given up
-_SURE_SCORE = 0.8  # a match above this needs no other rotation
-_CONTRADICTION_M = 0.3  # a wall point farther than this from walls, and in free space, contradicts
-_CONTRADICTION_DEPTH_M = 0.25  # free space counts this far from its edge, which noise blurs
-MIN_LEAD = 0.1  # score over the next best match, or it is ambiguous
-MIN_WALL_M = 5.0  # metres of wall that agree, cell by cell
-MIN_OVERLAP = 0.4  # shared part of the walls of one of two submaps
-LEAST_OVERLAP = 0.15  # shared part of the walls of the other one
-CONTRADICTION_WEIGHT = 2.0  # separates right from wrong transforms of fr079 without an error
-# A wall may be drawn one cell beside where it is, or two where a turned grid is laid on another.
-_INLIER_CELLS, _CONTRADICTION_CELLS = 1.0, 2.5
-_REFINED = 3
-# Points and shift of the refinement: first from a coarse cell away, then for the last centimetres.
-_ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 160, 6, 0.6
-_FINE_POINTS, _FINE_STEPS, _FINE_SHIFT_M = 1000, 15, 0.2
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
     """The best transform between two grids and how well they agree under it.
 
     `score` is the smaller share of inliers less twice the larger share of contradictions, at most
     1; `confirmed_m` the smaller length of wall confirmed, metres; `overlap` and `least_overlap` the
-    larger and the smaller share of a grid's walls that the other one knows about; `lead` how much
-    better it is than the next best transform that is a different one.
+    larger and the smaller share of a grid's walls that the other one knows about; `net_walls_m` the
+    smaller length of wall that speaks for the transform, less twice that against it: a share would
+    favour grids that hardly touch. `lead` is how much better it is than the next best transform
+    that is a different one.
     """
 
     old_from_new: Pose2
@@ -164,7 +164,18 @@ class Check:
     confirmed_m: float
     overlap: float
     least_overlap: float
+    net_walls_m: float = 0.0
     lead: float = 0.0
+
+    @property
+    def overlaps(self) -> bool:
+        """Whether each grid knows enough of the walls of the other."""
+        return self.overlap >= MIN_OVERLAP and self.least_overlap >= LEAST_OVERLAP
+
+    def matches(self, min_score: float) -> bool:
+        """Whether the grids match here, whatever else may match as well."""
+        walls = self.confirmed_m >= MIN_WALL_M
+        return self.score >= min_score and walls and self.overlaps
 
 
 def verify(
@@ -183,7 +194,8 @@ def verify(
     trials = _Trials(old, new, plausible)
     best = _best(trials, search.best(search.few), search.centre)
     promising = best is not None and _HOPELESS_SCORE <= best.score < _SURE_SCORE
-    if best is not None and promising and not _clear(best):
+    # what contradicts a clear match is a difference of the places, not an error of the direction
+    if best is not None and promising and not (best.overlaps and best.lead >= MIN_LEAD):
         other = _best(trials, search.best(search.many), search.centre)
         best = other if other is not None and _rank(other) > _rank(best) else best
     return best
@@ -200,19 +212,10 @@ def judge(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> Check:
         confirmed_m=min(there.inliers * new.metres_a_point, back.inliers * old.metres_a_point),
         overlap=max(there.known, back.known),
         least_overlap=min(there.known, back.known),
-    )
-
-
-def net_walls_m(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> float:
-    """Metres of wall that speak for a transform, less twice those against it: of what both know.
-
-    A share would favour grids that hardly touch.
-    """
-    there = agreement(old.area, old_from_new.apply(new.walls))
-    back = agreement(new.area, old_from_new.inverse().apply(old.walls))
-    return min(
-        said.known * len(grid.walls) * grid.metres_a_point * said.score
-        for said, grid in ((there, new), (back, old))
+        net_walls_m=min(
+            said.known * len(grid.walls) * grid.metres_a_point * said.score
+            for said, grid in ((there, new), (back, old))
+        ),
     )
 
 
@@ -241,19 +244,8 @@ class _Trials:
         self.rough = evenly(new.walls, _ROUGH_POINTS)
         self._checks: dict[tuple[Pose2, bool], Check] = {}
 
-    def promise(self, guess: Pose2) -> float:
-        """How near walls are to walls, before any refinement."""
-        return self.old.wide.score(self.rough, guess)
-
-    def roughly(self, guess: Pose2) -> Check:
-        """A guess refined from a coarse cell away."""
-        return self._refined(guess, fine=False)
-
-    def finely(self, guess: Pose2) -> Check:
-        """A guess refined for the last centimetres."""
-        return self._refined(guess, fine=True)
-
-    def _refined(self, guess: Pose2, *, fine: bool) -> Check:
+    def refined(self, guess: Pose2, *, fine: bool = False) -> Check:
+        """A guess refined from a coarse cell away, or, `fine`, for the last centimetres."""
         if (guess, fine) not in self._checks:
             points = evenly(self.new.walls, _FINE_POINTS) if fine else self.rough
             steps = _FINE_STEPS if fine else _ROUGH_STEPS
@@ -265,15 +257,16 @@ class _Trials:
 
 def _best(trials: _Trials, guesses: Sequence[Pose2], centre: FloatArray) -> Check | None:
     """The best transform near guesses; `centre` (2,) is that of the new grid."""
-    likely = sorted(guesses, key=trials.promise, reverse=True)
-    checks = sorted(map(trials.roughly, likely[:_REFINED]), key=_rank, reverse=True)
+    wide, rough = trials.old.wide, trials.rough
+    likely = sorted(guesses, key=lambda guess: wide.score(rough, guess), reverse=True)
+    checks = sorted(map(trials.refined, likely[:_REFINED]), key=_rank, reverse=True)
     if not checks:
         return None
     checks = _possible(checks, trials)
     best = checks[0]
     if best.score < _HOPELESS_SCORE:
         return best
-    final = trials.finely(best.old_from_new)
+    final = trials.refined(best.old_from_new, fine=True)
     return replace(final if final.score >= best.score else best, lead=_lead(checks, centre))
 
 
@@ -288,15 +281,6 @@ def _possible(checks: list[Check], trials: _Trials) -> list[Check]:
     if not possible or _rank(checks[0]) - _rank(possible[0]) >= MIN_LEAD:
         return checks
     return possible
-
-
-def _clear(check: Check) -> bool:
-    """Whether a transform leads, and each grid knows enough of the walls of the other.
-
-    Then what contradicts it is a difference of the places, not an error of the direction.
-    """
-    overlaps = check.overlap >= MIN_OVERLAP and check.least_overlap >= LEAST_OVERLAP
-    return overlaps and check.lead >= MIN_LEAD
 
 
 def _lead(checks: Sequence[Check], centre: FloatArray) -> float:

@@ -19,16 +19,12 @@ from specmap_cli.core.geometry import FloatArray, Pose2, nearest_motion, wrap_an
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.closure.prepared import MapToAlign, PreparedMap
 from specmap_cli.recognition.closure.verification import (
-    LEAST_OVERLAP,
     MIN_LEAD,
-    MIN_OVERLAP,
-    MIN_WALL_M,
     Check,
     verify,
 )
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.features.virtual import VIRTUAL_BEAMS, VIRTUAL_RANGE_M, cast_circles
-from specmap_cli.recognition.learning.classifiers import Recogniser
 
 _PLACES = 16  # of a submap from which scans are cast: a mean of chances to a tenth
 _DECIMALS = 6  # of a chance: the last digits of an exponential depend on the processor
@@ -36,6 +32,12 @@ _AREA_PRIOR = 0.5  # times the logarithm of a ratio of areas, where no classifie
 _FAR_BEHIND = 0.1  # of the best rank: a tenth of the chance
 
 Pair = tuple[int, int]
+# Votes for one transform: what a match of two grids is off, and how much more for each metre
+# between their places, which an error of its direction, or a bend of a map, makes.
+_APART_M, _APART_RAD, _APART_PER_M = 0.4, math.radians(4.0), 0.03
+_LEAST_RADIUS_M = 1.0  # of a submap: gives the direction of its vote some weight
+_PARTIES, _SEEDS = 8, 24  # the largest votes are tried: of hundreds of rooms most agree
+_ROUNDS = 3  # of fitting a transform and collecting the votes for it
 
 
 def likely_pairs(
@@ -67,9 +69,14 @@ def _ranks(old: MapToAlign, new: MapToAlign) -> FloatArray:
     ranks = [_claimed(new, by=old), _claimed(old, by=new)]
     known = [ranks[0], None if ranks[1] is None else ranks[1].T]
     claims = [chances for chances in known if chances is not None]
-    if not claims:
-        return _by_area(old, new)
-    return np.asarray(np.prod(claims, axis=0))
+    if claims:
+        return np.asarray(np.prod(claims, axis=0))
+    # where no classifier can be asked: how alike the free areas of submaps are, in (0, 1]
+    areas = [
+        np.log([max(map_.grids[i].free_area_m2, 1.0) for i in map_.ids]) for map_ in (old, new)
+    ]
+    gaps = np.abs(areas[0][:, None] - areas[1][None, :])
+    return np.asarray(np.round(np.exp(-_AREA_PRIOR * gaps), _DECIMALS))
 
 
 def _claimed(of: MapToAlign, *, by: MapToAlign) -> FloatArray | None:
@@ -82,45 +89,18 @@ def _claimed(of: MapToAlign, *, by: MapToAlign) -> FloatArray | None:
         return None
     if not all(len(of.tracks.get(i, ())) for i in of.ids):
         return None
-    return _chances(asked, by.ids, _cast(of, asked.feature_set)).T
-
-
-def _cast(known: MapToAlign, feature_set: str) -> list[FloatArray]:
-    """Features (n, F) of virtual scans of every submap, by id."""
-    features = []
-    for i in known.ids:
-        places = evenly(np.asarray(known.tracks[i])[:, :2], _PLACES)
-        origins = known.frames[i].inverse().apply(places)
-        scans = cast_circles(known.grids[i], origins, VIRTUAL_BEAMS, VIRTUAL_RANGE_M)
-        features.append(np.asarray(scans_features(scans, feature_set), dtype=np.float64))
-    return features
-
-
-def _chances(asked: Recogniser, ids: Sequence[int], scans: Sequence[FloatArray]) -> FloatArray:
-    """(len(scans), len(ids)) mean chances by which each submap claims each group of scans."""
-    columns = [asked.ids.index(i) for i in ids]
+    scans = []
+    for i in of.ids:
+        places = evenly(np.asarray(of.tracks[i])[:, :2], _PLACES)
+        origins = of.frames[i].inverse().apply(places)
+        cast = cast_circles(of.grids[i], origins, VIRTUAL_BEAMS, VIRTUAL_RANGE_M)
+        scans.append(np.asarray(scans_features(cast, asked.feature_set), dtype=np.float64))
     starts = np.cumsum([0, *(len(own) for own in scans)])[:-1]
+    columns = [asked.ids.index(i) for i in by.ids]
     margins = asked.margins(np.concatenate(scans))[:, columns]
     counts = np.array([len(own) for own in scans], dtype=np.float64)[:, None]
     chances = np.add.reduceat(1.0 / (1.0 + np.exp(-margins)), starts) / counts
-    return np.asarray(np.round(chances, _DECIMALS))
-
-
-def _by_area(old: MapToAlign, new: MapToAlign) -> FloatArray:
-    """(n_old, n_new) how alike the free areas of submaps are, in (0, 1]."""
-    areas = [
-        np.log([max(known.grids[i].free_area_m2, 1.0) for i in known.ids]) for known in (old, new)
-    ]
-    gaps = np.abs(areas[0][:, None] - areas[1][None, :])
-    return np.asarray(np.round(np.exp(-_AREA_PRIOR * gaps), _DECIMALS))
-
-
-# Votes for one transform: what a match of two grids is off, and how much more for each metre
-# between their places, which an error of its direction, or a bend of a map, makes.
-_APART_M, _APART_RAD, _APART_PER_M = 0.4, math.radians(4.0), 0.03
-_LEAST_RADIUS_M = 1.0  # of a submap: gives the direction of its vote some weight
-_PARTIES, _SEEDS = 8, 24  # the largest votes are tried: of hundreds of rooms most agree
-_ROUNDS = 3  # of fitting a transform and collecting the votes for it
+    return np.asarray(np.round(chances, _DECIMALS)).T
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,10 +144,18 @@ def votes_of(
     votes = []
     for i, j in sorted(pairs, key=lambda pair: (pair[1], pair[0])):  # few grids are kept prepared
         one, other = old.of(i), new.of(j)
-        check = None if one is None or other is None else verify(one, other)
-        if check is not None and _is_sure(check, config):
-            frames = old.known.frames[i], new.known.frames[j]
-            votes.append(_vote((i, j), check, frames, new.known.grids[j].free_area_m2))
+        check = None if one is None or other is None else verify(one.grid, other.grid)
+        if one and other and check and check.matches(config.min_score) and check.lead >= MIN_LEAD:
+            radius_m = math.sqrt(new.map.grids[j].free_area_m2 / math.pi)
+            vote = Vote(
+                old=i,
+                new=j,
+                old_from_new=one.frame @ check.old_from_new @ other.frame.inverse(),
+                centre=np.array(other.frame[:2]),
+                radius_m=max(_LEAST_RADIUS_M, radius_m),
+                check=check,
+            )
+            votes.append(vote)
     return votes
 
 
@@ -178,44 +166,20 @@ def parties_of(votes: Sequence[Vote]) -> list[Party]:
         seeds = sorted(left, key=lambda vote: -vote.check.confirmed_m)[:_SEEDS]
         party = max((_party(vote, left) for vote in seeds), key=_weight)
         parties.append(party)
-        inside = {id(vote) for vote in party.votes}
-        left = [vote for vote in left if id(vote) not in inside]
+        left = [vote for vote in left if not any(vote is other for other in party.votes)]
     return sorted(parties, key=_weight, reverse=True)
 
 
-def fitted(transforms: Sequence[Pose2], centres: FloatArray, radii: FloatArray) -> Pose2:
-    """The one transform nearest to several, each known at its centre (n, 2) and radius (n,) round.
+def fitted(votes: Sequence[Vote]) -> Pose2:
+    """The one transform nearest to those of several votes, by least squares.
 
-    Least squares over four points of each place.
+    Each counts at four points round its submap's centre, a radius away.
     """
     corners = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-    source = centres[:, None, :] + corners[None] * radii[:, None, None]
-    pairs = zip(transforms, source, strict=True)
-    target = np.concatenate([pose.apply(points) for pose, points in pairs])
-    return nearest_motion(source.reshape(-1, 2), target)
-
-
-def _is_sure(check: Check, config: RecognitionConfig) -> bool:
-    """Whether two grids match, well and in one way only."""
-    return (
-        check.score >= config.min_score
-        and check.confirmed_m >= MIN_WALL_M
-        and check.overlap >= MIN_OVERLAP
-        and check.least_overlap >= LEAST_OVERLAP
-        and check.lead >= MIN_LEAD
-    )
-
-
-def _vote(pair: Pair, check: Check, frames: tuple[Pose2, Pose2], area_m2: float) -> Vote:
-    old_frame, new_frame = frames
-    return Vote(
-        old=pair[0],
-        new=pair[1],
-        old_from_new=old_frame @ check.old_from_new @ new_frame.inverse(),
-        centre=np.array(new_frame[:2]),
-        radius_m=max(_LEAST_RADIUS_M, math.sqrt(area_m2 / math.pi)),
-        check=check,
-    )
+    source = [vote.centre + corners * vote.radius_m for vote in votes]
+    pairs = zip(votes, source, strict=True)
+    target = [vote.old_from_new.apply(points) for vote, points in pairs]
+    return nearest_motion(np.concatenate(source), np.concatenate(target))
 
 
 def _party(seed: Vote, votes: Sequence[Vote]) -> Party:
@@ -225,27 +189,20 @@ def _party(seed: Vote, votes: Sequence[Vote]) -> Party:
         found = tuple(vote for vote in votes if _agree(vote, party))
         if not found or found == party.votes:
             break
-        transforms = [vote.old_from_new for vote in found]
-        centres = np.array([vote.centre for vote in found])
-        radii = np.array([vote.radius_m for vote in found])
-        party = Party(old_from_new=fitted(transforms, centres, radii), votes=found)
+        party = Party(old_from_new=fitted(found), votes=found)
     return party
 
 
 def _agree(vote: Vote, party: Party) -> bool:
     """Whether a vote is for a party's transform, where it is cast and where the party's are."""
-    turn = abs(wrap_angle(vote.old_from_new.theta - party.old_from_new.theta))
-    if turn > _APART_RAD:
+    mine, theirs = vote.old_from_new, party.old_from_new
+    if abs(wrap_angle(mine.theta - theirs.theta)) > _APART_RAD:
         return False
     middle = np.mean([other.centre for other in party.votes], axis=0)
-    gaps = [_gap(vote.old_from_new, party.old_from_new, place) for place in (vote.centre, middle)]
+    places = np.stack([vote.centre, middle])
+    gaps = map(math.dist, mine.apply(places), theirs.apply(places))
     far = math.dist(vote.centre, middle)
     return max(gaps) <= _APART_M + _APART_PER_M * far
-
-
-def _gap(a: Pose2, b: Pose2, place: FloatArray) -> float:
-    """How far apart two transforms place a point (2,), metres."""
-    return math.dist(a.apply(place[None])[0], b.apply(place[None])[0])
 
 
 def _weight(party: Party) -> tuple[int, float]:

@@ -20,6 +20,11 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, IntArray, PlanarScan
 
 Indices = NDArray[np.intp]
+_FEWEST = 3  # places that have one to follow
+# These define features: classifiers on disk hold thresholds on what comes of them.
+PAIR_STEP_M = 0.1
+PAIR_STEPS = 120  # distances of pairs are told apart up to 12 m
+_PAIR_POINTS = 90  # 4,005 pairs: the shares are good to a percent, and cheap
 
 
 @dataclass(frozen=True)  # without slots: some properties are computed once
@@ -136,9 +141,6 @@ def ratio(above: NDArray[Any], below: NDArray[Any]) -> FloatArray:
     return quotients
 
 
-_FEWEST = 3  # places that have one to follow
-
-
 def pair_windows(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """First (..., 1, w) and second (..., (w - 1) / 2, w) of all pairs in values (..., n).
 
@@ -151,12 +153,6 @@ def pair_windows(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     around[..., : values.shape[-1]] = values
     around[..., width:] = around[..., :half]
     return around[..., None, :width], sliding_window_view(around[..., 1:], width, axis=-1)
-
-
-# These define features: classifiers on disk hold thresholds on what comes of them.
-PAIR_STEP_M = 0.1
-PAIR_STEPS = 120  # distances of pairs are told apart up to 12 m
-_PAIR_POINTS = 90  # 4,005 pairs: the shares are good to a percent, and cheap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

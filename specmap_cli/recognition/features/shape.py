@@ -8,6 +8,8 @@ in `table1`, all are finite, and unchanged when the robot turns on the spot.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
@@ -21,6 +23,12 @@ FINE_EDGES_M = tuple(round(0.2 * k, 1) for k in range(1, 30))
 CLIPS_M = (1.0, 2.0, 3.0, 5.0, 8.0)
 _BREAK_M, _BREAK_PER_M = 0.25, 0.03  # neighbouring beams lie this far apart on a slanted wall
 _LONG_PIECES_M = (0.5, 1.0, 2.0)
+# These define features: classifiers on disk hold thresholds on what comes of them.
+QUANTILES = (0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95)
+RING_EDGES_M = (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 12.0)
+HARMONICS = 16
+_SAMPLES = 128
+_FARTHEST_M = 12.0
 
 
 def breaks_of(batch: ReturnsBatch) -> BoolArray:
@@ -54,11 +62,6 @@ def pieces_between(segments: Segments, breaks: BoolArray) -> tuple[IntArray, Int
     return np.flatnonzero(starts), np.flatnonzero(ends)
 
 
-def fine_distance_histogram(batch: ReturnsBatch) -> FloatArray:
-    """Distribution of the distance between two returns in bins of 0.2 m, the last one open."""
-    return pair_histogram(batch, FINE_EDGES_M)
-
-
 def pieces(batch: ReturnsBatch) -> FloatArray:
     """Smooth pieces between leaps: how many there are, how many are longer than each of 0.5, 1 and
     2 m, the longest one's length and the mean length.
@@ -87,7 +90,9 @@ def clipped_ranges(batch: ReturnsBatch) -> FloatArray:
 _FINE_COLUMNS = tuple(f"fine_distance_{low:g}m" for low in (0.0, *FINE_EDGES_M))
 
 GROUPS: tuple[BatchGroup, ...] = (
-    BatchGroup(fine_distance_histogram, _FINE_COLUMNS, histogram=_FINE_COLUMNS),
+    BatchGroup(
+        partial(pair_histogram, edges_m=FINE_EDGES_M), _FINE_COLUMNS, histogram=_FINE_COLUMNS
+    ),
     BatchGroup(
         pieces,
         ("pieces", *(f"pieces_over_{t:g}m" for t in _LONG_PIECES_M), "piece_max", "piece_mean"),
@@ -101,14 +106,6 @@ GROUPS: tuple[BatchGroup, ...] = (
         ),
     ),
 )
-
-
-# These define features: classifiers on disk hold thresholds on what comes of them.
-QUANTILES = (0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95)
-RING_EDGES_M = (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 12.0)
-HARMONICS = 16
-_SAMPLES = 128
-_FARTHEST_M = 12.0
 
 
 def range_quantiles(batch: ReturnsBatch) -> FloatArray:

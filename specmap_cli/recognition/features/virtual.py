@@ -26,6 +26,7 @@ _VIRTUAL_SPACING_M = 0.2  # motion between the scans in a virtual scan
 _VIRTUAL_SPACING_RAD = 0.3  # turn between the scans in a virtual scan
 _RANGE_DECIMALS = 6  # of metres: far below the noise of a laser, far above that of a sum
 _NEAREST_M = 0.05  # a return this near to the virtual laser has no bearing to speak of
+_TURN = 2.0 * math.pi
 
 
 def all_round(ranges: FloatArray, range_max: float, stamp_ns: int = 0) -> PlanarScan:
@@ -73,13 +74,9 @@ class RecentScans:
 
     def add(self, scan: PosedScan) -> None:
         """Take in one registered scan."""
-        points = scan.planar.hits(VIRTUAL_RANGE_M)
-        self.add_points(points, scan.map_from_base, scan.base_from_laser)
-
-    def add_points(self, points: FloatArray, map_from_base: Pose2, base_from_laser: Pose2) -> None:
-        """Take in the returns (N, 2) of one scan, in the laser's frame."""
-        if self.moves_on(map_from_base):
-            self.keep(points, map_from_base, base_from_laser)
+        if self.moves_on(scan.map_from_base):
+            points = scan.planar.hits(VIRTUAL_RANGE_M)
+            self.keep(points, scan.map_from_base, scan.base_from_laser)
 
     def moves_on(self, map_from_base: Pose2) -> bool:
         """Drive on to a pose; whether its scan, too, is to be kept: most are not."""
@@ -128,9 +125,6 @@ def cast_circles(
     """Full-circle scans cast in a grid from origins (N, 2) of its frame."""
     ranges = cast_ranges(grid.obstacle_distance(), grid, origins, circle(beams), max_range)
     return [all_round(row, max_range) for row in ranges]
-
-
-_TURN = 2.0 * math.pi
 
 
 def outline(scan: PlanarScan, map_from_laser: Pose2, reach_m: float) -> FloatArray:

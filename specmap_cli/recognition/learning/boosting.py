@@ -3,33 +3,24 @@
 `StumpBoost` is the paper's own AdaBoost on one-threshold weak classifiers; `TreeBoost` is the
 default: the same idea with quantised features and weak classifiers of two levels. Both are
 estimators: the constructor stores, `fit` learns, `margins` is the sum of votes, whose sign is the
-label. `OneVsAll` has one of them for every submap.
+label. `OneVsAll` has one of them for every submap. Their `...Part` is how they stand in JSON.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 from specmap_cli.core.arrays import evenly
-from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
-from specmap_cli.recognition.features.sets import feature_names, feature_sets
-from specmap_cli.recognition.learning.json_fields import (
-    field,
-    mapping,
-    number,
-    numbers,
-    objects,
-    refuse,
-    text,
-)
+from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.trees import (
     CodeArray,
     Forest,
@@ -40,119 +31,57 @@ from specmap_cli.recognition.learning.trees import (
     shares,
 )
 
-FEATURE_SHARE = 0.1  # share of the features that are drawn for a round of trees
-_NODES = ("root", "below", "above")
-_LEAVES = 4
-
-
-class TreeBoost:
-    """Real AdaBoost on trees of two levels; the two classes start with equal total weight.
-
-    `names` are the columns' names; `shrinkage` scales every leaf; `feature_share` of the features
-    is drawn each round by a generator seeded with `seed`. `forest_` holds the fitted trees.
-    `growing.grown` learns many classifiers of the same samples at once, faster than one by one.
-    """
-
-    kind = "trees"
-
-    def __init__(
-        self,
-        names: Sequence[str],
-        rounds: int = 300,
-        shrinkage: float = 0.3,
-        feature_share: float = 0.2,
-        seed: int = 0,
-    ) -> None:
-        self.names = tuple(names)
-        self.growth = Growth(rounds, shrinkage, feature_share, seed)
-        self.forest_ = Forest.bare()
-
-    @classmethod
-    def of(cls, names: Sequence[str], forest: Forest) -> TreeBoost:
-        """The booster of trees that were grown elsewhere."""
-        booster = cls(names, len(forest.votes))
-        booster.forest_ = forest
-        return booster
-
-    def fit(self, X: NDArray[Any], y: NDArray[Any]) -> TreeBoost:
-        """Learn from features X (n, F) and labels y (n,) of +1 and -1; returns self."""
-        quantiser = Quantiser.of(X)
-        return self.fit_codes(quantiser.codes(X), quantiser, y)
-
-    def fit_codes(self, codes: CodeArray, quantiser: Quantiser, y: NDArray[Any]) -> TreeBoost:
-        """The same from features that are cut already: `codes` (F, n) of `quantiser`."""
-        everything = Question(np.arange(codes.shape[1]), np.asarray(y) > 0)
-        (self.forest_,) = grown(codes, quantiser, [everything], self.growth)
-        return self
-
-    def margins(self, X: NDArray[Any]) -> FloatArray:
-        """(n,) sums of votes: positive where the samples X (n, F) are claimed."""
-        return self.forest_.margins(np.asarray(X, dtype=np.float64), classes=1)[:, 0]
-
-    def to_dict(self) -> dict[str, Any]:
-        """The fitted rounds by name, ready for JSON."""
-        rounds = []
-        forest = self.forest_
-        for features, thresholds, votes in zip(
-            forest.features.tolist(), forest.thresholds.tolist(), forest.votes.tolist(), strict=True
-        ):
-            split = [
-                {"feature": self.names[f], "threshold": t}
-                for f, t in zip(features, thresholds, strict=True)
-            ]
-            rounds.append({"root": split[0], "below": split[1], "above": split[2], "votes": votes})
-        return {"kind": self.kind, "rounds": rounds}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], names: Sequence[str]) -> TreeBoost:
-        """The booster that `to_dict` described; MapError names the entry that makes no sense."""
-        column = {name: k for k, name in enumerate(names)}
-        rounds = objects(data, "rounds")
-        forest = _read_at_once(rounds, column)
-        return cls.of(names, _read_one_by_one(rounds, column) if forest is None else forest)
-
-
-def _read_at_once(rounds: Sequence[Any], column: Mapping[str, int]) -> Forest | None:
-    """The trees of `to_dict`, quickly; None for anything that needs a closer look."""
-    try:
-        parts = [entry[node] for entry in rounds for node in _NODES]
-        features = [column[part["feature"]] for part in parts]
-        thresholds = [part["threshold"] for part in parts]
-        votes = [vote for entry in rounds for vote in entry["votes"]]
-        if any(len(entry["votes"]) != _LEAVES for entry in rounds):
-            return None
-    except (TypeError, KeyError):
-        return None
-    if {*map(type, thresholds), *map(type, votes)} - {float}:
-        return None
-    forest = Forest(
-        np.array(features, dtype=np.intp).reshape(-1, len(_NODES)),
-        np.array(thresholds, dtype=np.float64).reshape(-1, len(_NODES)),
-        np.array(votes, dtype=np.float64).reshape(-1, _LEAVES),
-    )
-    finite = np.isfinite(forest.thresholds).all() and np.isfinite(forest.votes).all()
-    return forest if finite else None
-
-
-def _read_one_by_one(rounds: Sequence[Any], column: Mapping[str, int]) -> Forest:
-    """The same, value by value; MapError names the first entry that makes no sense."""
-    features = np.zeros((len(rounds), len(_NODES)), dtype=np.intp)
-    thresholds, votes = np.zeros(features.shape), np.zeros((len(rounds), _LEAVES))
-    for k, entry in enumerate(rounds):
-        for j, node in enumerate(_NODES):
-            where = f"round {k}, {node}"
-            split = mapping(entry, node, where)
-            features[k, j] = field(split, "feature", column, where)
-            thresholds[k, j] = number(split, "threshold", where)
-        votes[k] = numbers(entry, "votes", _LEAVES, f"round {k}")
-    return Forest(features, thresholds, votes)
-
-
-__all__ = ["Booster", "Stump", "StumpBoost", "TreeBoost", "booster_from_dict"]
-
+_FEATURE_SHARE = 0.1  # share of the features that are drawn for a round of trees
+_SHRINKAGE = 0.5  # scale of every vote of trees
 _SMALLEST_ERROR = 1e-10  # below it a round separates the samples: its votes stay finite
 _VOTE_DECIMALS = 9  # of votes: the last bits of a logarithm are not the same on every processor
 _CHANCE = 0.5 - 1e-12  # the error of a coin, but for rounding
+
+
+class Part(BaseModel):
+    """A part of classifiers.json, of which unknown keys are left out. Read from text alone."""
+
+    model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
+
+
+class SplitPart(Part):
+    """A node of a tree: samples below the threshold go one way, all others the other way."""
+
+    feature: str
+    threshold: float
+
+
+class TreePart(Part):
+    """A tree of two levels; votes are those of `Forest`."""
+
+    root: SplitPart
+    below: SplitPart
+    above: SplitPart
+    votes: tuple[float, float, float, float]
+
+
+class StumpPart(SplitPart):
+    """A `Stump` by the name of its feature."""
+
+    polarity: Literal[1, -1]
+    votes: float
+
+
+class TreesPart(Part):
+    """The rounds of a `TreeBoost`."""
+
+    kind: Literal["trees"]
+    rounds: list[TreePart]
+
+
+class StumpsPart(Part):
+    """The rounds of a `StumpBoost`."""
+
+    kind: Literal["stumps"]
+    rounds: list[StumpPart]
+
+
+BoosterPart = Annotated[TreesPart | StumpsPart, Field(discriminator="kind")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,8 +99,6 @@ class StumpBoost:
 
     `names` are the columns' names, used by `to_dict`; `rounds_` holds the fitted stumps.
     """
-
-    kind = "stumps"
 
     def __init__(self, names: Sequence[str], rounds: int = 60) -> None:
         self.names = tuple(names)
@@ -217,47 +144,113 @@ class StumpBoost:
 
     def to_dict(self) -> dict[str, Any]:
         """The fitted rounds by name, ready for JSON."""
-        return {
-            "kind": self.kind,
-            "rounds": [
-                {
-                    "feature": self.names[s.feature],
-                    "threshold": s.threshold,
-                    "polarity": s.polarity,
-                    "votes": s.votes,
-                }
-                for s in self.rounds_
-            ],
-        }
+        rounds = [asdict(stump) | {"feature": self.names[stump.feature]} for stump in self.rounds_]
+        return {"kind": "stumps", "rounds": rounds}
+
+
+class TreeBoost:
+    """Real AdaBoost on trees of two levels; the two classes start with equal total weight.
+
+    `names` are the columns' names; `shrinkage` scales every leaf; `feature_share` of the features
+    is drawn each round by a generator of `seed`. `forest_` holds the fitted trees.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        rounds: int = 300,
+        shrinkage: float = 0.3,
+        feature_share: float = 0.2,
+        seed: int = 0,
+    ) -> None:
+        self.names = tuple(names)
+        self.growth = Growth(rounds, shrinkage, feature_share, seed)
+        self.forest_ = Forest.bare()
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], names: Sequence[str]) -> StumpBoost:
-        """The booster that `to_dict` described; MapError names the entry that makes no sense."""
-        column = {name: k for k, name in enumerate(names)}
-        rounds = objects(data, "rounds")
-        booster = cls(names, len(rounds))
-        booster.rounds_ = [_stump(entry, column, f"round {k}") for k, entry in enumerate(rounds)]
+    def of(cls, names: Sequence[str], forest: Forest) -> TreeBoost:
+        """The booster of trees that were grown elsewhere."""
+        booster = cls(names, len(forest.votes))
+        booster.forest_ = forest
         return booster
 
+    def fit(self, X: NDArray[Any], y: NDArray[Any]) -> TreeBoost:
+        """Learn from features X (n, F) and labels y (n,) of +1 and -1; returns self.
 
-def _stump(entry: Any, column: Mapping[str, int], where: str) -> Stump:
-    """One round as `StumpBoost.to_dict` wrote it."""
-    return Stump(
-        feature=field(entry, "feature", column, where),
-        threshold=number(entry, "threshold", where),
-        polarity=field(entry, "polarity", {1: 1, -1: -1}, where),
-        votes=number(entry, "votes", where),
-    )
+        `boosted` learns many classifiers of the same samples at once, faster than one by one.
+        """
+        quantiser, question = Quantiser.of(X), Question(np.arange(len(X)), np.asarray(y) > 0)
+        (self.forest_,) = grown(quantiser.codes(X), quantiser, [question], self.growth)
+        return self
+
+    def margins(self, X: NDArray[Any]) -> FloatArray:
+        """(n,) sums of votes: positive where the samples X (n, F) are claimed."""
+        return self.forest_.margins(np.asarray(X, dtype=np.float64), classes=1)[:, 0]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fitted rounds by name, ready for JSON."""
+        rounds = []
+        columns = self.forest_.features.tolist(), self.forest_.thresholds.tolist()
+        for features, thresholds, votes in zip(*columns, self.forest_.votes.tolist(), strict=True):
+            root, below, above = (
+                {"feature": self.names[feature], "threshold": threshold}
+                for feature, threshold in zip(features, thresholds, strict=True)
+            )
+            rounds.append({"root": root, "below": below, "above": above, "votes": votes})
+        return {"kind": "trees", "rounds": rounds}
 
 
 Booster = StumpBoost | TreeBoost
 
 
-def booster_from_dict(data: Mapping[str, Any], names: Sequence[str]) -> Booster:
-    """The booster of the kind that `data` names; raises MapError for nonsense."""
-    kinds = {"stumps": StumpBoost, "trees": TreeBoost}
-    booster: Booster = field(data, "kind", kinds, "classifier").from_dict(data, names)
-    return booster
+def booster_of(part: TreesPart | StumpsPart, names: Sequence[str], where: str) -> Booster:
+    """The booster that `to_dict` described. Raises ValueError for a feature that is none."""
+    column = {name: k for k, name in enumerate(names)}
+    asked = [split.feature for one in part.rounds for split in _splits(one)]
+    unknown = next((name for name in asked if name not in column), None)
+    if unknown is not None:
+        raise ValueError(f"{where}: {unknown!r:.60} is no feature of the set")
+    if isinstance(part, StumpsPart):
+        stumps = StumpBoost(names, len(part.rounds))
+        stumps.rounds_ = [
+            Stump(column[one.feature], one.threshold, one.polarity, one.votes)
+            for one in part.rounds
+        ]
+        return stumps
+    thresholds = [[split.threshold for split in _splits(one)] for one in part.rounds]
+    forest = Forest(
+        np.array([column[name] for name in asked], dtype=np.intp).reshape(-1, 3),
+        np.array(thresholds, dtype=np.float64).reshape(-1, 3),
+        np.array([one.votes for one in part.rounds], dtype=np.float64).reshape(-1, 4),
+    )
+    return TreeBoost.of(names, forest)
+
+
+def _splits(one: TreePart | StumpPart) -> tuple[SplitPart, ...]:
+    return (one,) if isinstance(one, StumpPart) else (one.root, one.below, one.above)
+
+
+def boosted(
+    names: Sequence[str], X: FloatArray, questions: Sequence[Question], rounds: int
+) -> list[Booster]:
+    """The stumps that answer each question about features X (n, F)."""
+    return [
+        StumpBoost(names, rounds).fit(X[asked.samples], np.where(asked.positive, 1.0, -1.0))
+        for asked in questions
+    ]
+
+
+def boosted_trees(
+    names: Sequence[str],
+    codes: CodeArray,
+    quantiser: Quantiser,
+    questions: Sequence[Question],
+    rounds: int,
+    rng: np.random.Generator,
+) -> list[Booster]:
+    """The trees that answer each question about the bins (F, n) of features by a quantiser."""
+    growth = Growth(rounds, _SHRINKAGE, _FEATURE_SHARE, int(rng.integers(2**31)))
+    return [TreeBoost.of(names, forest) for forest in grown(codes, quantiser, questions, growth)]
 
 
 def _best_stump(
@@ -281,32 +274,6 @@ def _best_stump(
     return feature, threshold, 1 - 2 * side, max(0.0, errors[side])  # eq. 2
 
 
-def feature_shares(booster: Booster) -> FloatArray:
-    """(F,) of the features of a booster: the share of its votes that each decides; sums to one.
-
-    All zero when it asks for none. A split decides by how much the votes on its two sides differ; a
-    lower split of a tree does so for every second scan.
-    """
-    weights = np.zeros(len(booster.names))
-    if isinstance(booster, StumpBoost):
-        for stump in booster.rounds_:
-            weights[stump.feature] += abs(stump.votes)
-    else:
-        np.add.at(weights, booster.forest_.features, _decided(booster.forest_))
-    total = weights.sum()
-    return np.asarray(weights / total if total > 0.0 else weights)
-
-
-def _decided(forest: Forest) -> FloatArray:
-    """(T, 3) how far apart the votes on both sides of each node are: root, below, above."""
-    a, b, c, d = forest.votes.T
-    return np.column_stack([np.abs(a + b - c - d) / 2.0, np.abs(a - b) / 2.0, np.abs(c - d) / 2.0])
-
-
-_SHRINKAGE = 0.5  # scale of every vote of trees
-_ID_DIGITS = 18  # of a submap's id in a file: those of 64 bits
-
-
 class OneVsAll:
     """A booster for each class, each against all others; the label is that of the largest margin.
 
@@ -323,13 +290,26 @@ class OneVsAll:
 
     def fit(self, samples: Mapping[int, FloatArray], rng: np.random.Generator) -> OneVsAll:
         """Learn from features (n, F) of every class; returns self."""
-        ids = sorted(samples)
+        ids, names, rounds = sorted(samples), feature_names(self.feature_set), self.config.rounds
         X = np.vstack([samples[i] for i in ids])
         owner = np.repeat(ids, [len(samples[i]) for i in ids])
-        questions = {i: self._question(owner, i) for i in ids}
+        questions = [self._question(owner, i) for i in ids]
         if self.config.booster == "trees":
-            return self._of(self._trees(X, questions, int(rng.integers(2**31))))
-        return self._of({i: self._stumps(X, question) for i, question in questions.items()})
+            quantiser = Quantiser.of(X)
+            codes = quantiser.codes(X)
+            boosters = boosted_trees(names, codes, quantiser, questions, rounds, rng)
+        else:
+            boosters = boosted(names, X, questions, rounds)
+        return self.become(dict(zip(ids, boosters, strict=True)))
+
+    def become(self, boosters: Mapping[int, Booster]) -> OneVsAll:
+        """Fitted classifiers, by class in ascending order, become this one's own; returns self."""
+        self.boosters_ = dict(boosters)
+        self.classes_ = tuple(boosters)
+        trees = [b.forest_ for b in boosters.values() if isinstance(b, TreeBoost)]
+        alike = len(trees) == len(boosters) and len({len(f.votes) for f in trees}) == 1
+        self.forest_ = Forest.joined(trees) if alike else None
+        return self
 
     def margins(self, X: NDArray[Any]) -> FloatArray:
         """(n, m) margin of every class, columns in the order of `classes_`."""
@@ -345,60 +325,26 @@ class OneVsAll:
             "classifiers": {str(i): b.to_dict() for i, b in self.boosters_.items()},
         }
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> OneVsAll:
-        """The fitted classifiers that `to_dict` described.
-
-        MapError names the entry that makes no sense, and a feature set that is not installed.
-        """
-        feature_set = text(data, "feature_set", "file")
-        if feature_set not in feature_sets():
-            raise MapError(
-                f"classifiers: file: its feature set {feature_set!r} is not installed: install "
-                "the package that offers it, or build the map again"
-            )
-        names = feature_names(feature_set)
-        entries = mapping(data, "classifiers")
-        boosters: dict[int, Booster] = {}
-        for key in sorted(entries, key=_submap_id):
-            try:
-                boosters[_submap_id(key)] = booster_from_dict(entries[key], names)
-            except MapError as error:
-                raise MapError(str(error).replace("classifiers:", f"submap {key}:", 1)) from None
-        if not boosters:
-            raise refuse("file", "it holds no classifier")
-        return cls(feature_set, RecognitionConfig())._of(boosters)
-
-    def _of(self, boosters: Mapping[int, Booster]) -> OneVsAll:
-        """These classifiers, fitted, become this one's own."""
-        self.boosters_ = dict(boosters)
-        self.classes_ = tuple(boosters)
-        trees = [b.forest_ for b in boosters.values() if isinstance(b, TreeBoost)]
-        alike = len(trees) == len(boosters) and len({len(f.votes) for f in trees}) == 1
-        self.forest_ = Forest.joined(trees) if alike else None
-        return self
-
     def _question(self, owner: NDArray[Any], class_: int) -> Question:
         """Which samples (n,) the classifier of a class learns from: its own, and some others."""
         own, others = np.flatnonzero(owner == class_), np.flatnonzero(owner != class_)
         chosen = np.concatenate([own, evenly(others, self.config.negatives)])
         return Question(chosen, owner[chosen] == class_)
 
-    def _trees(
-        self, X: FloatArray, questions: Mapping[int, Question], seed: int
-    ) -> dict[int, Booster]:
-        names, config = feature_names(self.feature_set), self.config
-        growth = Growth(config.rounds, _SHRINKAGE, FEATURE_SHARE, seed)
-        quantiser = Quantiser.of(X)
-        forests = grown(quantiser.codes(X), quantiser, list(questions.values()), growth)
-        return {i: TreeBoost.of(names, f) for i, f in zip(questions, forests, strict=True)}
 
-    def _stumps(self, X: FloatArray, question: Question) -> StumpBoost:
-        booster = StumpBoost(feature_names(self.feature_set), self.config.rounds)
-        return booster.fit(X[question.samples], np.where(question.positive, 1, -1))
+def feature_shares(booster: Booster) -> FloatArray:
+    """(F,) of the features of a booster: the share of its votes that each decides; sums to one.
 
-
-def _submap_id(key: str) -> int:
-    if not key.isdecimal() or len(key) > _ID_DIGITS:
-        raise refuse("file", f"{key!r:.60} is no submap id")
-    return int(key)
+    All zero when it asks for none. A split decides by how much the votes on its two sides differ; a
+    lower split of a tree does so for every second scan.
+    """
+    weights = np.zeros(len(booster.names))
+    if isinstance(booster, StumpBoost):
+        for stump in booster.rounds_:
+            weights[stump.feature] += abs(stump.votes)
+    else:
+        a, b, c, d = booster.forest_.votes.T
+        apart = [np.abs(a + b - c - d) / 2.0, np.abs(a - b) / 2.0, np.abs(c - d) / 2.0]
+        np.add.at(weights, booster.forest_.features, np.column_stack(apart))
+    total = weights.sum()
+    return np.asarray(weights / total if total > 0.0 else weights)

@@ -11,20 +11,20 @@ learned from scans of pieces of the way that were held out (`recognition.learnin
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.recognition.learning.json_fields import number, refuse
 
 _BLUNDERS = 0.01  # share of scans that say nothing: people all around, a door shut before the laser
 MOST_VIEWS = 400  # held out, of either kind
 _LEAST_RATIO, _MOST_RATIO = 1.0 / 32.0, 32.0  # of a fit
+_Ratio = Annotated[float, Field(ge=_LEAST_RATIO, le=_MOST_RATIO)]
 _STEPS_AN_OCTAVE = 16  # of the search, which is over a grid: the same on every processor
 _DECIMALS = 6  # of what is compared there
 # A fit is drawn to what is usual: by this standard deviation, in natural logarithms, and as if one
@@ -33,6 +33,9 @@ _USUAL_SPREAD, _VIEWS_ALIKE = 0.35, 10.0
 # A view that leaves N submaps open goes on to say the same for N times this motion: in places of
 # which little is known, scan after scan errs the same way.
 _STEADY = 0.3
+# Scans that are held out of a map together with the pieces of the way around them are surer by
+# these factors than those of another log: so much more do they lack.
+_HELD_OUT, _ANOTHER_LOG = (0.48, 0.59), (1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +55,6 @@ class Claim:
 # reliability.py`. Alone a scan says more than beside the virtual scan that it is part of.
 RAW_ALONE, VIRTUAL_ALONE = Claim(0.284, 3.49), Claim(0.217, 4.71)
 RAW, VIRTUAL = Claim(0.247, 0.41), Claim(0.202, 3.0)
-# Scans that are held out of a map together with the pieces of the way around them are surer by
-# these factors than those of another log: so much more do they lack.
-_HELD_OUT, _ANOTHER_LOG = (0.48, 0.59), (1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +72,9 @@ class Calibration:
     `views` scans that were held out say so; without any it is as usual.
     """
 
-    raw: float = 1.0
-    virtual: float = 1.0
-    views: int = 0
+    raw: _Ratio = 1.0
+    virtual: _Ratio = 1.0
+    views: Annotated[int, Field(ge=0, le=2 * MOST_VIEWS)] = 0
 
     def alone(self, raw: NDArray[Any]) -> FloatArray:
         """(n, m) log probabilities of the submaps by single scans of margins `raw` (n, m)."""
@@ -86,19 +86,6 @@ class Calibration:
             return self.alone(raw)
         claims = RAW.log(raw, self.raw) + VIRTUAL.log(virtual, self.virtual)
         return _probabilities(claims)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        return {"raw": self.raw, "virtual": self.virtual, "views": self.views}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Calibration:
-        """What `to_dict` described; MapError names what makes no sense."""
-        raw, virtual, views = (number(data, key, "calibration") for key in cls.__slots__)
-        bounded = all(_LEAST_RATIO <= ratio <= _MOST_RATIO for ratio in (raw, virtual))
-        if not bounded or not 0.0 <= views <= 2 * MOST_VIEWS or views % 1.0:
-            raise refuse("calibration", "a ratio or the number of views is out of bounds")
-        return cls(raw, virtual, int(views))
 
 
 def calibrated(
@@ -135,15 +122,10 @@ def _ratio(held_out: HeldOutMargins, claim: Claim, usual: float) -> float:
     margins, column = held_out.margins[rows], held_out.column[rows]
     octaves = math.log2(_MOST_RATIO)
     tried = 2.0 ** np.linspace(-octaves, octaves, 2 * round(octaves) * _STEPS_AN_OCTAVE + 1)
-    told = [_worth(margins, column, claim, usual * ratio) for ratio in tried.tolist()]
-    worth = np.array(told) / _VIEWS_ALIKE - 0.5 * (np.log(tried) / _USUAL_SPREAD) ** 2
+    told = [_probabilities(claim.log(margins, usual * ratio)) for ratio in tried.tolist()]
+    likelihoods = [float(one[np.arange(len(column)), column].sum()) for one in told]
+    worth = np.array(likelihoods) / _VIEWS_ALIKE - 0.5 * (np.log(tried) / _USUAL_SPREAD) ** 2
     return round(float(tried[int(np.argmax(np.round(worth, _DECIMALS)))]), _DECIMALS)
-
-
-def _worth(margins: FloatArray, column: NDArray[np.intp], claim: Claim, ratio: float) -> float:
-    """The log likelihood of the true columns (n,)."""
-    told = _probabilities(claim.log(margins, ratio))
-    return float(told[np.arange(len(column)), column].sum())
 
 
 def _probabilities(claims: FloatArray) -> FloatArray:

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, ValidationError
 
+from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.core.text import to_exact_json
-from specmap_cli.recognition.learning.boosting import OneVsAll
+from specmap_cli.recognition.features.sets import feature_names, feature_sets
+from specmap_cli.recognition.learning.boosting import BoosterPart, OneVsAll, Part, booster_of
 from specmap_cli.recognition.learning.calibration import Calibration
 from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.json_fields import field, mapping, number, refuse
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 
 # Two lasers see the same when they differ by less: drivers round angles and the number of beams,
@@ -25,6 +26,10 @@ from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 _SAME_VIEW_RAD = math.radians(3.0)
 _SAME_DENSITY_LOG = 0.1
 _SAME_RANGE_SHARE = 0.25
+_MOST_BEAMS = 1_000_000  # of a laser in a file: a hundred times what any has
+_FULL_CIRCLE = 2.0 * math.pi + 1e-6  # with the rounding of drivers
+SCHEMA_VERSION = 1
+_JSON_LEVELS = 5  # file, kind of scan, classifiers, submap, rounds: a round a line
 _TINY = 1e-6  # keeps a laser of one beam from dividing by nought
 
 
@@ -32,9 +37,9 @@ _TINY = 1e-6  # keeps a laser of one beam from dividing by nought
 class Sensor:
     """The laser that classifiers were trained on: `field_of_view` in radians, `range_max` in m."""
 
-    beams: int
-    field_of_view: float
-    range_max: float
+    beams: Annotated[int, Field(ge=1, le=_MOST_BEAMS)]
+    field_of_view: Annotated[float, Field(ge=0.0, le=_FULL_CIRCLE)]
+    range_max: Annotated[float, Field(gt=0.0)]
     full_circle: bool
 
     @classmethod
@@ -72,12 +77,6 @@ class Sensor:
     def __str__(self) -> str:
         degrees = math.degrees(self.field_of_view)
         return f"{self.beams} beams over {degrees:.0f} degrees, {self.range_max:g} m"
-
-
-SCHEMA_VERSION = 1
-_JSON_LEVELS = 5  # file, kind of scan, classifiers, submap, rounds: a round a line
-_MOST_BEAMS = 1_000_000  # of a laser in a file: a hundred times what any has
-_FULL_CIRCLE = 2.0 * math.pi + 1e-6  # with the rounding of drivers
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,13 +119,39 @@ class Recogniser:
         return self.classifiers.to_dict() | known
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Recogniser:
-        """What `to_dict` described; MapError names what makes no sense."""
-        classifiers = OneVsAll.from_dict(data)
-        if "exemplars" not in data:
-            return cls(classifiers, None)
-        exemplars = mapping(data, "exemplars")
-        return cls(classifiers, Familiarity.from_dict(exemplars, classifiers.feature_set))
+    def of(cls, part: _RecogniserPart) -> Recogniser:
+        """What `to_dict` described. Raises MapError for a set of features that is not installed,
+        ValueError for what it has not.
+        """
+        feature_set = part.feature_set
+        if feature_set not in feature_sets():
+            raise MapError(
+                f"classifiers: file: its feature set {feature_set!r} is not installed: install "
+                "the package that offers it, or build the map again"
+            )
+        names = feature_names(feature_set)
+        boosters = {
+            int(i): booster_of(part.classifiers[i], names, f"submap {i}")
+            for i in sorted(part.classifiers, key=int)
+        }
+        known = part.exemplars
+        familiarity = (
+            None if known is None else Familiarity.of(feature_set, known.limit, known.rows)
+        )
+        return cls(OneVsAll(feature_set, RecognitionConfig()).become(boosters), familiarity)
+
+
+class _ExemplarsPart(Part):
+    limit: Annotated[float, Field(ge=0.0)]
+    rows: list[str]
+
+
+class _RecogniserPart(Part):
+    feature_set: str
+    classifiers: Annotated[
+        dict[Annotated[str, Field(pattern=r"^[0-9]{1,18}$")], BoosterPart], Field(min_length=1)
+    ]
+    exemplars: _ExemplarsPart | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,55 +179,50 @@ class ClassifierSet:
 
     def to_json(self) -> str:
         """Readable JSON: sensor, then every classifier's rounds by feature name."""
-        data: dict[str, Any] = {
+        data = {
             "schema_version": SCHEMA_VERSION,
-            "sensor": {
-                "beams": self.sensor.beams,
-                "field_of_view": self.sensor.field_of_view,
-                "range_max": self.sensor.range_max,
-                "full_circle": self.sensor.full_circle,
-            },
+            "sensor": asdict(self.sensor),
             "raw": self.raw.to_dict(),
+            "virtual": self.virtual and self.virtual.to_dict(),
+            "misfit": self.misfit and asdict(self.misfit),
+            "calibration": self.calibration and asdict(self.calibration),
         }
-        if self.virtual is not None:
-            data["virtual"] = self.virtual.to_dict()
-        if self.misfit is not None:
-            data["misfit"] = self.misfit.to_dict()
-        if self.calibration is not None:
-            data["calibration"] = self.calibration.to_dict()
-        return to_exact_json(data, _JSON_LEVELS)
+        told = {key: value for key, value in data.items() if value is not None}
+        return to_exact_json(told, _JSON_LEVELS)
 
     @classmethod
     def from_json(cls, text: str) -> ClassifierSet:
         """The set that `to_json` wrote; MapError in one line for anything else."""
         try:
-            data = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise refuse("file", f"is no JSON ({error})") from None
-        field(data, "schema_version", {SCHEMA_VERSION: SCHEMA_VERSION}, "file")
-        sensor = _sensor(mapping(data, "sensor"))
-        raw = Recogniser.from_dict(mapping(data, "raw"))
-        virtual = Recogniser.from_dict(mapping(data, "virtual")) if "virtual" in data else None
-        if virtual is not None and virtual.ids != raw.ids:
-            raise refuse("file", "raw and virtual classifiers are of different submaps")
-        misfit, calibration = "misfit" in data, "calibration" in data
+            data = _ClassifiersPart.model_validate_json(text)
+            raw = Recogniser.of(data.raw)
+            virtual = None if data.virtual is None else Recogniser.of(data.virtual)
+            if virtual is not None and virtual.ids != raw.ids:
+                raise ValueError("raw and virtual classifiers are of different submaps")
+        except ValueError as error:
+            raise MapError(f"classifiers: {_first_finding(error)}; build the map again") from None
         return cls(
-            sensor=sensor,
+            sensor=data.sensor,
             raw=raw,
             virtual=virtual,
-            misfit=HeldOutMisfit.from_dict(mapping(data, "misfit")) if misfit else None,
-            calibration=Calibration.from_dict(mapping(data, "calibration"))
-            if calibration
-            else None,
+            misfit=data.misfit,
+            calibration=data.calibration,
         )
 
 
-def _sensor(data: Mapping[str, Any]) -> Sensor:
-    beams = int(number(data, "beams", "sensor"))
-    view, reach = number(data, "field_of_view", "sensor"), number(data, "range_max", "sensor")
-    if not 1 <= beams <= _MOST_BEAMS or not 0.0 <= view <= _FULL_CIRCLE or reach <= 0.0:
-        raise refuse("sensor", "beams, field of view or range are out of bounds")
-    circle = data.get("full_circle")
-    if not isinstance(circle, bool):
-        raise refuse("sensor", "'full_circle' is neither true nor false")
-    return Sensor(beams=beams, field_of_view=view, range_max=reach, full_circle=circle)
+class _ClassifiersPart(Part):
+    schema_version: Literal[1]
+    sensor: Sensor
+    raw: _RecogniserPart
+    virtual: _RecogniserPart | None = None
+    misfit: HeldOutMisfit | None = None
+    calibration: Calibration | None = None
+
+
+def _first_finding(error: ValueError) -> str:
+    """What is wrong first, and where, in one short line."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    found = error.errors(include_input=False)[0]
+    where = ".".join(f"{part!s:.60}" for part in found["loc"]) or "file"
+    return f"{where}: {found['msg']:.100}"

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.features.sets import histogram_columns
-from specmap_cli.recognition.learning.json_fields import number, objects, refuse
 
 _STEPS = 255  # square roots of shares are stored as whole numbers of 1 / 255
 _MOST_LEFT = 600  # samples that the limit is taken from: enough for a quantile, and quick
@@ -66,7 +65,11 @@ class Familiarity:
         """(n,) distance of samples that are no exemplars to the nearest one of another stretch."""
         owners = np.concatenate([np.full(len(rows), i) for i, rows in chosen.items()])
         numbers = np.concatenate(list(chosen.values()))
-        left = [(i, k) for i, X in sorted(samples.items()) for k in _others(len(X), chosen[i])]
+        left = [
+            (i, k)
+            for i, X in sorted(samples.items())
+            for k in np.setdiff1d(np.arange(len(X)), chosen[i])
+        ]
         found = []
         for i, k in evenly(np.array(left), _MOST_LEFT).tolist():
             stretch = _STRETCH_SHARE * len(samples[i])
@@ -91,14 +94,13 @@ class Familiarity:
         return {"limit": self.limit_, "rows": [row.tobytes().hex() for row in self.exemplars_]}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], feature_set: str) -> Familiarity:
-        """What `to_dict` described; MapError names what makes no sense."""
-        limit = number(data, "limit", "exemplars")
+    def of(cls, feature_set: str, limit: float, rows: Sequence[str]) -> Familiarity:
+        """What `to_dict` described. Raises ValueError for rows that are no exemplars of the set."""
         known = cls(feature_set)
+        coded = [np.frombuffer(bytes.fromhex(row), dtype=np.uint8) for row in rows]
         width = len(known._columns)
-        coded = _decoded(objects(data, "rows", "exemplars"))
-        if not coded or any(len(row) != width for row in coded) or limit < 0.0 or not width:
-            raise refuse("exemplars", f"rows are not of {width} values")
+        if not coded or any(len(row) != width for row in coded) or not width:
+            raise ValueError(f"rows are not of {width} values")
         known._keep(np.array(coded))
         known.limit_ = limit
         return known
@@ -115,16 +117,3 @@ class Familiarity:
     def _roots(self, X: NDArray[Any]) -> NDArray[Any]:
         """(n, D) square roots of the histograms of features X (n, F)."""
         return np.asarray(np.sqrt(np.clip(X[:, self._columns], 0.0, 1.0)))
-
-
-def _others(count: int, rows: NDArray[np.intp]) -> list[int]:
-    """The numbers below `count` that are none of `rows`."""
-    return [int(k) for k in np.setdiff1d(np.arange(count), rows)]
-
-
-def _decoded(rows: Sequence[Any]) -> list[NDArray[np.uint8]]:
-    """The exemplars that hexadecimal text stands for."""
-    try:
-        return [np.frombuffer(bytes.fromhex(row), dtype=np.uint8) for row in rows]
-    except (TypeError, ValueError):
-        raise refuse("exemplars", "a row is no hexadecimal text") from None

@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, travelled
@@ -22,7 +23,6 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import REFINE_SHIFT_M, refine
 from specmap_cli.grids.score_field import ScoreField
-from specmap_cli.recognition.learning.json_fields import number, refuse
 
 FIT_RANGE_M = 8.0  # returns matched with walls: farther ones are seen through doors
 _HELD_OUT_M = 1.0  # path before and after a view that is held out with it
@@ -39,20 +39,8 @@ _DECIMALS = 4  # the last digits of a match differ from processor to processor
 class HeldOutMisfit:
     """The median misfit in [0, 1] of `views` scans that were held out of the walls they fit."""
 
-    typical: float
-    views: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        return {"typical": self.typical, "views": self.views}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> HeldOutMisfit:
-        """What `to_dict` described; MapError names what makes no sense."""
-        typical, views = number(data, "typical", "misfit"), number(data, "views", "misfit")
-        if not 0.0 <= typical <= 1.0 or not 0.0 <= views <= _MOST_VIEWS or views % 1.0:
-            raise refuse("misfit", "its median or its number of views is out of bounds")
-        return cls(typical, int(views))
+    typical: Annotated[float, Field(ge=0.0, le=1.0)]
+    views: Annotated[int, Field(ge=0, le=_MOST_VIEWS)]
 
 
 def held_out_misfit(
@@ -70,7 +58,8 @@ def held_out_misfit(
     for k in evenly(np.array(sorted(owner), dtype=np.intp), _MOST_VIEWS).tolist():
         numbers = np.asarray(submaps[owner[k]], dtype=np.intp)
         others = numbers[np.abs(way[numbers] - way[k]) > _HELD_OUT_M]
-        if _is_known(poses[k], poses[others], HELD_OUT_REACH_M):
+        away = np.hypot(*(poses[others] - poses[k])[:, :2].T)
+        if float(away.min(initial=math.inf)) < HELD_OUT_REACH_M:  # else it is no place of the map
             found.append(_misfit(store, k, evenly(others, _MOST_OTHERS), poses))
     if not found:
         return HeldOutMisfit(0.0, 0)
@@ -86,11 +75,6 @@ def near_returns(scan: PlanarScan, near_m: float) -> FloatArray:
     ranges = np.hypot(hits[:, 0], hits[:, 1])
     reach = max(near_m, float(np.median(ranges))) if len(ranges) else near_m
     return np.asarray(evenly(hits[ranges <= reach], _MOST_POINTS))
-
-
-def _is_known(pose: FloatArray, others: FloatArray, reach_m: float) -> bool:
-    """Whether one of the other poses is near: else what was held out is no place of the map."""
-    return bool(len(others)) and float(np.hypot(*(others - pose)[:, :2].T).min()) < reach_m
 
 
 def _misfit(

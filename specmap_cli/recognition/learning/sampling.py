@@ -46,6 +46,10 @@ _AUGMENTATION_CLEARANCE_M = 0.25  # free cells taken lie this far from walls, as
 _WINDOW_SHARES = (0.1, 0.2, 0.5, 1.0)
 _DRAWS = 6  # free cells drawn for one that is wanted: most lie too far from the track
 _ALIKE_SHARE = 0.5  # of the cast samples is dealt out evenly, the rest by area
+_ASIDE_M, _TURNED_RAD = 0.1, math.radians(15.0)  # standard deviation; at most
+_NEAR = 4  # keyframes whose outlines are looked at: what one did not see another one did
+_PLACE_M, _CHORD = 0.5, 0.5  # keyframes so far apart, or so much turned, are as unlike each other
+_OUTLINES_KEPT = 256  # a few megabytes
 
 
 def raw_samples(
@@ -111,17 +115,14 @@ def track_samples(
     for own, share in zip(_by_recording(numbers, starts), wanted, strict=True):
         before = of_keyframes(known, own.tolist())
         if len(before.keyframes):
-            found.append(_some(before, len(share)))
+            # not every other one, as these are of equal windows
+            order = np.random.default_rng(len(before.keyframes)).permutation(len(before.keyframes))
+            found.append(before.rows(np.sort(order[: len(share)])))
         elif len(share):
-            found.append(_along_the_track(store, own, share, poses, localization))
+            scans = _in_windows(store, own, set(share.tolist()), poses)
+            found.append(Samples(scans_features(scans, localization.feature_set), share))
     every = together(dict(enumerate(found)))
     return {i: every.rows(owner[every.keyframes] == i) for i in sorted(submaps)}
-
-
-def _some(samples: Samples, most: int) -> Samples:
-    """At most so many of the samples; not every other one, as these are of equal windows."""
-    order = np.random.default_rng(len(samples.keyframes)).permutation(len(samples.keyframes))
-    return samples.rows(np.sort(order[:most]))
 
 
 def cast_samples(
@@ -146,7 +147,11 @@ def cast_samples(
         if len(before.keyframes):
             samples[i] = before.rows(np.arange(min(counts[i], len(before.keyframes))))
             continue
-        drawn = _free_places(grids[i], _AUGMENTATION_CLEARANCE_M, counts[i], rng)
+        cells = np.argwhere(grids[i].clearance() > _AUGMENTATION_CLEARANCE_M)
+        drawn = np.zeros((0, 2))
+        if len(cells) and counts[i]:
+            chosen = rng.integers(len(cells), size=_DRAWS * counts[i])
+            drawn = grids[i].centres_of(cells[chosen])
         map_from_submap = Pose2(*poses[submaps[i][0]].tolist())
         distance, nearest = tree.query(map_from_submap.apply(drawn))
         near = (distance < _AUGMENTATION_REACH_M) & (owner[tracked][nearest] == i)
@@ -165,28 +170,16 @@ def owners_of(submaps: Mapping[int, Sequence[int]], count: int) -> NDArray[np.in
     return owner
 
 
-def _along_the_track(
-    store: KeyframeStore,
-    numbers: NDArray[np.intp],
-    sampled: NDArray[np.intp],
-    poses: FloatArray,
-    localization: LocalizationConfig,
-) -> Samples:
-    """What the window showed at the keyframes `sampled`, of several lengths.
-
-    It moves over the keyframes `numbers` of a recording, in turn.
-    """
-    scans = _in_windows(store, numbers, set(sampled.tolist()), poses)
-    return Samples(scans_features(scans, localization.feature_set), sampled)
-
-
 def _in_windows(
     store: KeyframeStore,
     numbers: NDArray[np.intp],
     sampled: Collection[int],
     poses: FloatArray,
 ) -> Iterator[PlanarScan]:
-    """The virtual scan of each of the keyframes `sampled`."""
+    """What the window showed at each of the keyframes `sampled`, of several lengths.
+
+    It moves over the keyframes `numbers` of a recording, in turn.
+    """
     window = RecentScans()
     turn = 0
     for number in numbers.tolist():
@@ -208,22 +201,6 @@ def _share_out(total: int, areas: Mapping[int, float]) -> dict[int, int]:
         i: round(total * (even + (by_area * area / whole if whole > 0.0 else even)))
         for i, area in sorted(areas.items())
     }
-
-
-def _free_places(
-    grid: GridMap, clearance_m: float, count: int, rng: np.random.Generator
-) -> FloatArray:
-    """(n, 2) places drawn from the free cells that lie farther than this from all others."""
-    cells = np.argwhere(grid.clearance() > clearance_m)
-    if not len(cells) or not count:
-        return np.zeros((0, 2))
-    return grid.centres_of(cells[rng.integers(len(cells), size=_DRAWS * count)])
-
-
-_ASIDE_M, _TURNED_RAD = 0.1, math.radians(15.0)  # standard deviation; at most
-_NEAR = 4  # keyframes whose outlines are looked at: what one did not see another one did
-_PLACE_M, _CHORD = 0.5, 0.5  # keyframes so far apart, or so much turned, are as unlike each other
-_OUTLINES_KEPT = 256  # a few megabytes
 
 
 def augmented_samples(
@@ -248,8 +225,12 @@ def augmented_samples(
         kept = of_keyframes(known, submaps[i])
         kept = kept.rows(evenly(np.arange(len(kept.keyframes)), lacking))
         lacking -= len(kept.keyframes)
-        sources = _repeated(np.asarray(submaps[i], dtype=np.intp), lacking)
-        placed = poses[sources] + _steps(len(sources), rng)
+        own_keyframes = np.asarray(submaps[i], dtype=np.intp)
+        evenly_spread = np.linspace(0, len(own_keyframes) - 1, lacking).astype(np.intp)
+        sources = own_keyframes[evenly_spread]  # some of them several times if need be
+        aside = rng.normal(0.0, _ASIDE_M, (lacking, 2))
+        turned = rng.uniform(-_TURNED_RAD, _TURNED_RAD, lacking)
+        placed = poses[sources] + np.column_stack([aside, turned])
         nearest = around.nearest(placed)
         own = owner[nearest] == i
         scans = around.scans(sources[own], placed[own])
@@ -257,17 +238,6 @@ def augmented_samples(
         made = Samples(features, nearest[own])
         samples[i] = together({0: kept, 1: made}) if len(kept.keyframes) else made
     return samples
-
-
-def _repeated(items: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-    """So many of the items, evenly spread, some of them several times if need be."""
-    return items[np.linspace(0, len(items) - 1, count).astype(np.intp)]
-
-
-def _steps(count: int, rng: np.random.Generator) -> FloatArray:
-    """(count, 3) small random motions."""
-    aside = rng.normal(0.0, _ASIDE_M, (count, 2))
-    return np.column_stack([aside, rng.uniform(-_TURNED_RAD, _TURNED_RAD, count)])
 
 
 class _Around:

@@ -27,6 +27,9 @@ from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M
 from specmap_cli.recognition.learning.training_data import Samples
 
+_PIECE_M, _EVERY = 5.0, 4  # of the way a piece in four is held out; the first one never is
+_UNCLAIMED = -1e3  # margin of a submap of which nothing was left to learn from
+_CHORD = 2.0 * np.sin(0.5 * DIRECTION_RAD)  # of the unit circle
 _EXEMPLARS = 80  # scans kept of a submap, to tell unknown ones by
 
 
@@ -35,69 +38,41 @@ def sensor_of(store: KeyframeStore, submaps: Mapping[int, Sequence[int]]) -> Sen
     return Sensor.of(store.scan(min(numbers[0] for numbers in submaps.values())))
 
 
-def train_raw(
+def train_and_test(
     taken: Mapping[int, Samples],
-    beside: Mapping[int, Samples],
+    made: Mapping[int, Samples],
     poses: FloatArray,
     config: Config,
     rng: np.random.Generator,
     revisits: Revisits | None = None,
+    *,
+    virtual: bool,
 ) -> tuple[Recogniser, HeldOutMargins]:
-    """What tells the submaps apart by raw scans, and how well it tells scans that are held out.
+    """What tells the submaps apart by raw or virtual scans, and how well it tells held-out ones.
 
-    It is learned from `raw_samples` and from `augmented_samples`. The former alone show what the
-    map looks like, and are tested. With `revisits` these are scans of a recording, which the map
-    before it tells.
+    It is learned from scans that were `taken` (`raw_samples`, `track_samples`) and from others that
+    were `made` (`augmented_samples`, `cast_samples`). The former alone are tested, and of raw scans
+    they alone show what the map looks like. With `revisits` these are scans of a recording, which
+    the map before it tells.
     """
-    feature_set = config.recognition.feature_set
-    samples = {i: _joined(taken[i], beside[i]) for i in sorted(taken)}
-    learned = train(_features(samples), feature_set, config, rng, looks=_features(taken))
+    feature_set = (config.localization if virtual else config.recognition).feature_set
+    samples = {
+        i: Samples(
+            np.vstack([own.features, made[i].features]),
+            np.concatenate([own.keyframes, made[i].keyframes]),
+        )
+        for i, own in sorted(taken.items())
+    }
+    shown = samples if virtual else taken
+    learned = train(_features(samples), feature_set, config, rng, _features(shown))
     if revisits is not None:
-        return learned, revisits.told(taken, revisits.classifiers.raw)
-    return learned, _tested(samples, taken, poses, feature_set, config, rng)
-
-
-def train_virtual(
-    along: Mapping[int, Samples],
-    cast: Mapping[int, Samples],
-    poses: FloatArray,
-    config: Config,
-    rng: np.random.Generator,
-    revisits: Revisits | None = None,
-) -> tuple[Recogniser, HeldOutMargins]:
-    """What tells the submaps apart by virtual scans, and how well it tells those held out.
-
-    It is learned from `track_samples` and from `cast_samples`, and tested on the former, or on
-    those of a recording as by `train_raw`.
-    """
-    feature_set = config.localization.feature_set
-    samples = {i: _joined(along[i], cast[i]) for i in sorted(along)}
-    learned = train(_features(samples), feature_set, config, rng)
-    if revisits is not None and revisits.classifiers.virtual is not None:
-        return learned, revisits.told(along, revisits.classifiers.virtual)
-    return learned, _tested(samples, along, poses, feature_set, config, rng)
-
-
-def _joined(taken: Samples, made: Samples) -> Samples:
-    return Samples(
-        np.vstack([taken.features, made.features]),
-        np.concatenate([taken.keyframes, made.keyframes]),
-    )
-
-
-def _tested(
-    samples: Mapping[int, Samples],
-    asked: Mapping[int, Samples],
-    poses: FloatArray,
-    feature_set: str,
-    config: Config,
-    rng: np.random.Generator,
-) -> HeldOutMargins:
-    """How the samples `asked` that lie in held-out pieces are told by all other samples."""
-    pieces = Pieces(poses, HELD_OUT_REACH_M)
+        before = revisits.classifiers.virtual if virtual else revisits.classifiers.raw
+        if before is not None:
+            return learned, revisits.told(taken, before)
+    pieces = Pieces(poses)
     rest = {i: pieces.rest(own) for i, own in samples.items()}
-    tested = {i: pieces.tested(own) for i, own in asked.items()}
-    return held_out_margins(rest, tested, feature_set, config.recognition, rng)
+    tested = {i: pieces.tested(own) for i, own in taken.items()}
+    return learned, held_out_margins(rest, tested, feature_set, config.recognition, rng)
 
 
 def train(
@@ -105,16 +80,14 @@ def train(
     feature_set: str,
     config: Config,
     rng: np.random.Generator,
-    looks: Mapping[int, FloatArray] | None = None,
+    shown: Mapping[int, FloatArray],
 ) -> Recogniser:
     """What tells submaps apart, from the features (n, F) of every submap's scans.
 
-    What the map looks like is known from those of `looks`, or from all of them.
+    What the map looks like is known from those `shown`.
     """
-    localization = config.localization
     classifiers = OneVsAll(feature_set, config.recognition).fit(samples, rng)
-    known = Familiarity(feature_set, localization.false_unknown, _EXEMPLARS)
-    shown = samples if looks is None else looks
+    known = Familiarity(feature_set, config.localization.false_unknown, _EXEMPLARS)
     return Recogniser(classifiers, known.fit(shown) if known.can_fit(shown) else None)
 
 
@@ -122,16 +95,11 @@ def _features(samples: Mapping[int, Samples]) -> dict[int, FloatArray]:
     return {i: own.features for i, own in samples.items()}
 
 
-_PIECE_M, _EVERY = 5.0, 4  # of the way a piece in four is held out; the first one never is
-_UNCLAIMED = -1e3  # margin of a submap of which nothing was left to learn from
-
-
 class Pieces:
     """Which keyframes are held out, and which of these the rest of their submap comes near to."""
 
-    def __init__(self, poses: FloatArray, reach_m: float) -> None:
+    def __init__(self, poses: FloatArray) -> None:
         self.poses = poses
-        self.reach_m = reach_m
         self.held_out = (travelled(poses) // _PIECE_M).astype(np.int64) % _EVERY == 1
 
     def rest(self, samples: Samples) -> Samples:
@@ -146,7 +114,7 @@ class Pieces:
             return held_out.rows(np.zeros(len(held_out.keyframes), dtype=bool))
         tree = cKDTree(self.poses[rest, :2])
         distance, _ = tree.query(self.poses[held_out.keyframes, :2])
-        return held_out.rows(distance < self.reach_m)
+        return held_out.rows(distance < HELD_OUT_REACH_M)
 
 
 def held_out_margins(
@@ -176,23 +144,19 @@ def held_out_margins(
     return HeldOutMargins(margins, truth)
 
 
-_CHORD = 2.0 * np.sin(0.5 * DIRECTION_RAD)  # of the unit circle
-
-
 @dataclass(frozen=True, slots=True)
 class Revisits:
     """The `classifiers` of a map before the recording whose keyframes begin at number `first`.
 
     The keyframes of both lie at `poses` (n, 3), in `submaps` (n,). A place is known that lies
-    within `reach_m` of one where the robot was in the submap, less far the more it faced another
-    way, unless the laser looks all round.
+    near one where the robot was in the submap, the nearer the more it faced another way, unless the
+    laser looks all round.
     """
 
     classifiers: ClassifierSet
     first: int
     poses: FloatArray
     submaps: IntArray
-    reach_m: float
 
     def told(self, samples: Mapping[int, Samples], by: Recogniser) -> HeldOutMargins:
         """The margins of samples of the recording; `by` is one of the classifiers before it."""
@@ -217,7 +181,7 @@ class Revisits:
     def _views(self, keyframes: NDArray[np.intp]) -> FloatArray:
         """Where keyframes (k,) look from, and where to: farther apart than one is another view."""
         x, y, heading = self.poses[keyframes].T
-        places = np.column_stack([x, y]) / self.reach_m
+        places = np.column_stack([x, y]) / HELD_OUT_REACH_M
         if self.classifiers.sensor.full_circle:
             return places
         facing = np.column_stack([np.cos(heading), np.sin(heading)]) / _CHORD

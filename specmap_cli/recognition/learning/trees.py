@@ -21,6 +21,16 @@ from specmap_cli.core.geometry import FloatArray
 
 BINS = 16  # more of them learn no better, and cost a round in proportion
 CodeArray = NDArray[np.uint8]
+VOTE_DECIMALS = 6  # of votes, which are of the order of one: readable, and safe from rounding
+IndexArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
+# Weight trimming (Friedman, Hastie and Tibshirani, 2000): every few rounds the samples that hold
+# the last 2 % of the weight are left out of the search for splits, which they hardly change.
+_TRIM_EVERY = 8
+_LIGHT_SHARE = 0.02
+_NO_EDGE = 1e300  # a threshold that no value reaches, as JSON knows no infinity
+_WHOLE = 2.0**52  # weights are whole multiples of 2^-52: sums of them below 2 are exact
+_SAMPLES_AT_ONCE = 1 << 15  # of all classifiers grown together: bounds the memory, some 10 MB
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,9 +60,6 @@ class Quantiser:
         for row, edges, values in zip(codes, self.edges, X.T, strict=True):
             row[:] = np.searchsorted(edges, values, side="right")
         return codes
-
-
-VOTE_DECIMALS = 6  # of votes, which are of the order of one: readable, and safe from rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,18 +108,6 @@ class Forest:
         return np.asarray(np.round(sums, VOTE_DECIMALS))
 
 
-IndexArray = NDArray[np.intp]
-BoolArray = NDArray[np.bool_]
-
-# Weight trimming (Friedman, Hastie and Tibshirani, 2000): every few rounds the samples that hold
-# the last 2 % of the weight are left out of the search for splits, which they hardly change.
-_TRIM_EVERY = 8
-_LIGHT_SHARE = 0.02
-_NO_EDGE = 1e300  # a threshold that no value reaches, as JSON knows no infinity
-_WHOLE = 2.0**52  # weights are whole multiples of 2^-52: sums of them below 2 are exact
-_SAMPLES_AT_ONCE = 1 << 15  # of all classifiers grown together: bounds the memory, some 10 MB
-
-
 @dataclass(frozen=True, slots=True)
 class Question:
     """What a classifier learns: the columns (n,) of the codes that it sees, and which it claims."""
@@ -137,15 +132,6 @@ class Growth:
         return [np.sort(rng.choice(features, drawn, replace=False)) for _ in range(self.rounds)]
 
 
-@dataclass(frozen=True, slots=True)
-class _Trees:
-    """A round's trees, one a classifier: features and cuts (C, 3), votes (C, 4)."""
-
-    features: IndexArray
-    cuts: IndexArray
-    votes: FloatArray
-
-
 def grown(
     codes: CodeArray, quantiser: Quantiser, questions: Sequence[Question], growth: Growth
 ) -> list[Forest]:
@@ -156,8 +142,14 @@ def grown(
     draws = growth.draws(len(codes))
     forests: list[Forest] = []
     for part in _batches(questions):
-        rounds = _boosted(codes, _Asked.of(part), draws, growth.shrinkage)
-        forests.extend(_forests(rounds, quantiser, len(part)))
+        if not draws:
+            forests += [Forest.bare()] * len(part)
+            continue
+        features, cuts, votes = _boosted(codes, _Asked.of(part), draws, growth.shrinkage)
+        # where no edge stands, the feature has fewer distinct values, and nothing lies above
+        edges = quantiser.edges[features, cuts]
+        thresholds = np.where(np.isfinite(edges), edges, _NO_EDGE)
+        forests += map(Forest, features, thresholds, votes)
     return forests
 
 
@@ -240,8 +232,8 @@ class _Asked:
 
 def _boosted(
     codes: CodeArray, asked: _Asked, draws: Sequence[IndexArray], shrinkage: float
-) -> list[_Trees]:
-    """The rounds' trees of all questions."""
+) -> tuple[IndexArray, IndexArray, FloatArray]:
+    """The trees of C questions, one a round: features and cuts (C, T, 3), votes (C, T, 4)."""
     count = len(asked.counts)
     smooth = 0.5 * asked.shares_of_sides()[:, :, None]  # half a sample of either side
     side = 8 * asked.question + 4 * asked.positive
@@ -257,10 +249,11 @@ def _boosted(
         sums = np.bincount(leaf, weights, minlength=8 * count).reshape(count, 2, 4)
         odds = (sums[:, 1] + smooth[:, 1]) / (sums[:, 0] + smooth[:, 0])
         votes = np.round(0.5 * shrinkage * np.log(odds), VOTE_DECIMALS)
-        trees.append(_Trees(features, cuts, votes))
+        trees.append((features, cuts, votes))
         growth = np.exp(np.stack([votes, -votes], axis=1))  # eq. 3, a leaf and side at a time
         weights = shares(weights * growth.ravel()[leaf], asked.question, count)
-    return trees
+    features, cuts, votes = (np.stack(part, axis=1) for part in zip(*trees, strict=True))
+    return features, cuts, votes
 
 
 def _split(codes: CodeArray, asked: _Asked, weights: FloatArray) -> tuple[IndexArray, IndexArray]:
@@ -320,15 +313,3 @@ def _leaves(codes: CodeArray, asked: _Asked, features: IndexArray, cuts: IndexAr
     node += upper
     above = bins[starts[node] + asked.samples] > passed[node]
     return np.asarray(2 * upper + above, dtype=np.intp)
-
-
-def _forests(rounds: Sequence[_Trees], quantiser: Quantiser, count: int) -> list[Forest]:
-    """The trees of each of `count` questions, with thresholds in the features' units."""
-    if not rounds:
-        return [Forest.bare()] * count
-    features = np.stack([trees.features for trees in rounds], axis=1)
-    thresholds = quantiser.edges[features, np.stack([trees.cuts for trees in rounds], axis=1)]
-    # no edge stands there: the feature has fewer distinct values, and nothing lies above
-    thresholds = np.where(np.isfinite(thresholds), thresholds, _NO_EDGE)
-    votes = np.stack([trees.votes for trees in rounds], axis=1)
-    return [Forest(*parts) for parts in zip(features, thresholds, votes, strict=True)]

@@ -113,33 +113,30 @@ class ScanClassifier:
         alone = self._calibration.alone(margins)
         virtual = self.classifiers.virtual
         if virtual is None or not self.config.virtual:
-            return [
-                ClassifiedScan(
-                    margins=margins[k],
-                    raw=alone[k],
-                    all=alone[k],
-                    strange=float(strange[k]),
-                    seen=posed.planar,
-                    shown=1.0,
-                )
-                for k, posed in enumerate(scans)
+            both, shown = alone, [1.0] * len(scans)
+            seen = [posed.planar for posed in scans]
+        else:
+            windows = [self._window(posed) for posed in scans]
+            features = scans_features([window for window, _ in windows], virtual.feature_set)
+            both = self._calibration.together(margins, virtual.margins(features))
+            if virtual.familiarity is not None:
+                strange = virtual.strangeness(features)
+            view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
+            shown = [max(filled, view) for _, filled in windows]
+            seen = [
+                posed.planar if posed.planar.full_circle else window
+                for posed, (window, _) in zip(scans, windows, strict=True)
             ]
-        windows = [self._window(posed) for posed in scans]
-        features = scans_features([seen for seen, _ in windows], virtual.feature_set)
-        both = self._calibration.together(margins, virtual.margins(features))
-        if virtual.familiarity is not None:
-            strange = virtual.strangeness(features)
-        view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
         return [
             ClassifiedScan(
                 margins=margins[k],
                 raw=alone[k],
                 all=both[k],
                 strange=float(strange[k]),
-                seen=posed.planar if posed.planar.full_circle else windows[k][0],
-                shown=max(windows[k][1], view),
+                seen=seen[k],
+                shown=shown[k],
             )
-            for k, posed in enumerate(scans)
+            for k in range(len(scans))
         ]
 
     def _resampled(self, scan: PlanarScan) -> PlanarScan:

@@ -22,14 +22,28 @@ VIEW_M = 0.05  # motion to a new view; scans of one view are averaged, not summe
 VIEW_RAD = 0.0524  # turn to a new view: a keyframe's, 3 degrees
 INDEPENDENT_M = 1.0  # motion to a view that says something new
 INDEPENDENT_RAD = 1.0  # turn to a view that says something new; a part of it counts so
+LEAP = 0.0001  # chance to be anywhere next, by a way that was never driven
+_LEAVE = 0.0001  # chance to leave the map, or to come back
+_UNKNOWN_PRIOR = 0.5  # chance of unknown at the start
+SMALLEST = 1e-300  # keeps a probability of nought out of a logarithm or a quotient
+
+
+def novelty(before: Pose2 | None, now: Pose2, so_far: float = 0.0) -> float:
+    """How much a view shows that one at `before` did not, on top of `so_far`: one is all of it.
+
+    That is so after `INDEPENDENT_M` of motion, or after a turn by `INDEPENDENT_RAD`.
+    """
+    if before is None:
+        return so_far
+    step = before.inverse() @ now
+    return so_far + step.distance / INDEPENDENT_M + abs(step.theta) / INDEPENDENT_RAD
 
 
 class ViewGrouping:
     """The views of a log. A view begins where the robot moved, and lasts until it moves again.
 
     `mean` of what is said of the scans of a view is what the view says, however many they are.
-    `motion` is how much the view shows that the one before did not, by the motion between them: one
-    after `INDEPENDENT_M` or `INDEPENDENT_RAD`, infinite for the first view of a track.
+    `motion` is the `novelty` of the view after the one before, infinite for the first of a track.
     `keep` stores the evidence of the view as it is known now; `tracks` returns that of all views.
     """
 
@@ -52,17 +66,11 @@ class ViewGrouping:
         far = moved(self._at, posed.map_from_base, VIEW_M, VIEW_RAD)
         if not first and (posed.lost or not far):
             return False
-        self.motion = self._motion_to(posed.map_from_base)
+        self.motion = math.inf if self._at is None else novelty(self._at, posed.map_from_base)
         self._at = posed.map_from_base
         self._sum, self._scans = np.zeros(0), 0
         self._tracks[-1].append(np.zeros(0))
         return True
-
-    def _motion_to(self, map_from_base: Pose2) -> float:
-        if self._at is None:
-            return math.inf
-        step = self._at.inverse() @ map_from_base
-        return step.distance / INDEPENDENT_M + abs(step.theta) / INDEPENDENT_RAD
 
     def mean(self, said: NDArray[Any]) -> FloatArray:
         """The mean of what is said (k,) of the scans of this view, this one the last."""
@@ -84,12 +92,6 @@ class ViewGrouping:
         return [rows[view] for view in self._view_of]
 
 
-LEAP = 0.0001  # chance to be anywhere next, by a way that was never driven
-_LEAVE = 0.0001  # chance to leave the map, or to come back
-_UNKNOWN_PRIOR = 0.5  # chance of unknown at the start
-SMALLEST = 1e-300  # keeps a probability of nought out of a logarithm or a quotient
-
-
 class HiddenMarkovFilter:
     """Forward filter and smoother. States are the submaps `ids` in ascending order, then unknown.
 
@@ -103,7 +105,9 @@ class HiddenMarkovFilter:
     ) -> None:
         self.ids = sorted(adjacency)
         self.transition = _transitions(self.ids, adjacency, config)
-        self._first = _at_the_start(len(self.ids), _UNKNOWN_PRIOR)
+        m = len(self.ids)  # before the first scan all submaps are as likely
+        known = (1.0 - _UNKNOWN_PRIOR) / max(1, m)
+        self._first = np.append(np.full(m, known), _UNKNOWN_PRIOR if m else 1.0)
         self._belief: FloatArray | None = None
         self._before: FloatArray | None = None  # the belief that the last update began with
 
@@ -187,12 +191,6 @@ def _transitions(
     transition[m, :m] = _LEAVE / max(1, m)
     transition[m, m] = 1.0 - (_LEAVE if m else 0.0)
     return transition
-
-
-def _at_the_start(m: int, unknown: float) -> FloatArray:
-    """(m + 1,) probabilities before the first scan: all submaps are as likely."""
-    known = (1.0 - unknown) / max(1, m)
-    return np.append(np.full(m, known), unknown if m else 1.0)
 
 
 def _posterior(prior: FloatArray, log_likelihoods: FloatArray) -> FloatArray:

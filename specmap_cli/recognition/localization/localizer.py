@@ -28,7 +28,6 @@ from specmap_cli.recognition.localization.tracking import PlaceTracker
 from specmap_cli.recognition.localization.unknown import UnknownOdds, WallCheck
 from specmap_cli.recognition.localization.wall_fit import Ratio, Surroundings, WallFit
 
-_TRUST = 1.0  # in what scans say; 1: as sure as the map's classifiers proved to be
 _STRANGE_ALONE = 1.0  # a single scan is unknown beyond this share of the limit
 _TOGETHER = 32  # scans whose features are computed at once
 
@@ -74,7 +73,7 @@ class Localizer:
         self.classifiers = classifiers
         self.config = config
         self.filter = HiddenMarkovFilter({i: adjacency.get(i, ()) for i in classifiers.ids}, config)
-        self._witness = ScanClassifier(classifiers, config)
+        self._classifier = ScanClassifier(classifiers, config)
         frames = frames or {}
         around = Surroundings(grids, adjacency, frames)
         self.tracker = MetricTracker(around.field, frames)
@@ -86,7 +85,7 @@ class Localizer:
         alone = WallFit(grids, Surroundings(grids, {}, frames), ratio, frames)
         self.walls = WallCheck(alone, config)
         self._uses_walls = metric or config.unknown
-        self._doubt = UnknownOdds(self.walls, config)
+        self._unknown = UnknownOdds(self.walls, config)
         self._views = ViewGrouping()
         self._labels: list[Label] = []
         self._leads = LeadHistory()
@@ -94,7 +93,7 @@ class Localizer:
     @property
     def note(self) -> str:
         """How the log's laser is made to fit the classifiers; empty when it is the same."""
-        return self._witness.note
+        return self._classifier.note
 
     def labelled(self, scans: Iterable[PosedScan]) -> Iterator[tuple[PosedScan, Label]]:
         """The next scans, each with its label, some read ahead: many at once are cheaper to see.
@@ -103,32 +102,29 @@ class Localizer:
         """
         left = iter(scans)
         while some := list(islice(left, _TOGETHER)):
-            for posed, evidence in zip(some, self._witness.classified(some), strict=True):
-                yield posed, self._update(posed, evidence)
+            for posed, scan in zip(some, self._classifier.classified(some), strict=True):
+                yield posed, self._update(posed, scan)
 
     def update(self, posed: PosedScan) -> Label:
         """The label of the next scan. Raises InputError when its laser sees too little."""
-        return self._update(posed, self._witness.classified([posed])[0])
+        return self._update(posed, self._classifier.classified([posed])[0])
 
-    def _update(self, posed: PosedScan, evidence: ClassifiedScan) -> Label:
+    def _update(self, posed: PosedScan, scan: ClassifiedScan) -> Label:
         if posed.restarted:
-            self._doubt.restart()
+            self._unknown.restart()
             self._views.restart()
             self.filter.reset()
             self.places.restart()
         again = not self._views.begins(posed)
-        log_likelihoods = self._log_likelihoods(posed, evidence, again)
-        belief = self._placed(posed, self.filter.update(log_likelihoods, again))
-        label = self._filtered(self._raw_label(posed.stamp_ns, evidence), belief)
+        log_likelihoods = self._log_likelihoods(posed, scan, again)
+        belief = self.filter.update(log_likelihoods, again)
+        known = self.places.update(posed, self.walls.view, belief[:-1])
+        belief = np.append(known, belief[-1])
+        label = self._filtered(self._raw_label(posed.stamp_ns, scan), belief)
         self._labels.append(label)
         self._leads.add(posed, self.places.lead)
         self._views.keep(log_likelihoods)
         return label
-
-    def _placed(self, posed: PosedScan, belief: FloatArray) -> FloatArray:
-        """(m + 1,) belief of the filter with what the places say that are followed."""
-        known = self.places.update(posed, self.walls.view, belief[:-1])
-        return np.append(known, belief[-1])
 
     def smoothed(self) -> list[Label]:
         """All labels so far, the filtered ones given the whole track that they belong to.
@@ -156,35 +152,29 @@ class Localizer:
         led[-1] = belief[-1]
         return led
 
-    def _log_likelihoods(
-        self, posed: PosedScan, evidence: ClassifiedScan, again: bool
-    ) -> FloatArray:
+    def _log_likelihoods(self, posed: PosedScan, scan: ClassifiedScan, again: bool) -> FloatArray:
         """(m + 1,) log likelihoods of every submap and, last, of unknown, of the scan's view."""
-        known = self._views.mean(evidence.all)
-        known = _TRUST * self._share_of_new(known) * known
+        known = self._views.mean(scan.all)
+        known = min(1.0, self._views.motion / steadiness(known)) * known
         worth = -math.inf
         if self._uses_walls:
-            worth = self._doubt.worth(posed, evidence, self._likely(evidence, again), again)
+            worth = self._unknown.worth(posed, scan, self._likely(scan, again), again)
         if not self.config.unknown:
             return np.append(known, -math.inf)
         return self.filter.with_unknown(known, worth, again)
 
-    def _share_of_new(self, said: FloatArray) -> float:
-        """How much of what a view says, log probabilities (m,), was not said by the view before."""
-        return min(1.0, self._views.motion / steadiness(said))
-
-    def _likely(self, evidence: ClassifiedScan, again: bool) -> list[int]:
+    def _likely(self, scan: ClassifiedScan, again: bool) -> list[int]:
         """The submaps, the one first that is likeliest by all scans, then by this one's margins."""
         before = np.maximum(self.filter.predicted(again)[:-1], SMALLEST)
-        by_all = evidence.all + np.log(before)
-        ranked = [int(by_all.argmax()), *np.argsort(-evidence.all, kind="stable").tolist()]
+        by_all = scan.all + np.log(before)
+        ranked = [int(by_all.argmax()), *np.argsort(-scan.all, kind="stable").tolist()]
         return [self.filter.ids[k] for k in dict.fromkeys(ranked)]
 
-    def _raw_label(self, stamp_ns: int, evidence: ClassifiedScan) -> Label:
+    def _raw_label(self, stamp_ns: int, scan: ClassifiedScan) -> Label:
         """The label of the single scan by the most votes; nothing is filtered yet."""
-        order = np.argsort(-evidence.margins, kind="stable")
-        ids, margins = self.filter.ids, evidence.margins[order]
-        known = not self.config.unknown or not self._is_strange(evidence)
+        order = np.argsort(-scan.margins, kind="stable")
+        ids, margins = self.filter.ids, scan.margins[order]
+        known = not self.config.unknown or not self._is_strange(scan)
         return Label(
             stamp_ns=stamp_ns,
             submap=ids[order[0]] if known else None,
@@ -192,14 +182,14 @@ class Localizer:
             runner_up=ids[order[1]] if len(order) > 1 else None,
             filtered_submap=None,
             filtered_probability=0.0,
-            probability=math.exp(evidence.raw[order[0]]),
+            probability=math.exp(scan.raw[order[0]]),
         )
 
-    def _is_strange(self, evidence: ClassifiedScan) -> bool:
+    def _is_strange(self, scan: ClassifiedScan) -> bool:
         """Whether a scan is of no place: it fits no walls, or, if that is not known, is strange."""
-        of_walls = self._doubt.of_walls
+        of_walls = self._unknown.of_walls
         if of_walls is None:
-            return evidence.strange > _STRANGE_ALONE
+            return scan.strange > _STRANGE_ALONE
         return of_walls > 0.0
 
     def _filtered(self, label: Label, belief: FloatArray) -> Label:

@@ -29,6 +29,17 @@ _INDEPENDENT = 0.1  # of the points: the others lie on the same walls of the sam
 _LEAST_MISS = 0.02  # mean square of what a field misses under points: cells are no finer
 _LEAST_INFORMATION = 1e-3  # of a match, a square metre or radian: it is never singular
 _SURPRISE = 7.81  # chi-square of three degrees of freedom: one in twenty is larger
+_FOLLOW_M = 0.4  # a pose in a submap is sought this near where motion says it is
+_FOLLOW_RAD = 0.2094  # a pose in a submap is sought turned this much at the most
+_FOLLOW_SCORE = 0.8  # from this score on, a pose to which the motion leads is not sought
+_LOST_SCORE = 0.55  # below this score the whole submap is searched
+_MOST_POINTS = 180  # one every other degree: what a match costs grows with them
+# Steps of the search: what the refinement after it mends (0.3 m at the most).
+_FOLLOW_STEP_M, _FOLLOW_STEP_RAD = 0.1, math.radians(2.0)
+# What a place is good to that the walls of the last metres led to, and how far it may be from the
+# pose that was followed before that is taken for wrong.
+_PLACE_M, _PLACE_RAD = 0.1, 0.05
+_APART_M, _APART_RAD = 0.3, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,19 +99,6 @@ def information(field: ScoreField, points: FloatArray, pose: Pose2) -> FloatArra
     sums = product(equations, equations.T)
     miss = sums[3, 3] / max(1, len(points)) + _LEAST_MISS
     return np.asarray(_INDEPENDENT * sums[:3, :3] / miss + _LEAST_INFORMATION * np.eye(3))
-
-
-_FOLLOW_M = 0.4  # a pose in a submap is sought this near where motion says it is
-_FOLLOW_RAD = 0.2094  # a pose in a submap is sought turned this much at the most
-_FOLLOW_SCORE = 0.8  # from this score on, a pose to which the motion leads is not sought
-_LOST_SCORE = 0.55  # below this score the whole submap is searched
-_MOST_POINTS = 180  # one every other degree: what a match costs grows with them
-# Steps of the search: what the refinement after it mends (0.3 m at the most).
-_FOLLOW_STEP_M, _FOLLOW_STEP_RAD = 0.1, math.radians(2.0)
-# What a place is good to that the walls of the last metres led to, and how far it may be from the
-# pose that was followed before that is taken for wrong.
-_PLACE_M, _PLACE_RAD = 0.1, 0.05
-_APART_M, _APART_RAD = 0.3, 0.1
 
 
 @dataclass(frozen=True, slots=True)

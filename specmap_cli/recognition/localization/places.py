@@ -12,8 +12,8 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.grids.gridmap import OCCUPIED, GridMap
 
-_SAME_M, _SAME_RAD = 0.3, 0.1  # two places so near are one
-_BESIDE_M, _BESIDE_RAD = 1.0, 0.3
+SAME = 0.3, 0.1  # two places so near are one, metres and radians
+BESIDE = 1.0, 0.3  # much the same is seen at places so near
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,17 +43,10 @@ class Place:
         pose = self.pose @ (self.map_from_base.inverse() @ map_from_base)
         return Place(self.submap, pose, map_from_base)
 
-    def is_same(self, other: Place, frames: Mapping[int, Pose2]) -> bool:
-        """Whether another place is this one, perhaps known in another submap."""
-        return self._is_within(other, frames, _SAME_M, _SAME_RAD)
-
-    def is_beside(self, other: Place, frames: Mapping[int, Pose2]) -> bool:
-        """Whether another place is so near that much the same is seen there."""
-        return self._is_within(other, frames, _BESIDE_M, _BESIDE_RAD)
-
-    def _is_within(
+    def is_near(
         self, other: Place, frames: Mapping[int, Pose2], reach_m: float, reach_rad: float
     ) -> bool:
+        """Whether another place, perhaps known in another submap, is within reach of this one."""
         there = other.led_to(self.submap, self.map_from_base, frames)
         if there is None:
             return False
@@ -77,13 +70,12 @@ class LeadHistory:
     """The leads of the scans of a log, in turn."""
 
     def __init__(self) -> None:
-        self._scans: list[tuple[Pose2, LeadingPlace | None]] = []
-        self._ends: list[bool] = []  # whether a track ended before the scan
+        # with each scan, whether a track ended before it
+        self._scans: list[tuple[Pose2, LeadingPlace | None, bool]] = []
 
     def add(self, posed: PosedScan, lead: LeadingPlace | None) -> None:
         """Take in the lead of the next scan, None where no place leads."""
-        self._scans.append((posed.map_from_base, lead))
-        self._ends.append(posed.restarted)
+        self._scans.append((posed.map_from_base, lead, posed.restarted))
 
     def looking_back(self, reach_m: float) -> list[LeadingPlace | None]:
         """The lead of each scan, where it was; where none led, the next within `reach_m` of way.
@@ -93,9 +85,7 @@ class LeadHistory:
         filled: list[LeadingPlace | None] = []
         later: LeadingPlace | None = None
         way, after = 0.0, None
-        for (map_from_base, lead), ends in zip(
-            reversed(self._scans), reversed(self._ends), strict=True
-        ):
+        for map_from_base, lead, ends in reversed(self._scans):
             way += 0.0 if after is None else (map_from_base.inverse() @ after).distance
             if lead is not None:
                 later, way = lead, 0.0

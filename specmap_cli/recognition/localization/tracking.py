@@ -19,16 +19,22 @@ from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.features.virtual import WINDOW_M
 from specmap_cli.recognition.localization.filtering import (
-    INDEPENDENT_M,
-    INDEPENDENT_RAD,
     LEAP,
     SMALLEST,
+    novelty,
 )
-from specmap_cli.recognition.localization.places import LeadingPlace, Owners, Place
+from specmap_cli.recognition.localization.places import SAME, LeadingPlace, Owners, Place
 from specmap_cli.recognition.localization.unknown import FIT_SEARCH_M
 from specmap_cli.recognition.localization.wall_fit import Fitted, View, WallFit
 
 _HOPELESS = 8.0  # so much lighter than the heaviest: one in three thousand
+_MOST = 8  # places followed at once: each costs a match a look
+# Power of the filter's odds: it sums views that are nearly the same, and may be sure of a mistake
+# for metres.
+_TEMPER = 0.25
+_MISSED = 0.1  # chance that a search does not find the place: people, and things that were moved
+_LEAST_CHANCE = 0.005  # of a submap that is searched
+_SLACK = 1.0  # log likelihood by which a place may fit worse in the next submap, and cross over
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,18 +85,9 @@ def worth_following(
     for each in sorted(hypotheses, key=lambda h: -h.weight):
         if kept and each.weight < kept[0].weight - _HOPELESS:
             break
-        if not any(each.place.is_same(other.place, frames) for other in kept):
+        if not any(each.place.is_near(other.place, frames, *SAME) for other in kept):
             kept.append(each)
     return kept
-
-
-_MOST = 8  # places followed at once: each costs a match a look
-# Power of the filter's odds: it sums views that are nearly the same, and may be sure of a mistake
-# for metres.
-_TEMPER = 0.25
-_MISSED = 0.1  # chance that a search does not find the place: people, and things that were moved
-_LEAST_CHANCE = 0.005  # of a submap that is searched
-_SLACK = 1.0  # log likelihood by which a place may fit worse in the next submap, and cross over
 
 
 class PlaceTracker:
@@ -133,10 +130,8 @@ class PlaceTracker:
     def _drive(self, map_from_base: Pose2) -> None:
         """Take in where the scan was taken."""
         if self._at is not None:
-            step = self._at.inverse() @ map_from_base
-            self._driven_m += step.distance
-            self._new += step.distance / INDEPENDENT_M
-            self._new += abs(step.theta) / INDEPENDENT_RAD
+            self._driven_m += (self._at.inverse() @ map_from_base).distance
+        self._new = novelty(self._at, map_from_base, self._new)
         self._at = map_from_base
 
     def _look(self, view: View, belief: FloatArray) -> None:

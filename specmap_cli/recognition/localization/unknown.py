@@ -18,18 +18,20 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M
 from specmap_cli.recognition.localization.classification import ClassifiedScan
 from specmap_cli.recognition.localization.filtering import (
-    INDEPENDENT_M,
-    INDEPENDENT_RAD,
     VIEW_M,
     VIEW_RAD,
+    novelty,
 )
 from specmap_cli.recognition.localization.places import Place
-from specmap_cli.recognition.localization.wall_fit import Fitted, View, WallFit
+from specmap_cli.recognition.localization.wall_fit import View, WallFit
 
 FIT_SEARCH_M = 1.0  # path between searches while a scan fits no walls
 _FIT_STEP_M = 0.2  # motion between looks at walls while a scan fits where it leads
 _FIT_STEP_RAD = 0.2  # turn between looks at walls while a scan fits where it leads
 _BACK_M = 3.0  # so near to the last place that fitted, motion is asked first for the next one
+_STRANGE_FROM = 0.87  # from this share of the limit on, a scan speaks for unknown
+_STRANGE_GAIN = 2.0  # log likelihood for unknown, per share of the limit beyond that
+_STRANGE_MOST = 1.0  # the most of that likelihood: views that are strange come in a row
 
 
 class WallCheck:
@@ -74,8 +76,10 @@ class WallCheck:
             if followed is not None and followed.fits:
                 self._place = followed.place
                 return followed.against
-        elif self._place is not None and self._is_far(self._place, posed.map_from_base):
-            self._place = None
+        elif self._place is not None:
+            # nearer, a robot that comes back from where the map saw little is known again
+            away = self._place.map_from_base.inverse() @ posed.map_from_base
+            self._place = None if away.distance > _BACK_M else self._place
         self._fits = False
         due = self._patience.due(likely, at_once=before is not None)
         return self._sought(view, due) if due else None
@@ -89,13 +93,6 @@ class WallCheck:
         left = moved(before, map_from_base, VIEW_M, VIEW_RAD)
         return left and not moved(before, map_from_base, _FIT_STEP_M, _FIT_STEP_RAD)
 
-    def _is_far(self, place: Place, map_from_base: Pose2) -> bool:
-        """Whether the robot is farther from the last place that fitted than a few metres.
-
-        Nearer than that, a robot that comes back from where the map saw little is known again.
-        """
-        return (place.map_from_base.inverse() @ map_from_base).distance > _BACK_M
-
     def _sought(self, view: View, likely: Sequence[int]) -> float | None:
         """What the best place says, where motion leads or in the likely submaps; None: nothing.
 
@@ -103,7 +100,10 @@ class WallCheck:
         """
         found = [] if self._place is None else self.fit.led(view, self._place)
         if not any(each.fits for each in found):
-            found += self._anywhere(view, likely)
+            for submap in likely:  # up to one where the view fits
+                found += self.fit.anywhere(view, submap)
+                if any(each.fits for each in found):
+                    break
             found = [self.fit.best(found)] if found else []
         if not found:
             return None
@@ -113,15 +113,6 @@ class WallCheck:
         again = self._patience.goes_on and not self.found  # the likeliest said it already
         self._patience.searched(self.found)
         return None if again else best.against
-
-    def _anywhere(self, view: View, likely: Sequence[int]) -> list[Fitted]:
-        """Places in the likely submaps, in their order, up to one where the view fits."""
-        found: list[Fitted] = []
-        for submap in likely:
-            found += self.fit.anywhere(view, submap)
-            if any(each.fits for each in found):
-                break
-        return found
 
 
 class _Patience:
@@ -171,18 +162,13 @@ class _Patience:
             self._wait *= 2
 
 
-_STRANGE_FROM = 0.87  # from this share of the limit on, a scan speaks for unknown
-_STRANGE_GAIN = 2.0  # log likelihood for unknown, per share of the limit beyond that
-_STRANGE_MOST = 1.0  # the most of that likelihood: views that are strange come in a row
-
-
 class UnknownOdds:
     """Log likelihood of unknown over known, a view after another."""
 
     def __init__(self, walls: WallCheck, config: LocalizationConfig) -> None:
         self.walls = walls
         self.config = config
-        self._fits, self._looks = _Clue(), _Clue()
+        self._fits, self._appearance = _Clue(), _Clue()
 
     @property
     def of_walls(self) -> float | None:
@@ -192,37 +178,37 @@ class UnknownOdds:
     def restart(self) -> None:
         """Forget every scan."""
         self.walls.restart()
-        self._fits, self._looks = _Clue(), _Clue()
+        self._fits, self._appearance = _Clue(), _Clue()
 
     def worth(
-        self, posed: PosedScan, evidence: ClassifiedScan, likely: Sequence[int], again: bool
+        self, posed: PosedScan, scan: ClassifiedScan, likely: Sequence[int], again: bool
     ) -> float:
         """Log likelihood of the view that the scan is of; `again` when it is the last scan's view.
 
         `likely` are the submaps, the likeliest first.
         """
-        for clue in (self._fits, self._looks):
+        for clue in (self._fits, self._appearance):
             clue.see(posed, again)
         if self.config.fit_submaps:
-            said = self.walls.unknown(posed, evidence.seen, likely)
+            said = self.walls.unknown(posed, scan.seen, likely)
             self._fits.add(said, instead=self.walls.found)
-        self._looks.add(self._strange(evidence))
-        return self._fits.worth + self._looks.worth
+        self._appearance.add(self._strange(scan))
+        return self._fits.worth + self._appearance.worth
 
-    def _strange(self, evidence: ClassifiedScan) -> float | None:
+    def _strange(self, scan: ClassifiedScan) -> float | None:
         """Log likelihood of unknown by what a scan looks like."""
-        if evidence.strange == -math.inf:
+        if scan.strange == -math.inf:
             return None
         most = _STRANGE_MOST
-        worth = _STRANGE_GAIN * (evidence.strange - _STRANGE_FROM)
+        worth = _STRANGE_GAIN * (scan.strange - _STRANGE_FROM)
         if worth > 0.0:
             # what a short window of a narrow laser has seen so far looks strange anywhere
-            worth *= evidence.shown**2
+            worth *= scan.shown**2
         return min(max(worth, -most), most)
 
 
 class _Clue:
-    """One kind of evidence: the mean of what is said in a view, by the motion since it last was."""
+    """One kind of clue: the mean of what is said in a view, by the motion since it last was."""
 
     def __init__(self) -> None:
         self._at: Pose2 | None = None
@@ -241,10 +227,7 @@ class _Clue:
             self._weight, self._sum, self._scans = 0.0, 0.0, 0
         if posed.lost:
             return
-        if self._at is not None:
-            step = self._at.inverse() @ posed.map_from_base
-            self._motion += step.distance / INDEPENDENT_M
-            self._motion += abs(step.theta) / INDEPENDENT_RAD
+        self._motion = novelty(self._at, posed.map_from_base, self._motion)
         self._at = posed.map_from_base
 
     def add(self, said: float | None, instead: bool = False) -> None:

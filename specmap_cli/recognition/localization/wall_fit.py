@@ -22,7 +22,26 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMa
 from specmap_cli.grids.matching import Match, refine, search_everywhere
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
-from specmap_cli.recognition.localization.places import Place
+from specmap_cli.recognition.localization.places import BESIDE, Place
+
+_MOST_RAYS = 120  # of a scan, one every three degrees all round: what is cast costs grows with them
+# What the pose of a match and the cells of a grid leave open, in heading and sideways. Along a wall
+# that moves the end of a ray by metres: so a ray may reach as far as any that passes so near.
+_SLANT_RAD, _SIDE_M = math.radians(3.0), 0.15
+_BEHIND_M = 0.3  # farther than a match is off, and than a wall is thick in a grid
+_FIT_MOST = 4.0  # log likelihood that walls give at the most
+_BEHIND_USUAL = 0.2  # share of a scan behind walls of its own place that moved
+_UNSEEN_WEIGHT = 0.25  # weight of returns off the walls where the map saw nothing
+# Share of returns off the walls of other places where they fit best, on average.
+_FOREIGN_MISFIT = 0.32
+_FOREIGN_MISFIT_SPREAD = 0.13  # standard deviation of that share, seen on plans and logs
+_LEAST_POINTS = 10  # fewer fit anywhere
+_OFF = 0.95  # a point that much off is a quarter of a metre from walls: behind none by noise
+# Of the search, coarse: what it finds within 0.3 m and a few degrees is mended by the refinement.
+_STEP_M, _STEP_RAD, _PLACES = 0.3, math.radians(5.0), 4
+# By how much the place that fits best is better than the next one, on average: of scans from
+# elsewhere, which fit by chance, and of the map's own.
+_FOREIGN_GAP, _OWN_GAP = 0.06, 0.15
 
 
 class Surroundings:
@@ -68,13 +87,6 @@ def _draw(cells: CellArray, own: GridMap, other: GridMap, own_from_other: Pose2)
     cells[rows[unseen], columns[unseen]] = OCCUPIED
 
 
-_MOST_RAYS = 120  # of a scan, one every three degrees all round: what is cast costs grows with them
-# What the pose of a match and the cells of a grid leave open, in heading and sideways. Along a wall
-# that moves the end of a ray by metres: so a ray may reach as far as any that passes so near.
-_SLANT_RAD, _SIDE_M = math.radians(3.0), 0.15
-_BEHIND_M = 0.3  # farther than a match is off, and than a wall is thick in a grid
-
-
 class Sightlines:
     """Casts rays in the grids of submaps, in their frames, as far as `reach_m`."""
 
@@ -111,21 +123,6 @@ class Sightlines:
         return np.array([ranges[a:b].max() for a, b in zip(first, last, strict=True)])
 
 
-_FIT_MOST = 4.0  # log likelihood that walls give at the most
-_BEHIND_USUAL = 0.2  # share of a scan behind walls of its own place that moved
-_UNSEEN_WEIGHT = 0.25  # weight of returns off the walls where the map saw nothing
-# Share of returns off the walls of other places where they fit best, on average.
-_FOREIGN_MISFIT = 0.32
-_FOREIGN_MISFIT_SPREAD = 0.13  # standard deviation of that share, seen on plans and logs
-_LEAST_POINTS = 10  # fewer fit anywhere
-_OFF = 0.95  # a point that much off is a quarter of a metre from walls: behind none by noise
-# Of the search, coarse: what it finds within 0.3 m and a few degrees is mended by the refinement.
-_STEP_M, _STEP_RAD, _PLACES = 0.3, math.radians(5.0), 4
-# By how much the place that fits best is better than the next one, on average: of scans from
-# elsewhere, which fit by chance, and of the map's own.
-_FOREIGN_GAP, _OWN_GAP = 0.06, 0.15
-
-
 class Ratio:
     """Log likelihood of unknown over known, by the misfit of a scan; never past `_FIT_MOST`.
 
@@ -148,15 +145,10 @@ class Ratio:
         off = (min(misfit, foreign) - foreign) / spread
         unknown = -0.5 * off**2 - math.log(spread * math.sqrt(2.0 * math.pi))
         known = -misfit / self.known - math.log(self.known)
-        said = unknown - known + _by_chance(gap)
+        elsewhere = -gap / _FOREIGN_GAP - math.log(_FOREIGN_GAP)
+        own = -gap / _OWN_GAP - math.log(_OWN_GAP)
+        said = unknown - known + min(0.0, elsewhere - own)
         return min(max(said, -_FIT_MOST), _FIT_MOST)
-
-
-def _by_chance(gap: float) -> float:
-    """Log likelihood of a gap elsewhere over that in the map, where it speaks for the map."""
-    elsewhere = -gap / _FOREIGN_GAP - math.log(_FOREIGN_GAP)
-    own = -gap / _OWN_GAP - math.log(_OWN_GAP)
-    return min(0.0, elsewhere - own)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -243,7 +235,7 @@ class WallFit:
         best = min(found, key=attrgetter("misfit"))
         if best.fits:
             return best
-        others = [f.misfit for f in found if not best.place.is_beside(f.place, self.frames)]
+        others = [f.misfit for f in found if not best.place.is_near(f.place, self.frames, *BESIDE)]
         if not others:
             return best
         gap = min(others) - best.misfit
@@ -265,7 +257,9 @@ class WallFit:
         """The place near a guess where points (N, 2) fit best."""
         field = self.around.field(submap)
         place = Place(submap, refine(field, points, guess).pose, view.posed.map_from_base)
-        behind = self._behind(view.posed, place)
+        # beyond what doors, people and moved things explain
+        behind = self._sight.behind(submap, view.posed, place.pose) - _BEHIND_USUAL
+        behind = max(0.0, behind) / (1.0 - _BEHIND_USUAL)
         misfit = 1.0 - self._on_walls(field, points, place) * (1.0 - behind)
         return Fitted(place, misfit, self.ratio.of(misfit))
 
@@ -275,12 +269,6 @@ class WallFit:
         off = 1.0 - np.asarray(field.at(placed), dtype=np.float64)
         unseen = (self._sight.grids[place.submap].values_at(placed) == UNKNOWN) & (off > _OFF)
         return 1.0 - float(np.mean(np.where(unseen, _UNSEEN_WEIGHT, 1.0) * off))
-
-    def _behind(self, posed: PosedScan, place: Place) -> float:
-        """Share of a scan behind walls, beyond what doors, people and moved things explain."""
-        usual = _BEHIND_USUAL
-        behind = self._sight.behind(place.submap, posed, place.pose) - usual
-        return max(0.0, behind) / (1.0 - usual)
 
 
 def _searched(field: ScoreField, points: FloatArray) -> list[Match]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, IndexType, Writer
 
 from specmap_cli.logs.opening import open_log
@@ -16,9 +16,7 @@ from specmap_cli.logs.readers.chunked import ChunkRef
 from specmap_cli.logs.readers.compression import Unpacked
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message, TopicInfo
-
-ReadRest = Callable[[Path], tuple[list[Message], list[str]]]
-CutInTenths = Callable[[Path, list[Message]], None]
+from tests.logs.recordings import cut_in_tenths, overwrite, read_rest, spoil, write_mcap
 
 STYLES: list[dict[str, object]] = [
     {"compression": CompressionType.ZSTD},
@@ -31,25 +29,18 @@ STYLES: list[dict[str, object]] = [
 ]
 
 
-def write_mcap(path: Path, messages: list[Message], **style: object) -> None:
-    """The messages by the reference writer, in small chunks."""
-    with path.open("wb") as file:
-        writer = Writer(file, **{"chunk_size": 2000, **style})  # type: ignore[arg-type]
-        writer.start(profile="ros2")
-        channels: dict[str, int] = {}
-        for m in messages:
-            if m.topic not in channels:
-                schema = writer.register_schema(m.type, "ros2msg", b"")
-                channels[m.topic] = writer.register_channel(m.topic, "cdr", schema)
-            writer.add_message(channels[m.topic], m.time_ns, m.data, m.time_ns)
-        writer.finish()  # type: ignore[no-untyped-call]
+def chunks_of(path: Path) -> list[ChunkIndex]:
+    """The chunks by the reference reader."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return summary.chunk_indexes
 
 
 @pytest.mark.parametrize("style", STYLES)
 def test_every_variety_gives_the_same_messages(
-    tmp_path: Path, drive_messages: list[Message], style: dict[str, object]
+    path: Path, drive_messages: list[Message], style: dict[str, object]
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, **style)
     with open_log(path) as log:
         assert list(log.messages()) == drive_messages
@@ -66,9 +57,8 @@ def test_every_variety_gives_the_same_messages(
 
 
 def test_topics_in_chunks_of_their_own_are_joined_in_time(
-    tmp_path: Path, drive_messages: list[Message]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.mcap"
     by_topic = sorted(drive_messages, key=lambda m: (m.topic, m.time_ns))
     write_mcap(path, by_topic)
     with open_log(path) as log:
@@ -79,39 +69,20 @@ def test_topics_in_chunks_of_their_own_are_joined_in_time(
 
 @pytest.mark.parametrize("style", STYLES)
 def test_what_precedes_a_cut_is_read(
-    tmp_path: Path,
-    drive_messages: list[Message],
-    cut_in_tenths: CutInTenths,
-    style: dict[str, object],
+    path: Path, drive_messages: list[Message], style: dict[str, object]
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, **style)
     cut_in_tenths(path, drive_messages)
 
 
-def test_messages_of_a_chunk_that_is_cut_are_read(
-    tmp_path: Path, drive_messages: list[Message]
-) -> None:
-    path = tmp_path / "log.mcap"
-    write_mcap(path, drive_messages, chunk_size=1 << 20, compression=CompressionType.NONE)
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with open_log(path) as log:
-        assert 20 < len(list(log.messages())) < len(drive_messages)
-
-
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.NONE])
 def test_a_damaged_chunk_costs_only_itself(
-    tmp_path: Path, drive_messages: list[Message], compression: CompressionType
+    path: Path, drive_messages: list[Message], compression: CompressionType
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, compression=compression)
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    middle = summary.chunk_indexes[3].chunk_start_offset + 200
-    data = bytearray(path.read_bytes())
-    data[middle : middle + 35] = b"damaged" * 5
-    path.write_bytes(data)
+    chunks = chunks_of(path)
+    middle = chunks[3].chunk_start_offset + 200
+    overwrite(path, middle, b"damaged" * 5)
     with open_log(path) as log:
         found = list(log.messages())
         assert len(log.damage) == 1
@@ -126,13 +97,8 @@ def test_a_damaged_chunk_costs_only_itself(
 
 @pytest.mark.parametrize("style", STYLES)
 def test_random_damage_is_survived(
-    tmp_path: Path,
-    drive_messages: list[Message],
-    read_rest: ReadRest,
-    spoil: Callable[[Path, int, int], None],
-    style: dict[str, object],
+    path: Path, drive_messages: list[Message], style: dict[str, object]
 ) -> None:
-    path = tmp_path / "log.mcap"
     for seed in range(25):
         write_mcap(path, drive_messages[:20], **style)
         spoil(path, seed, 8)
@@ -159,67 +125,47 @@ def test_ros1_messages_in_mcap_are_read(tmp_path: Path, drive_messages: list[Mes
         assert list(log.messages()) == scans
 
 
-def test_other_encodings_are_listed_but_no_scans(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("foxglove.LaserScan", "protobuf", b"")
-        channel = writer.register_channel("/scan", "protobuf", schema)
-        writer.add_message(channel, 5, b"?", 5)
-        writer.finish()  # type: ignore[no-untyped-call]
-    with open_log(path) as log:
-        assert [t.type for t in log.topics()] == ["foxglove.LaserScan (protobuf)"]
-
-
 def test_a_wrong_checksum_of_the_index_makes_it_untrusted(
-    tmp_path: Path, drive_messages: list[Message]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages)
     data = bytearray(path.read_bytes())
     data[-9] ^= 0xFF  # of the checksum, right before the closing magic
     path.write_bytes(data)
-    with open_log(path) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == []
+    assert read_rest(path) == (drive_messages, [])
 
 
-def test_private_records_are_passed_over(tmp_path: Path, drive_messages: list[Message]) -> None:
-    path = tmp_path / "log.mcap"
+def test_private_records_are_passed_over(path: Path, drive_messages: list[Message]) -> None:
     write_mcap(path, drive_messages)
     data = path.read_bytes()
     end = 8 + 9 + struct.unpack_from("<Q", data, 9)[0]  # of the header record
     private = struct.pack("<BQ", 0x93, 5) + b"extra"
     path.write_bytes(data[:end] + private + data[end:])
-    with open_log(path) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == []
+    assert read_rest(path) == (drive_messages, [])
 
 
 def test_an_unknown_record_is_passed_over_and_said(
-    tmp_path: Path, drive_messages: list[Message]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, use_chunking=False, index_types=IndexType.NONE)
     data = path.read_bytes()
     place = data.index(drive_messages[40].data) - 9 - 22
     path.write_bytes(data[:place] + b"\x7a" + data[place + 1 :])
     topic = drive_messages[40].topic
     total = sum(m.topic == topic for m in drive_messages)
-    with open_log(path) as log:
-        assert list(log.messages()) == drive_messages[:40] + drive_messages[41:]
-        assert log.damage == [
+    assert read_rest(path) == (
+        drive_messages[:40] + drive_messages[41:],
+        [
             f"{path}: the record at byte {place} is of no known kind (opcode 122): what it holds "
             f"in its {31 + len(drive_messages[40].data)} bytes is lost",
             f"{path}: 1 of {total} messages on {topic} of the index are not in the file",
-        ]
+        ],
+    )
 
 
 def test_where_no_record_follows_the_reading_ends_and_it_is_said(
-    tmp_path: Path, drive_messages: list[Message]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, use_chunking=False, index_types=IndexType.NONE)
     data = path.read_bytes()
     place = data.index(drive_messages[40].data) - 9 - 22
@@ -231,16 +177,11 @@ def test_where_no_record_follows_the_reading_ends_and_it_is_said(
         assert log.damage == [f"{path}: {said}"]
 
 
-def test_an_unknown_compression_costs_its_chunks(
-    tmp_path: Path, drive_messages: list[Message]
-) -> None:
-    path = tmp_path / "log.mcap"
+def test_an_unknown_compression_costs_its_chunks(path: Path, drive_messages: list[Message]) -> None:
     write_mcap(path, drive_messages, compression=CompressionType.ZSTD)
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
+    chunks = chunks_of(path)
     data = bytearray(path.read_bytes())
-    for chunk in summary.chunk_indexes[1:]:
+    for chunk in chunks[1:]:
         place = data.index(b"zstd", chunk.chunk_start_offset)
         data[place : place + 4] = b"best"
     path.write_bytes(data)
@@ -248,43 +189,26 @@ def test_an_unknown_compression_costs_its_chunks(
         found = list(log.messages())
         assert found == drive_messages[: len(found)]
         assert 0 < len(found) < len(drive_messages)
-        assert len(log.damage) == min(len(summary.chunk_indexes) - 1, 21)
+        assert len(log.damage) == min(len(chunks) - 1, 21)
 
 
 def test_a_damaged_head_of_an_indexed_chunk_costs_nothing(
-    tmp_path: Path, drive_messages: list[Message]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, compression=CompressionType.NONE)
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    chunk = summary.chunk_indexes[2]
-    data = bytearray(path.read_bytes())
-    data[chunk.chunk_start_offset] = 0x05  # no chunk any more
-    path.write_bytes(data)
-    with open_log(path) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == [
+    chunks = chunks_of(path)
+    chunk = chunks[2]
+    overwrite(path, chunk.chunk_start_offset, b"\x05")  # no chunk any more
+    assert read_rest(path) == (
+        drive_messages,
+        [
             f"{path}: chunk at byte {chunk.chunk_start_offset} is damaged, but all of its 4 "
             "messages are found"
-        ]
+        ],
+    )
 
 
-def test_a_channel_without_a_schema_is_listed(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        channel = writer.register_channel("/note", "", 0)
-        writer.add_message(channel, 5, b"hello", 5)
-        writer.finish()  # type: ignore[no-untyped-call]
-    with open_log(path) as log:
-        assert log.topics() == [TopicInfo("/note", "unknown (no encoding)", 1)]
-
-
-def test_a_file_without_messages_is_a_log_without_messages(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_file_without_messages_is_a_log_without_messages(path: Path) -> None:
     write_mcap(path, [])
     with open_log(path) as log:
         assert list(log.messages()) == []
@@ -293,9 +217,8 @@ def test_a_file_without_messages_is_a_log_without_messages(tmp_path: Path) -> No
 
 
 def test_only_chunks_of_the_wanted_topics_are_read(
-    tmp_path: Path, drive_messages: list[Message], monkeypatch: pytest.MonkeyPatch
+    path: Path, drive_messages: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, sorted(drive_messages, key=lambda m: m.topic))
     read: list[int] = []
     opened = McapFile._open_chunk
@@ -319,15 +242,13 @@ def test_only_chunks_of_the_wanted_topics_are_read(
     ids=["opcode", "other opcode", "length", "huge length", "channel"],
 )
 def test_a_damaged_record_in_a_chunk_without_checksum_is_told(
-    tmp_path: Path, drive_messages: list[Message], indexed: bool, place: int, value: int
+    path: Path, drive_messages: list[Message], indexed: bool, place: int, value: int
 ) -> None:
-    path = tmp_path / "log.mcap"
     index = IndexType.ALL if indexed else IndexType.NONE
     plain = CompressionType.NONE
     write_mcap(path, drive_messages, enable_crcs=False, compression=plain, index_types=index)
-    data = bytearray(path.read_bytes())
-    data[data.index(drive_messages[50].data) - 31 + place] = value
-    path.write_bytes(data)
+    record = path.read_bytes().index(drive_messages[50].data) - 31
+    overwrite(path, record + place, bytes([value]))
     with open_log(path) as log:
         found = list(log.messages())
         assert len(found) + log.missing.total() >= len(drive_messages)
@@ -366,9 +287,8 @@ WITHOUT_INDEX: list[dict[str, object]] = [
 
 @pytest.mark.parametrize("style", WITHOUT_INDEX)
 def test_what_was_taken_out_of_a_file_without_index_is_counted(
-    tmp_path: Path, drive_messages: list[Message], style: dict[str, object]
+    path: Path, drive_messages: list[Message], style: dict[str, object]
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, **style)
     found = records(path.read_bytes())
     data = places_of(found, 6 if "index_types" in style else 5)
@@ -385,18 +305,15 @@ def test_what_was_taken_out_of_a_file_without_index_is_counted(
 
 
 def test_a_statistics_record_that_contradicts_itself_tells_nothing(
-    tmp_path: Path, drive_messages: list[Message]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, use_chunking=False)
     found = records(path.read_bytes())
     (place,) = places_of(found, 0x0B)
     count = struct.unpack_from("<Q", found[place], 9)[0]
     found[place] = found[place][:9] + struct.pack("<Q", count + 1) + found[place][17:]
     rewrite(path, found)
-    with open_log(path) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == []
+    assert read_rest(path) == (drive_messages, [])
 
 
 def end_of_data_moved_up(path: Path) -> tuple[int, int]:
@@ -411,28 +328,25 @@ def end_of_data_moved_up(path: Path) -> tuple[int, int]:
 
 @pytest.mark.parametrize("style", WITHOUT_INDEX)
 def test_what_stands_behind_the_end_of_the_data_is_read_and_told(
-    tmp_path: Path, drive_messages: list[Message], style: dict[str, object]
+    path: Path, drive_messages: list[Message], style: dict[str, object]
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, **style)
     behind, end = end_of_data_moved_up(path)
-    with open_log(path) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == [
+    assert read_rest(path) == (
+        drive_messages,
+        [
             f"{path}: the record at byte {behind} stands behind the end of the data at byte "
             f"{end}: it is read all the same"
-        ]
+        ],
+    )
 
 
 def test_damage_behind_the_end_of_the_data_is_told(
-    tmp_path: Path, drive_messages: list[Message]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, use_chunking=False)
     behind, _ = end_of_data_moved_up(path)
-    data = bytearray(path.read_bytes())
-    data[behind : behind + 9] = b"\x05" + b"\xff" * 8  # a message longer than any file
-    path.write_bytes(data)
+    overwrite(path, behind, b"\x05" + b"\xff" * 8)  # a message longer than any file
     with open_log(path) as log:
         assert len(list(log.messages())) == len(drive_messages) - 1
         assert f"{path}: damaged in the index at byte {behind}: " in log.damage[-1]
@@ -440,9 +354,8 @@ def test_damage_behind_the_end_of_the_data_is_told(
 
 @pytest.mark.parametrize("checked", [True, False])
 def test_a_chunk_that_is_not_where_the_index_has_it_is_told(
-    tmp_path: Path, drive_messages: list[Message], checked: bool
+    path: Path, drive_messages: list[Message], checked: bool
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, enable_crcs=checked)
     end_of_data_moved_up(path)
     with open_log(path) as log:
@@ -451,26 +364,23 @@ def test_a_chunk_that_is_not_where_the_index_has_it_is_told(
         assert log.damage
 
 
-def test_a_second_file_behind_the_end_is_told(
-    tmp_path: Path, drive_messages: list[Message]
-) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_second_file_behind_the_end_is_told(path: Path, drive_messages: list[Message]) -> None:
     write_mcap(path, drive_messages)
     size = path.stat().st_size
     path.write_bytes(path.read_bytes() * 2)
-    with open_log(path) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == [
+    assert read_rest(path) == (
+        drive_messages,
+        [
             f"{path}: {size:,} bytes follow the end of the file at byte {size}: what they hold is "
             "lost"
-        ]
+        ],
+    )
 
 
 @pytest.mark.parametrize("length", [0, 21])
 def test_a_message_shorter_than_its_head_is_damage(
-    tmp_path: Path, drive_messages: list[Message], length: int
+    path: Path, drive_messages: list[Message], length: int
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, drive_messages, use_chunking=False)
     found = records(path.read_bytes())
     place = places_of(found, 5)[40]
@@ -484,3 +394,24 @@ def test_a_message_shorter_than_its_head_is_damage(
             f"{9 + length} bytes is lost"
         )
         assert log.missing == {drive_messages[40].topic: 1}
+
+
+@pytest.mark.parametrize(
+    ("schema", "encoding", "kind"),
+    [
+        ("foxglove.LaserScan", "protobuf", "foxglove.LaserScan (protobuf)"),
+        (None, "", "unknown (no encoding)"),
+    ],
+)
+def test_messages_of_other_encodings_are_listed(
+    path: Path, schema: str | None, encoding: str, kind: str
+) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        number = writer.register_schema(schema, encoding, b"") if schema else 0
+        channel = writer.register_channel("/scan", encoding, number)
+        writer.add_message(channel, 5, b"?", 5)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with open_log(path) as log:
+        assert log.topics() == [TopicInfo("/scan", kind, 1)]

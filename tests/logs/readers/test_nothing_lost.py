@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import random
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 
 from specmap_cli.core.errors import InputError, UsageError
@@ -16,6 +15,7 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message, lost_text
 from specmap_cli.logs.stream import SweepStream
+from tests.logs.recordings import without_index, write_bag, write_db3, write_mcap
 from tests.strategies import MANY
 
 PLACES = 300 if MANY else 30  # of a byte that is damaged, a file and kind of damage
@@ -33,27 +33,6 @@ MCAP_STYLES: dict[str, dict[str, object]] = {
     "no chunks": {"use_chunking": False, "enable_crcs": False},
 }
 BAG_STYLES = [None, *Rosbag1Writer.CompressionFormat]
-
-
-def write_mcap(path: Path, messages: list[Message], **style: object) -> None:
-    with path.open("wb") as file:
-        writer = Writer(file, **{"chunk_size": 1500, **style})  # type: ignore[arg-type]
-        writer.start(profile="ros2")
-        channels: dict[str, int] = {}
-        for m in messages:
-            if m.topic not in channels:
-                schema = writer.register_schema(m.type, "ros2msg", b"")
-                channels[m.topic] = writer.register_channel(m.topic, "cdr", schema)
-            writer.add_message(channels[m.topic], m.time_ns, m.data, m.time_ns)
-        writer.finish()  # type: ignore[no-untyped-call]
-
-
-def without_index(bag: Path) -> None:
-    """As a recorder leaves a bag that was killed."""
-    data = bytearray(bag.read_bytes())
-    place = data.index(b"index_pos=") + len(b"index_pos=")
-    data[place : place + 8] = bytes(8)
-    bag.write_bytes(data)
 
 
 def scans_read(path: Path) -> tuple[int, int, list[str]]:
@@ -90,8 +69,7 @@ def few(drive_messages: list[Message]) -> list[Message]:
 
 
 @pytest.mark.parametrize("style", MCAP_STYLES)
-def test_a_byte_of_an_mcap(tmp_path: Path, few: list[Message], style: str) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_byte_of_an_mcap(path: Path, few: list[Message], style: str) -> None:
     write_mcap(path, few, **MCAP_STYLES[style])
     damage_everywhere(path, 10)
 
@@ -99,29 +77,23 @@ def test_a_byte_of_an_mcap(tmp_path: Path, few: list[Message], style: str) -> No
 @pytest.mark.parametrize("indexed", [True, False])
 @pytest.mark.parametrize("compression", BAG_STYLES)
 def test_a_byte_of_a_bag(
-    tmp_path: Path,
+    path: Path,
     few: list[Message],
-    write_bag: Callable[..., None],
     compression: Rosbag1Writer.CompressionFormat | None,
     indexed: bool,
 ) -> None:
-    path = tmp_path / "log.bag"
     write_bag(path, few, compression)
     if not indexed:
         without_index(path)
     damage_everywhere(path, 10)
 
 
-def test_a_byte_of_a_database(
-    tmp_path: Path, few: list[Message], write_db3: Callable[..., None]
-) -> None:
-    path = tmp_path / "log.db3"
+def test_a_byte_of_a_database(path: Path, few: list[Message]) -> None:
     write_db3(path, few)
     damage_everywhere(path, 10)
 
 
-def test_a_byte_of_a_carmen_log(tmp_path: Path) -> None:
-    path = tmp_path / "log.clf"
+def test_a_byte_of_a_carmen_log(path: Path) -> None:
     ranges = " ".join(f"{2 + n / 7:.2f}" for n in range(20))
     path.write_text(
         "".join(
@@ -135,9 +107,8 @@ def test_a_byte_of_a_carmen_log(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("indexed", [True, False])
 def test_what_is_lost_of_a_chunk_is_told_with_number_topic_and_place(
-    tmp_path: Path, drive_messages: list[Message], write_bag: Callable[..., None], indexed: bool
+    path: Path, drive_messages: list[Message], indexed: bool
 ) -> None:
-    path = tmp_path / "log.bag"
     write_bag(path, drive_messages)
     if not indexed:
         without_index(path)
@@ -160,9 +131,8 @@ def test_what_is_lost_of_a_chunk_is_told_with_number_topic_and_place(
 
 
 def test_a_message_moved_to_another_topic_is_missed_on_its_own(
-    tmp_path: Path, few: list[Message]
+    path: Path, few: list[Message]
 ) -> None:
-    path = tmp_path / "log.mcap"
     write_mcap(path, few, compression=PLAIN, enable_crcs=False, index_types=IndexType.CHUNK)
     data = bytearray(path.read_bytes())
     number = next(n for n, m in enumerate(few) if m.topic == "/scan" and n > 10)
@@ -176,9 +146,7 @@ def test_a_message_moved_to_another_topic_is_missed_on_its_own(
         assert log.missing == {"/scan": 1}
 
 
-def test_rows_of_a_database_that_are_gone_are_counted(
-    tmp_path: Path, few: list[Message], write_db3: Callable[..., None]
-) -> None:
+def test_rows_of_a_database_that_are_gone_are_counted(tmp_path: Path, few: list[Message]) -> None:
     path = tmp_path / "log.db3"
     write_db3(path, few)
     with sqlite3.connect(path) as db:

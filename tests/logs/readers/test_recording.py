@@ -7,12 +7,11 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.logs.readers import Contents, Message, Recording, TopicInfo, survey
-from specmap_cli.logs.readers.recording import contents_of, merge_in_time, time_text, unreadable
+from specmap_cli.logs.readers import Contents, Message, Recording, survey
+from specmap_cli.logs.readers.recording import merge_in_time
 
 entries = st.lists(
     st.tuples(st.sampled_from("abc"), st.sampled_from("XY"), st.integers(-(10**18), 10**18))
@@ -60,21 +59,6 @@ def test_a_survey_counts_every_message(found: list[tuple[str, str, int]]) -> Non
     assert (contents.start_ns, contents.end_ns) == (min(times, default=0), max(times, default=0))
 
 
-def test_channels_of_one_topic_are_added_up() -> None:
-    contents = contents_of([("b", "X", 2), ("a", "X", 0), ("b", "X", 3), ("b", "Y", 1)], 4, 9)
-    assert contents == Contents(
-        (TopicInfo("a", "X", 0), TopicInfo("b", "X", 5), TopicInfo("b", "Y", 1)), 4, 9
-    )
-
-
-def test_words_for_people() -> None:
-    assert time_text(1_234_567_890) == "1.235 s"
-    assert str(unreadable(Path("a"), OSError(5, "Input/output error"))) == (
-        "a: cannot read: Input/output error"
-    )
-    assert str(unreadable(Path("a"), OSError("odd"))) == "a: cannot read: odd"
-
-
 def message(time_ns: int, topic: str = "/a") -> Message:
     return Message(topic, "T", time_ns, b"")
 
@@ -120,10 +104,3 @@ def test_a_source_is_opened_only_when_its_start_has_come() -> None:
         (20, (0, 3, 20)),
         (25, (0, 3, 20)),
     ]
-
-
-@pytest.mark.parametrize("sources", [[], [(0, opener([]))], [(0, opener([])), (9, opener([]))]])
-def test_nothing_is_merged_to_nothing(
-    sources: list[tuple[int, Callable[[], Iterator[Message]]]],
-) -> None:
-    assert list(merge_in_time(sources)) == []

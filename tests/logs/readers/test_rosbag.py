@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,12 +17,16 @@ from rosbags.typesys import Stores, get_typestore
 from specmap_cli.core.errors import LogError
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message
+from tests.logs.recordings import (
+    cut_in_tenths,
+    read_rest,
+    spoil,
+    without_index,
+    write_bag,
+    write_db3,
+)
 
 CompressionFormat = Rosbag1Writer.CompressionFormat
-ReadRest = Callable[[Path], tuple[list[Message], list[str]]]
-CutInTenths = Callable[[Path, list[Message]], None]
-WriteDb3 = Callable[..., None]
-WriteBag = Callable[..., None]
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
@@ -39,9 +42,7 @@ def test_a_rosbag2_directory_is_read(
         }
         for m in drive_messages:
             writer.write(connections[m.topic], m.time_ns, m.data)
-    with open_log(tmp_path / "bag") as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == []
+    assert read_rest(tmp_path / "bag") == (drive_messages, [])
     file = next(path for path in (tmp_path / "bag").iterdir() if path.suffix != ".yaml")
     with open_log(file) as log:
         assert log.contents.messages == len(drive_messages)
@@ -49,7 +50,7 @@ def test_a_rosbag2_directory_is_read(
 
 @pytest.mark.parametrize("time_index", [True, False])
 def test_a_bare_old_db3_is_read(
-    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3, time_index: bool
+    tmp_path: Path, drive_messages: list[Message], time_index: bool
 ) -> None:
     path = tmp_path / "misnamed.mcap"
     write_db3(path, drive_messages, time_index=time_index)
@@ -60,10 +61,7 @@ def test_a_bare_old_db3_is_read(
         assert {t.name: t.count for t in log.topics()}["/scan"] == 30
 
 
-def test_messages_compressed_one_by_one_are_read(
-    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
-) -> None:
-    path = tmp_path / "log.db3"
+def test_messages_compressed_one_by_one_are_read(path: Path, drive_messages: list[Message]) -> None:
     packed = [m._replace(data=zstandard.compress(m.data)) for m in drive_messages]
     write_db3(path, packed)
     with open_log(path) as log:
@@ -71,7 +69,7 @@ def test_messages_compressed_one_by_one_are_read(
 
 
 def test_a_compressed_file_is_read_until_it_ends(
-    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
+    tmp_path: Path, drive_messages: list[Message]
 ) -> None:
     write_db3(tmp_path / "log.db3", drive_messages)
     path = tmp_path / "log.db3.zstd"
@@ -82,7 +80,7 @@ def test_a_compressed_file_is_read_until_it_ends(
 
 
 def test_split_recordings_are_one_log_in_time_order(
-    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
+    tmp_path: Path, drive_messages: list[Message]
 ) -> None:
     (tmp_path / "split").mkdir()
     halves = [tmp_path / "split" / "z_first.db3", tmp_path / "split" / "a_second.db3"]
@@ -95,10 +93,7 @@ def test_split_recordings_are_one_log_in_time_order(
             assert log.contents.messages == len(drive_messages)
 
 
-def test_what_a_cut_database_still_holds_is_read(
-    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3, read_rest: ReadRest
-) -> None:
-    path = tmp_path / "log.db3"
+def test_what_a_cut_database_still_holds_is_read(path: Path, drive_messages: list[Message]) -> None:
     write_db3(path, drive_messages)
     whole = path.read_bytes()
     outcomes = set()
@@ -116,12 +111,8 @@ def test_what_a_cut_database_still_holds_is_read(
 
 @pytest.mark.parametrize("compression", [None, CompressionFormat.BZ2, CompressionFormat.LZ4])
 def test_ros1_bags_give_ros2_messages(
-    tmp_path: Path,
-    drive_messages: list[Message],
-    write_bag: WriteBag,
-    compression: CompressionFormat | None,
+    path: Path, drive_messages: list[Message], compression: CompressionFormat | None
 ) -> None:
-    path = tmp_path / "log.bag"
     write_bag(path, drive_messages, compression)
     with open_log(path) as log:
         assert log.format == "ROS 1 bag"
@@ -137,21 +128,15 @@ def test_ros1_bags_give_ros2_messages(
 
 @pytest.mark.parametrize("compression", [None, CompressionFormat.BZ2, CompressionFormat.LZ4])
 def test_what_precedes_a_cut_in_a_bag_is_read(
-    tmp_path: Path,
-    drive_messages: list[Message],
-    write_bag: WriteBag,
-    cut_in_tenths: CutInTenths,
-    compression: CompressionFormat | None,
+    path: Path, drive_messages: list[Message], compression: CompressionFormat | None
 ) -> None:
-    path = tmp_path / "log.bag"
     write_bag(path, drive_messages, compression)
     cut_in_tenths(path, drive_messages)
 
 
 def test_a_bag_with_wrong_index_records_is_read_by_its_list_of_chunks(
-    tmp_path: Path, drive_messages: list[Message], write_bag: WriteBag
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.bag"
     write_bag(path, drive_messages)
     data = bytearray(path.read_bytes())
     index_record = data.index(b"op=\x04")
@@ -166,34 +151,20 @@ def test_a_bag_with_wrong_index_records_is_read_by_its_list_of_chunks(
         assert f"the record at byte {start} is damaged and was passed over" in log.damage[0]
 
 
-def test_a_bag_without_index_is_walked(
-    tmp_path: Path, drive_messages: list[Message], write_bag: WriteBag
-) -> None:
+def test_a_bag_without_index_is_walked(tmp_path: Path, drive_messages: list[Message]) -> None:
     path = tmp_path / "log.bag.active"
     write_bag(path, drive_messages)
-    data = path.read_bytes()
-    place = data.index(b"index_pos=") + len(b"index_pos=")
-    path.write_bytes(data[:place] + bytes(8) + data[place + 8 :])
-    with open_log(path) as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == []
+    without_index(path)
+    assert read_rest(path) == (drive_messages, [])
 
 
-def test_an_old_bag_format_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "log.bag"
+def test_an_old_bag_format_is_refused(path: Path) -> None:
     path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
     with pytest.raises(LogError, match=r"bag format 1\.2 is not supported; bring it to 2\.0"):
         open_log(path)
 
 
-def test_random_damage_in_a_bag_is_survived(
-    tmp_path: Path,
-    drive_messages: list[Message],
-    write_bag: WriteBag,
-    read_rest: ReadRest,
-    spoil: Callable[[Path, int, int], None],
-) -> None:
-    path = tmp_path / "log.bag"
+def test_random_damage_in_a_bag_is_survived(path: Path, drive_messages: list[Message]) -> None:
     for seed in range(60):
         path.unlink(missing_ok=True)
         write_bag(path, drive_messages[:20], chunk_bytes=1500)
@@ -204,7 +175,7 @@ def test_random_damage_in_a_bag_is_survived(
 
 
 def test_a_database_of_a_recorder_that_was_killed_is_read(
-    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
+    tmp_path: Path, drive_messages: list[Message]
 ) -> None:
     """Its last messages are still in the log beside it."""
     write_db3(tmp_path / "live.db3", drive_messages[:40])
@@ -217,15 +188,12 @@ def test_a_database_of_a_recorder_that_was_killed_is_read(
         for file in ("live.db3", "live.db3-wal"):
             shutil.copy(tmp_path / file, tmp_path / file.replace("live", "killed"))
     db.close()
-    with open_log(tmp_path / "killed.db3") as log:
-        assert list(log.messages()) == drive_messages
-        assert log.damage == []
+    assert read_rest(tmp_path / "killed.db3") == (drive_messages, [])
 
 
 def test_rows_that_are_no_messages_are_passed_over(
-    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.db3"
     write_db3(path, drive_messages)
     with sqlite3.connect(path) as db:
         insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)"
@@ -247,7 +215,7 @@ def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_name_may_hold_what_a_link_may_not(
-    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
+    tmp_path: Path, drive_messages: list[Message]
 ) -> None:
     path = tmp_path / "my log?#100%.db3"
     write_db3(path, drive_messages)
@@ -256,7 +224,7 @@ def test_a_file_name_may_hold_what_a_link_may_not(
 
 
 def test_an_old_transform_type_gets_its_new_name(
-    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
+    tmp_path: Path, drive_messages: list[Message]
 ) -> None:
     old = [m._replace(type="tf/tfMessage") for m in drive_messages if m.topic == "/tf_static"]
     write_db3(tmp_path / "log.db3", old)
@@ -265,9 +233,8 @@ def test_an_old_transform_type_gets_its_new_name(
 
 
 def test_a_message_that_does_not_fit_its_type_is_left_out_and_said(
-    tmp_path: Path, drive_messages: list[Message]
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.bag"
     scans = [m for m in drive_messages if m.topic == "/scan"][:3]
     with Rosbag1Writer(path) as writer:
         store = get_typestore(Stores.ROS2_HUMBLE)
@@ -285,8 +252,7 @@ def test_a_message_that_does_not_fit_its_type_is_left_out_and_said(
         assert log.missing == {"/scan": 1}
 
 
-def test_types_that_nothing_reads_stay_as_they_are(tmp_path: Path) -> None:
-    path = tmp_path / "log.bag"
+def test_types_that_nothing_reads_stay_as_they_are(path: Path) -> None:
     with Rosbag1Writer(path) as writer:
         store = get_typestore(Stores.ROS1_NOETIC)
         connection = writer.add_connection("/cmd_vel", "geometry_msgs/msg/Twist", typestore=store)
@@ -299,12 +265,7 @@ def test_types_that_nothing_reads_stay_as_they_are(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["mcap", "bag", "db3"])
 def test_messages_may_be_asked_for_twice_at_once(
-    tmp_path: Path,
-    drive: Path,
-    drive_messages: list[Message],
-    write_bag: WriteBag,
-    write_db3: WriteDb3,
-    kind: str,
+    tmp_path: Path, drive: Path, drive_messages: list[Message], kind: str
 ) -> None:
     path = drive if kind == "mcap" else tmp_path / f"log.{kind}"
     if kind != "mcap":
@@ -326,19 +287,12 @@ def test_messages_may_be_asked_for_twice_at_once(
     + [(b"conn=", b"conm="), (b"conn=\x01", b"conn=\x51"), (b"time=", b"mite=")],
 )
 def test_a_damaged_record_in_a_chunk_is_told(
-    tmp_path: Path,
-    drive_messages: list[Message],
-    write_bag: WriteBag,
-    old: bytes,
-    new: bytes,
-    indexed: bool,
+    path: Path, drive_messages: list[Message], old: bytes, new: bytes, indexed: bool
 ) -> None:
-    path = tmp_path / "log.bag"
     write_bag(path, drive_messages)
-    data = bytearray(path.read_bytes())
     if not indexed:
-        place = data.index(b"index_pos=") + len(b"index_pos=")
-        data[place : place + 8] = bytes(8)
+        without_index(path)
+    data = bytearray(path.read_bytes())
     chunk = data.index(b"compression=none", data.index(b"compression=none") + 1)
     header = data.index(b"op=\x02", chunk) - 60  # of the first message in the second chunk
     place = data.index(old, header)

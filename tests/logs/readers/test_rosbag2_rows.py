@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,19 +13,14 @@ from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message
+from tests.logs.recordings import overwrite, write_db3
 
 PAGE = 512  # bytes: small ones, so that a drive takes many of them and messages flow over
 INDEX_LEAF, TABLE_LEAF = 0x0A, 0x0D  # the first byte of a page
-WriteDb3 = Callable[..., None]
 
 
 @pytest.fixture(params=[True], ids=["by time"])
-def stored(
-    tmp_path: Path,
-    drive_messages: list[Message],
-    write_db3: WriteDb3,
-    request: pytest.FixtureRequest,
-) -> Path:
+def stored(tmp_path: Path, drive_messages: list[Message], request: pytest.FixtureRequest) -> Path:
     """The drive in small pages, with or without an index of time."""
     path = tmp_path / "log.db3"
     with sqlite3.connect(path) as db:
@@ -63,12 +58,6 @@ def leaf(path: Path, name: str, share: float) -> int:
     """The byte where a leaf of a table or an index begins, that share of the way through it."""
     found = list(leaves(path.read_bytes(), root_of(path, name)))
     return (found[int(share * len(found))] - 1) * PAGE
-
-
-def overwrite(path: Path, place: int, by: bytes) -> None:
-    data = bytearray(path.read_bytes())
-    data[place : place + len(by)] = by
-    path.write_bytes(data)
 
 
 def read(path: Path, config: LogConfig | None = None) -> tuple[list[Message], list[str]]:
@@ -144,9 +133,8 @@ def test_a_message_that_flows_over_into_nowhere_costs_only_itself(
 
 
 def test_a_message_that_is_too_large_costs_only_itself(
-    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
+    path: Path, drive_messages: list[Message]
 ) -> None:
-    path = tmp_path / "log.db3"
     large = drive_messages[5]._replace(data=bytes(200_000))
     write_db3(path, [*drive_messages[:5], large, *drive_messages[6:]])
     found, damage = read(path, LogConfig(chunk_max_mb=0.1))
@@ -157,10 +145,7 @@ def test_a_message_that_is_too_large_costs_only_itself(
     ]
 
 
-def test_a_table_with_a_byte_cut_out_is_survived(
-    tmp_path: Path, drive_messages: list[Message], write_db3: WriteDb3
-) -> None:
-    path = tmp_path / "log.db3"
+def test_a_table_with_a_byte_cut_out_is_survived(path: Path, drive_messages: list[Message]) -> None:
     write_db3(path, drive_messages, time_index=False)
     whole = path.read_bytes()
     for place in range(9000, len(whole), 4099):

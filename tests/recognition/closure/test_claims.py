@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
-from specmap_cli.recognition.closure import claims as module
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.features.sets import feature_names
+from specmap_cli.recognition.learning import boosting
 from specmap_cli.recognition.learning.boosting import StumpBoost
 from tests.turning import altered
 
@@ -192,7 +192,7 @@ def test_negatives_are_capped_and_evenly_spread(monkeypatch: pytest.MonkeyPatch)
             sizes.append((int((y > 0).sum()), int((y < 0).sum())))
             return super().fit(X, y)
 
-    monkeypatch.setattr(module, "StumpBoost", Watched)
+    monkeypatch.setattr(boosting, "StumpBoost", Watched)
     config = altered(PAPER, "recognition", {"closure_negatives": 30, "samples_per_submap": 10})
     ranker(config, 4).claims(scans_of(9))
     assert {negatives for _, negatives in sizes} == {30}

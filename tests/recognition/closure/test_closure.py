@@ -45,10 +45,6 @@ def test_rooms_visited_again_merge_and_nothing_else_does(building: Any) -> None:
     for closure in merges:
         assert closure.verified
         assert closure.xi == pytest.approx(closure.claims_new_by_old * closure.claims_old_by_new)
-
-
-def test_the_transform_between_visits_is_right(building: Any) -> None:
-    for closure in tour(building, closer(), ORDER):
         truth = building.truth(ORDER[closure.old], closure.old, closure.new)
         assert closure.old_from_new is not None
         error = truth.inverse() @ closure.old_from_new
@@ -170,17 +166,6 @@ def test_a_stay_that_was_forgotten_does_not_grow(building: Any) -> None:
     assert loop.consider_again(gone) == []
 
 
-def test_merging_may_name_any_visit(building: Any) -> None:
-    loop = closer()
-    for number, room in enumerate([0, 1, 0]):
-        loop.consider(building.visit(number, room, seed=number))
-    loop.merge(0, 2)
-    loop.merge(2, 0)
-    considered = loop.consider(building.visit(3, 0, seed=5))
-    merged = next(c for c in considered if c.merged)
-    assert merged.old in (0, 2)
-
-
 def test_the_paper_s_rule_waits_for_two_submaps_and_takes_the_best_xi(building: Any) -> None:
     config = load_config(preset="paper").recognition.model_copy(update={"closure_rounds": 8})
     loop = closer(config)
@@ -193,34 +178,6 @@ def test_the_paper_s_rule_waits_for_two_submaps_and_takes_the_best_xi(building: 
         assert closure.merged == (closure is best and closure.xi >= 0.175)
         assert np.isnan(closure.score)
         assert closure.xi == pytest.approx(closure.claims_new_by_old * closure.claims_old_by_new)
-
-
-def test_xi_is_the_product_of_both_claims() -> None:
-    claims = Claims(new_by_old=0.5, old_by_new=0.4, rank=0.0, by_stay=np.ones(1))
-    assert claims.xi == pytest.approx(0.2)
-
-
-@pytest.mark.parametrize("booster", ["trees", "stumps"])
-def test_the_right_submap_ranks_first(building: Any, booster: str) -> None:
-    config = RecognitionConfig.model_validate({"closure_rounds": 20, "booster": booster})
-    ranker = ClaimRanker(config, np.random.default_rng(0))
-    for k in range(4):
-        ranker.remember(k, building.visit(k, k).features)
-    claims = ranker.claims(building.visit(9, 2, seed=4).features)
-    assert max(claims, key=lambda k: claims[k].rank) == 2
-    assert all(0.0 <= c.xi <= 1.0 for c in claims.values())
-
-
-def test_a_classifier_is_kept_until_the_map_has_grown(building: Any) -> None:
-    ranker = ClaimRanker(QUICK, np.random.default_rng(0))
-    for k in range(5):
-        ranker.remember(k, building.visit(k, k % 4, seed=k).features)
-    new = building.visit(9, 2, seed=4).features
-    ranker.claims(new)
-    kept = {k: c.booster for k, c in ranker._classifiers.items()}
-    ranker.remember(5, building.visit(5, 1, seed=8).features)
-    ranker.claims(new)
-    assert all(ranker._classifiers[k].booster is kept[k] for k in range(5))
 
 
 class Oracle:

@@ -11,16 +11,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert, wrap_angle
 from specmap_cli.core.settings import GridConfig, RecognitionConfig
+from specmap_cli.grids.correlation import Target
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.matching import refine
 from specmap_cli.grids.occupancy import OccupancyGrid
+from specmap_cli.recognition.closure import verification
 from specmap_cli.recognition.closure.prepared import INLIER_M, PreparedGrid, prepared
 from specmap_cli.recognition.closure.verification import (
     _CONTRADICTION_DEPTH_M,
     _CONTRADICTION_M,
     MIN_LEAD,
     MIN_WALL_M,
+    Check,
+    TransformSearch,
+    differ,
     judge,
     tracks_overlap,
     verify,
@@ -98,19 +104,6 @@ def test_a_room_is_found_however_it_lies(x: float, y: float, theta: float) -> No
     assert abs(error.theta) < 0.03
 
 
-@pytest.mark.parametrize("resolution", [0.03, 0.05, 0.07, 0.1])
-def test_a_room_is_found_at_any_resolution(resolution: float) -> None:
-    truth = Pose2(0.8, -0.5, 1.2)
-    first, second = (
-        ready(walls_at(segments, resolution=resolution)) for segments in (ROOM, moved(ROOM, truth))
-    )
-    check = verify(first, second)
-    assert check is not None
-    error = truth.inverse() @ check.old_from_new
-    assert error.distance < 0.05 + resolution
-    assert check.score > 0.75
-
-
 def driven(building: Any, room: int, resolution: float, frame: Pose2) -> PreparedGrid:
     """What a walk through a room shows on cells of this size, in a frame moved by `frame`."""
     poses = building.path(room, 0)[::4]
@@ -147,6 +140,10 @@ def test_a_corridor_that_fits_in_two_ways_keeps_its_rival_on_coarse_cells(
     check = verify(old, new)
     assert check is not None
     assert check.lead < MIN_LEAD
+    room = ready(walls_at(ROOM, resolution=resolution))
+    alone = verify(room, room)
+    assert alone is not None
+    assert alone.lead > MIN_LEAD
 
 
 @pytest.mark.parametrize("resolution", [0.02, 0.05, 0.12, 0.25])
@@ -161,17 +158,6 @@ def test_grids_of_two_rooms_contradict_each_other(building: Any) -> None:
     check = verify(first, other)
     assert check is not None
     assert check.score < CONFIG.min_score
-
-
-def test_a_corridor_that_fits_in_two_ways_has_no_lead() -> None:
-    long = [(-3.5, -1.0, 3.5, -1.0), (-3.5, 1.0, 3.5, 1.0)]
-    short = [(-1.2, -1.0, 1.2, -1.0), (-1.2, 1.0, 1.2, 1.0)]
-    check = verify(ready(walls_at(long)), ready(walls_at(short)))
-    assert check is not None
-    assert check.lead < MIN_LEAD
-    room = verify(ready(walls_at(ROOM)), ready(walls_at(ROOM)))
-    assert room is not None
-    assert room.lead > MIN_LEAD
 
 
 def test_a_match_below_hope_is_left_rough(building: Any) -> None:
@@ -213,17 +199,6 @@ def test_the_judgement_counts_what_is_confirmed_and_what_is_contradicted(shift: 
     expected = min(s[0] for s in sides) - 2.0 * max(s[1] for s in sides)
     assert check.score == pytest.approx(expected, abs=0.02)  # OpenCV's distances are rounded
     assert check.confirmed_m == pytest.approx(0.05 * min(s[2] for s in sides), abs=0.25)
-
-
-@pytest.mark.parametrize(
-    ("setting", "value"),
-    [("inlier_m", 0.5), ("contradiction_m", 2.0), ("contradiction_depth_m", 3)],
-)
-def test_limits_of_the_judgement_are_settings(setting: str, value: float) -> None:
-    room, there = ready(walls_at(ROOM, free=True)), Pose2(0.6, 0.2, 0.0)
-    strict = judge(room, room, there).score
-    turn("recognition", **{setting: value})
-    assert judge(room, room, there).score > strict
 
 
 def test_grids_that_do_not_meet_have_nothing_in_common() -> None:
@@ -287,3 +262,97 @@ def test_what_leads_though_it_is_not_plausible_is_told() -> None:
     told = verify(room, room, lambda pose: math.hypot(pose.x, pose.y) > 1.0)
     assert told is not None
     assert told == verify(room, room)
+
+
+@pytest.fixture
+def correlated(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The pictures that were correlated so far."""
+    done: list[Any] = []
+    real = Target.correlate_turned
+
+    def counting(self: Target, pictures: Any) -> Any:
+        done.append(pictures)
+        return real(self, pictures)
+
+    monkeypatch.setattr(Target, "correlate_turned", counting)
+    return done
+
+
+def two(building: Any, first: int, second: int) -> tuple[PreparedGrid, PreparedGrid]:
+    """Grids of a room and of another, or of the same one seen on another walk."""
+    return ready(building.visit(0, first).grid), ready(building.visit(1, second, seed=1).grid)
+
+
+def test_the_best_transforms_are_different_and_turn_as_the_walls_do(building: Any) -> None:
+    search = TransformSearch(*two(building, 1, 1))
+    found = search.best(search.few)
+    assert 1 < len(found) <= 8
+    for pose in found:
+        off = (pose.theta - search._aligned) / (math.pi / 2)
+        assert abs(wrap_angle((off - round(off)) * math.pi / 2)) < 1e-9
+    pairs = [(a, b) for k, a in enumerate(found) for b in found[:k]]
+    assert all(differ(a, b, search.centre, 0.5, math.radians(2.0)) for a, b in pairs)
+
+
+def test_a_rotation_is_correlated_once_with_the_one_turned_by_half_a_turn(
+    building: Any, correlated: list[Any]
+) -> None:
+    search = TransformSearch(*two(building, 0, 1))
+    first = search.best(search.few)
+    assert len(correlated) == 2 * len(search.few)
+    assert search.best(search.few) == first
+    search.best(search.many)
+    assert len(correlated) == 2 * len(search.many)
+
+
+@pytest.mark.parametrize(
+    ("score", "lead", "overlap", "passes"),
+    [
+        (0.9, 0.0, 0.1, 1),  # right
+        (0.2, 0.0, 0.1, 1),  # hopeless
+        (0.6, 0.5, 0.6, 1),  # clear: it is another place
+        (0.6, 0.05, 0.6, 2),
+        (0.6, 0.5, 0.3, 2),
+    ],
+)
+def test_other_directions_are_tried_when_the_first_answer_is_neither_right_nor_clear(
+    score: float,
+    lead: float,
+    overlap: float,
+    passes: int,
+    building: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    check = Check(
+        old_from_new=Pose2(0.0, 0.0, 0.0),
+        score=score,
+        confirmed_m=9.0,
+        overlap=overlap,
+        least_overlap=overlap,
+        lead=lead,
+    )
+    tried: list[Any] = []
+
+    def answer(*given: Any) -> Check:
+        tried.append(given)
+        return check
+
+    monkeypatch.setattr(verification, "_best", answer)
+    assert verify(*two(building, 0, 1)) == check
+    assert len(tried) == passes
+
+
+def test_a_guess_is_refined_once(building: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    guesses: list[Any] = []
+
+    def counting(field: Any, points: Any, guess: Pose2, *limits: Any) -> Any:
+        guesses.append((guess, len(points)))
+        return refine(field, points, guess, *limits)
+
+    monkeypatch.setattr(verification, "refine", counting)
+    grids = two(building, 0, 1)
+    turn("recognition", sure_score=1.0, hopeless_score=-1.0, min_lead=9.0)
+    assert verify(*grids) is not None
+    assert len(guesses) >= 4  # three, the last centimetres, and others of the second pass
+    assert len(set(guesses)) == len(guesses)
+    assert np.isfinite([guess for guess, _ in guesses]).all()

@@ -1,4 +1,4 @@
-"""The returns of a scan: which readings count, their order, and what is computed of them once."""
+"""The returns of scans: order, segments, pairs of points."""
 
 from __future__ import annotations
 
@@ -12,9 +12,56 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.recognition.features.returns import PAIR_STEPS, ReturnsBatch
+from specmap_cli.recognition.features.returns import (
+    PAIR_STEPS,
+    ReturnsBatch,
+    Segments,
+    pair_windows,
+    ratio,
+)
 from tests.recognition.features.one_scan import batch_of, returns_of
 from tests.strategies import planar_scans
+
+pieces = st.lists(st.lists(st.floats(-5.0, 5.0), max_size=6), max_size=6)
+
+
+@given(pieces)
+def test_values_of_every_piece_are_those_of_a_loop(given_pieces: list[list[float]]) -> None:
+    segments = Segments.of_counts(np.array([len(piece) for piece in given_pieces]))
+    values = np.array([value for piece in given_pieces for value in piece])
+    assert len(segments) == len(given_pieces)
+    assert segments.sum(values) == pytest.approx([sum(piece) for piece in given_pieces])
+    means = np.array([float(np.mean(piece)) if piece else 0.0 for piece in given_pieces])
+    assert segments.mean(np.stack([values, -values])) == pytest.approx(np.stack([means, -means]))
+    assert segments.max(values).tolist() == [max(piece, default=0.0) for piece in given_pieces]
+    assert segments.sum(values > 0).tolist() == [
+        sum(v > 0 for v in piece) for piece in given_pieces
+    ]
+    largest = segments.argmax(values) - segments.starts[:-1]
+    assert largest.tolist() == [int(np.argmax(piece)) if piece else 0 for piece in given_pieces]
+    summed = [total for piece in given_pieces for total in np.cumsum(piece)]
+    assert segments.cumsum(values).tolist() == summed
+    after = [value for piece in given_pieces for value in (*piece[1:], *piece[:1])]
+    assert values[segments.following].tolist() == after
+    rows = segments.padded(values, np.nan, width=2)
+    assert [row[np.isfinite(row)].tolist() for row in rows] == given_pieces
+    positive = segments.kept(values > 0.0)
+    assert positive.counts.tolist() == [sum(v > 0 for v in piece) for piece in given_pieces]
+    assert segments.last.sum() == sum(bool(piece) for piece in given_pieces)
+
+
+def test_a_ratio_to_nothing_is_nought() -> None:
+    assert ratio(np.array([1.0, 3.0]), np.array([0.0, 2.0])).tolist() == [0.0, 1.5]
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 5, 6, 110])
+def test_each_pair_comes_once_and_what_is_missing_is_no_number(count: int) -> None:
+    first, second = pair_windows(np.arange(float(count)))
+    first, second = np.broadcast_arrays(first, second)
+    ends = np.sort(np.stack([first.ravel(), second.ravel()]), axis=0)
+    ends = ends[:, np.isfinite(ends).all(axis=0)]
+    assert sorted(zip(*ends.tolist(), strict=True)) == list(combinations(range(count), 2))
+
 
 readings = st.lists(
     st.one_of(st.floats(0.05, 25.0), st.sampled_from([math.inf, math.nan, 0.0, 20.0])),

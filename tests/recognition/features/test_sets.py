@@ -24,6 +24,7 @@ from specmap_cli.recognition.features.sets import (
     histogram_columns,
     scans_features,
 )
+from tests.recognition.posed import posed
 
 
 def scan(range_m: float = 3.0, beams: int = 180) -> PlanarScan:
@@ -78,11 +79,6 @@ def test_the_paper_s_set_is_part_of_all_others() -> None:
         assert feature_names(name)[: len(paper)] == paper
 
 
-def test_the_defaults_and_the_paper_s_settings_are_in_the_table() -> None:
-    for preset in ("default", "paper"):
-        check_feature_sets(load_config(preset=preset))
-
-
 @pytest.mark.parametrize("section", ["recognition", "localization"])
 def test_a_setting_that_names_no_set_is_told_before_the_work(section: str) -> None:
     config = load_config(overrides={section: {"feature_set": "tabel1"}})
@@ -121,12 +117,6 @@ def test_a_package_adds_a_set(install: Callable[..., None]) -> None:
     assert histogram_columns("mine") == [2, 3, 4]
     assert scans_features([scan()], "mine")[0] == pytest.approx([3.2, 180.0, 0.0, 1.0, 0.0])
     check_feature_sets(load_config(overrides={"recognition": {"feature_set": "mine"}}))
-
-
-def test_the_sets_of_a_package_are_listed_with_the_others(install: Callable[..., None]) -> None:
-    install("mine")
-    with pytest.raises(UsageError, match="choose from full, mine, pairs, places, shape, table1,"):
-        feature_names("yours")
 
 
 def test_the_name_of_a_set_cannot_be_taken(install: Callable[..., None]) -> None:
@@ -205,15 +195,7 @@ def test_keyframes_have_their_features_computed_once_while_there_is_room(
     with KeyframeStore() as store:
         for k in range(4):
             pose = Pose2(0.1 * k, 0.0, 0.0)
-            store.append(
-                PosedScan(
-                    index=k,
-                    stamp_ns=k,
-                    map_from_base=pose,
-                    planar=scan(2.0 + k),
-                    base_from_laser=IDENTITY,
-                )
-            )
+            store.append(posed(scan(2.0 + k), pose, k))
         features = KeyframeFeatures(store, "table1", most)
         first = features.of([0, 1, 0, 2])
         assert computed == [1.8, 2.8, 3.8]

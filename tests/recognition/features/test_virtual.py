@@ -1,4 +1,4 @@
-"""Virtual full-circle scans: of the window behind the robot, and cast from a grid."""
+"""Virtual scans: of the window behind the robot, cast from a grid, and from beside the way."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.recognition.features.virtual import (
     RecentScans,
@@ -18,7 +18,10 @@ from specmap_cli.recognition.features.virtual import (
     cast_circles,
     circle,
     nearest_returns,
+    outline,
+    seen_from,
 )
+from tests.recognition.posed import posed
 from tests.strategies import poses, seeds
 from tests.turning import turn
 
@@ -32,12 +35,18 @@ def recent_scans(**settings: float) -> RecentScans:
     return RecentScans()
 
 
+def add(recent: RecentScans, points: FloatArray, pose: Pose2) -> None:
+    """Take in what a scan saw from a pose."""
+    if recent.moves_on(pose):
+        recent.keep(points, pose, IDENTITY)
+
+
 def drive(recent: RecentScans, metres: float, step: float = 0.25) -> Pose2:
     """Drive straight on; each scan sees one point, a metre to the left of the robot."""
     pose = IDENTITY
     for k in range(round(metres / step) + 1):
         pose = Pose2(step * k, 0.0, 0.0)
-        recent.add_points(WALL, pose, IDENTITY)
+        add(recent, WALL, pose)
     return pose
 
 
@@ -76,18 +85,8 @@ def test_a_virtual_scan_sees_the_same_points_from_wherever_it_is_taken(
     mounting = Pose2(0.3, -0.1, 0.4)
     planar = PlanarScan(0, bearings, ranges, range_max=20.0, full_circle=True)
     recent = recent_scans()
-    recent.add(
-        PosedScan(
-            index=0, stamp_ns=0, map_from_base=origin, planar=planar, base_from_laser=mounting
-        )
-    )
+    recent.add(posed(planar, origin, base_from_laser=mounting))
     assert recent.scan(3, origin @ mounting).ranges == pytest.approx(ranges)
-
-
-def test_an_empty_window_sees_nothing() -> None:
-    recent = recent_scans()
-    assert recent.filled == 0.0
-    assert np.isinf(recent.scan(0, IDENTITY).ranges).all()
 
 
 def test_what_lies_a_window_back_is_forgotten() -> None:
@@ -109,31 +108,22 @@ def test_a_share_of_the_window_is_what_was_seen_last(share: float, far_m: float)
     assert np.isinf(recent_scans().scan(0, here, share).ranges).all()
 
 
-def test_only_a_scan_that_is_to_be_kept_has_to_be_read() -> None:
-    recent = recent_scans(virtual_spacing_m=0.5)
-    asked = [recent.moves_on(Pose2(0.1 * k, 0.0, 0.0)) for k in range(3)]
-    assert asked == [True, True, True]  # nothing was kept
-    recent.keep(WALL, Pose2(0.2, 0.0, 0.0), IDENTITY)
-    assert [recent.moves_on(Pose2(0.1 * k, 0.0, 0.0)) for k in (4, 6, 8)] == [False, False, True]
-    assert recent.filled == pytest.approx(0.4)
-
-
 def test_scans_too_near_to_the_last_are_left_out_but_their_way_counts() -> None:
     recent = recent_scans(virtual_spacing_m=0.5)
     for k in range(5):  # 0.1 m apart, each with another point
         point = np.array([[0.0, 1.0 + k]])
-        recent.add_points(point, Pose2(0.1 * k, 0.0, 0.0), IDENTITY)
+        add(recent, point, Pose2(0.1 * k, 0.0, 0.0))
     assert recent.filled == pytest.approx(0.2)
     ranges = recent.scan(0, IDENTITY).ranges
     assert np.isfinite(ranges).sum() == 1
-    recent.add_points(np.array([[1.0, 0.0]]), Pose2(0.5, 0.0, 0.0), IDENTITY)
+    add(recent, np.array([[1.0, 0.0]]), Pose2(0.5, 0.0, 0.0))
     assert np.isfinite(recent.scan(0, IDENTITY).ranges).sum() == 2
 
 
 def test_a_turn_on_the_spot_is_worth_a_scan() -> None:
     recent = recent_scans(virtual_spacing_rad=0.3)
     for theta in (0.0, 0.2, 0.4):
-        recent.add_points(np.array([[2.0, 0.0]]), Pose2(0.0, 0.0, theta), IDENTITY)
+        add(recent, np.array([[2.0, 0.0]]), Pose2(0.0, 0.0, theta))
     seen = np.isfinite(recent.scan(0, IDENTITY).ranges)
     assert seen.sum() == 2  # straight ahead, and at 0.4 rad; the turn of 0.2 added nothing
     assert recent.filled == 0.0
@@ -144,9 +134,9 @@ def test_after_a_restart_nothing_of_before_is_seen_and_the_window_fills_anew() -
     drive(recent, 3.0)
     recent.clear()
     assert recent.filled == 0.0
-    recent.add_points(WALL, Pose2(100.0, 0.0, 0.0), IDENTITY)
+    add(recent, WALL, Pose2(100.0, 0.0, 0.0))
     assert recent.filled == 0.0  # the leap between the two poses is no way driven
-    recent.add_points(WALL, Pose2(101.0, 0.0, 0.0), IDENTITY)
+    add(recent, WALL, Pose2(101.0, 0.0, 0.0))
     assert recent.filled == pytest.approx(0.5)
 
 
@@ -159,5 +149,76 @@ def test_a_cast_scan_is_what_the_walls_of_the_grid_show(flat: GridMap) -> None:
     assert np.median(np.abs(seen.ranges - cast.ranges)) < 0.06
 
 
-def test_no_origin_gives_no_scan(flat: GridMap) -> None:
-    assert cast_circles(flat, np.zeros((0, 2)), 90, 12.0) == []
+HALF_M = 3.0  # of the side of a room around the origin
+
+
+def walls_seen(pose: Pose2, bearings: FloatArray) -> FloatArray:
+    """(B,) ranges in an empty square room."""
+    angles = bearings + pose.theta
+    with np.errstate(divide="ignore"):
+        along_x = (np.copysign(HALF_M, np.cos(angles)) - pose.x) / np.cos(angles)
+        along_y = (np.copysign(HALF_M, np.sin(angles)) - pose.y) / np.sin(angles)
+    return np.minimum(along_x, along_y)
+
+
+def scan_at(pose: Pose2, beams: int, full_circle: bool) -> PlanarScan:
+    half = math.pi if full_circle else 0.5 * math.pi
+    bearings = np.linspace(-half, half, beams, endpoint=not full_circle)
+    return PlanarScan(
+        stamp_ns=0,
+        bearings=bearings,
+        ranges=walls_seen(pose, bearings),
+        range_max=20.0,
+        full_circle=full_circle,
+    )
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.0, math.pi, -2.5])
+def test_a_room_seen_all_round_looks_from_a_step_aside_as_it_does_there(heading: float) -> None:
+    here, there = Pose2(0.5, -1.0, heading), Pose2(0.3, -0.7, heading + 0.4)
+    scan = scan_at(here, 720, full_circle=True)
+    ranges = seen_from(outline(scan, here, 20.0), there, scan.bearings, 20.0)
+    seen = np.isfinite(ranges)
+    assert seen.mean() > 0.99  # the gap where the circle closes
+    off = np.abs(ranges - walls_seen(there, scan.bearings))[seen]
+    assert off.max() < 0.02  # corners are cut between two beams
+    assert np.median(off) < 1e-5
+
+
+def test_what_lies_behind_a_narrow_laser_is_not_made_up() -> None:
+    here, there = Pose2(0.0, 0.0, 0.0), Pose2(0.0, 0.0, math.radians(30.0))
+    scan = scan_at(here, 181, full_circle=False)
+    lines = outline(scan, here, 20.0)
+    ranges = seen_from(lines, there, scan.bearings, 20.0)
+    assert np.isfinite(ranges[:150]).all()
+    assert np.isinf(ranges[152:]).all()
+    turned = scan_at(there, 181, full_circle=False)
+    both = np.vstack([lines, outline(turned, there, 20.0)])
+    assert np.isfinite(seen_from(both, there, scan.bearings, 20.0)).all()
+
+
+def test_the_nearest_surface_hides_those_behind_it() -> None:
+    near, far = [1.0, -1.0, 1.0, 1.0], [2.0, -4.0, 2.0, 4.0]
+    bearings = np.radians([-50.0, 0.0, 50.0])
+    ranges = seen_from(np.array([far, near]), Pose2(0.0, 0.0, 0.0), bearings, 20.0)
+    assert ranges == pytest.approx(
+        [2.0 / math.cos(bearings[0]), 1.0, 2.0 / math.cos(bearings[2])], abs=1e-6
+    )
+    assert np.isinf(seen_from(np.array([far]), Pose2(0.0, 0.0, 0.0), bearings, 1.5)).all()
+
+
+def test_no_line_joins_two_surfaces_or_a_return_with_none() -> None:
+    ranges = np.array([2.0, 2.0, 4.0, 4.0, np.inf, 4.0, np.nan, 4.0, 4.0, 9.0])
+    scan = PlanarScan(
+        stamp_ns=0,
+        bearings=np.radians(np.arange(10.0)),
+        ranges=ranges,
+        range_max=20.0,
+        full_circle=False,
+    )
+    pose = Pose2(1.0, 2.0, 0.3)
+    lines = outline(scan, pose, 20.0)
+    assert len(lines) == 3
+    assert np.hypot(*(lines[:, :2] - [1.0, 2.0]).T) == pytest.approx([2.0, 4.0, 4.0])
+    assert len(outline(scan, pose, 3.0)) == 1
+    assert seen_from(np.zeros((0, 4)), pose, scan.bearings, 20.0).tolist() == [np.inf] * 10

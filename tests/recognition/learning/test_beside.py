@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.config import load_config
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.features.virtual import seen_from
 from specmap_cli.recognition.learning import sampling
 from specmap_cli.recognition.learning.sampling import augmented_samples
 from specmap_cli.recognition.learning.training_data import together
+from tests.recognition.posed import stored
 
 SUBMAPS = {1: list(range(0, 30)), 4: list(range(32, 38))}  # keyframes 30 and 31 are in none
 
@@ -30,17 +30,8 @@ def settings(augmentation: int) -> Config:
 def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
     """Keyframes on the way through a room of the building."""
     building = request.getfixturevalue("building")
-    with KeyframeStore() as made:
-        for number, pose in enumerate(building.path(0, 1)[:38]):
-            made.append(
-                PosedScan(
-                    index=number,
-                    stamp_ns=number,
-                    map_from_base=Pose2(*pose.tolist()),
-                    planar=building.scans(pose[None])[0],
-                    base_from_laser=IDENTITY,
-                )
-            )
+    poses = building.path(0, 1)[:38]
+    with stored(building.scans(poses), poses) as made:
         yield made
 
 
@@ -104,13 +95,6 @@ def test_they_lie_a_step_aside_and_look_as_scans_taken_there(
         assert both.sum() > 0.8 * np.isfinite(scan.ranges).sum()
         off.append(np.median(np.abs(scan.ranges - ranges)[both]))
     assert np.median(off) < 0.03
-
-
-def test_none_are_made_where_none_are_wanted(store: KeyframeStore) -> None:
-    found = augmented_samples(store, SUBMAPS, store.poses, settings(0), np.random.default_rng(0))
-    width = scans_features([store.scan(0)], "table1").shape[1]
-    assert [own.features.shape for own in found.values()] == [(0, width)] * 2
-    assert list(found) == [1, 4]
 
 
 def test_they_are_the_same_for_a_seed_and_differ_for_another(store: KeyframeStore) -> None:

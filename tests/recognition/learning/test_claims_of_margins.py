@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.learning.calibration import (
     RAW_ALONE,
@@ -82,12 +81,3 @@ def test_a_view_that_leaves_more_open_goes_on_for_longer() -> None:
 
 def test_what_is_usual_is_not_sure_of_a_scan_on_the_fence() -> None:
     assert RAW_ALONE.log(np.array([0.0]))[0] == pytest.approx(np.log1p(np.exp(-3.49)))
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"raw": 0.0}, {"virtual": -1.0}, {"raw": 1e9}, {"views": 1.5}, {"views": -1}, {"views": "7"}],
-)
-def test_a_calibration_that_makes_no_sense_is_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(MapError, match="calibration"):
-        Calibration.from_dict(Calibration(0.9, 1.1, 40).to_dict() | wrong)

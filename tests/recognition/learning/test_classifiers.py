@@ -26,7 +26,8 @@ SENSOR = Sensor(beams=360, field_of_view=2 * math.pi, range_max=20.0, full_circl
 
 def recogniser(config: Config, seed: int = 0) -> Recogniser:
     made = samples_of(config)
-    return train(made, config.recognition.feature_set, config, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    return train(made, config.recognition.feature_set, config, rng, made)
 
 
 def classifier_set(config: Config = SMALL) -> ClassifierSet:
@@ -64,54 +65,26 @@ def test_a_file_gives_the_same_set_back(config: Config) -> None:
         assert read.strangeness(X).tolist() == learned.strangeness(X).tolist()
 
 
-def test_a_set_is_complete_when_it_exists() -> None:
-    model = classifier_set()
-    for name in ("sensor", "raw", "virtual"):
-        with pytest.raises(AttributeError):
-            setattr(model, name, None)
-    with pytest.raises(AttributeError):
-        model.raw.familiarity = None  # type: ignore[misc]
-
-
-def test_virtual_classifiers_are_optional() -> None:
-    model = ClassifierSet(sensor=SENSOR, raw=recogniser(SMALL))
-    assert model.virtual is None
-    assert "virtual" not in json.loads(model.to_json())
-    assert ClassifierSet.from_json(model.to_json()).virtual is None
-
-
-def test_files_from_before_the_misfit_was_kept_are_read() -> None:
+def test_older_files_lack_what_maps_had_not_yet() -> None:
     data = json.loads(classifier_set().to_json())
-    del data["misfit"]
-    assert ClassifierSet.from_json(json.dumps(data)).misfit is None
-
-
-def test_without_exemplars_nothing_is_strange() -> None:
-    learned = recogniser(SMALL)
-    model = Recogniser(learned.classifiers, None)
-    assert "exemplars" not in model.to_dict()
-    assert model.strangeness(np.zeros((3, 118))).tolist() == [-math.inf] * 3
-
-
-def test_the_file_names_features_and_holds_no_pickled_thing() -> None:
-    data = json.loads(classifier_set().to_json())
-    first = data["raw"]["classifiers"]["0"]["rounds"][0]
-    assert first["root"]["feature"] in feature_names("pairs")
-    assert set(first) == {"root", "below", "above", "votes"}
+    for key in ("virtual", "misfit", "calibration"):
+        del data[key]
+    del data["raw"]["exemplars"]
+    back = ClassifierSet.from_json(json.dumps(data))
+    assert (back.virtual, back.misfit, back.calibration) == (None, None, None)
+    assert back.raw.strangeness(np.zeros((3, 118))).tolist() == [-math.inf] * 3
+    assert json.loads(back.to_json()) == data
 
 
 def test_the_file_has_a_round_a_line_and_is_plain_json() -> None:
     text = classifier_set().to_json()
+    assert text == classifier_set().to_json(), "training is repeatable"
     lines = [line for line in text.splitlines() if '"votes"' in line]
     assert len(lines) == 2 * 3 * 25  # raw and virtual, three submaps, 25 rounds
     for line in lines:
         assert set(json.loads(line.strip().rstrip(","))) == {"root", "below", "above", "votes"}
     assert text.endswith("}\n")
     assert json.loads(text) == json.loads(json.dumps(json.loads(text), allow_nan=False))
-
-
-def test_training_is_repeatable() -> None:
-    assert classifier_set().to_json() == classifier_set().to_json()
 
 
 splits = st.fixed_dictionaries(
@@ -160,6 +133,9 @@ def test_dump_after_load_is_identity(classifiers: dict[int, Any]) -> None:
     assert back.margins(X[:0]).shape == (0, len(classifiers))
 
 
+STUMP = {"feature": "area", "threshold": 0.5, "polarity": 1, "votes": 0.3}
+
+
 def edit(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
     def change(data: dict[str, Any]) -> None:
         *parents, last = path.split("/")
@@ -188,6 +164,15 @@ def edit(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         edit("raw/classifiers/0", 3),
         edit("raw/classifiers/0/kind", "oracle"),
         edit("raw/classifiers/0/rounds/2/root/feature", "height"),
+        edit("raw/classifiers/0/rounds/2/root/feature", ["f1"]),
+        edit("raw/classifiers/0/rounds/2/root/threshold", "high"),
+        edit("raw/classifiers/0/rounds/2/root/threshold", float("nan")),
+        edit("raw/classifiers/0/rounds/2/root/threshold", True),
+        edit("raw/classifiers/0/rounds/2/below", "f1"),
+        edit("raw/classifiers/0/rounds/2", 7),
+        edit("raw/classifiers/0/rounds/2/votes", [1.0, 2.0, 3.0, None]),
+        edit("raw/classifiers/0", {"kind": "stumps", "rounds": [STUMP | {"polarity": 0}]}),
+        edit("raw/classifiers/0", {"kind": "stumps", "rounds": [{"feature": "area"}]}),
         edit("raw/classifiers/0/rounds/2/votes", [1, 2, 3]),
         edit("raw/classifiers/0/rounds/2/votes", [1, 2, 3, 10**400]),
         edit("raw/classifiers/0/rounds", {}),
@@ -206,7 +191,16 @@ def edit(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         edit("misfit/typical", -0.1),
         edit("misfit/typical", float("nan")),
         edit("misfit/views", 10**400),
+        edit("misfit/typical", 1.1),
         edit("misfit/views", 1.5),
+        edit("misfit/views", -1),
+        edit("misfit/views", 61),
+        edit("calibration/raw", 0.0),
+        edit("calibration/raw", 1e9),
+        edit("calibration/virtual", -1.0),
+        edit("calibration/views", 1.5),
+        edit("calibration/views", -1),
+        edit("calibration/views", "7"),
     ],
 )
 def test_a_file_edited_into_nonsense_is_refused_in_one_line(
@@ -221,24 +215,13 @@ def test_a_file_edited_into_nonsense_is_refused_in_one_line(
     assert len(str(error.value)) < 300
 
 
-def test_a_set_that_is_not_installed_is_told_with_what_to_do() -> None:
-    data = json.loads(classifier_set().to_json())
-    data["raw"]["feature_set"] = "mine"
-    with pytest.raises(MapError) as error:
-        ClassifierSet.from_json(json.dumps(data))
-    assert str(error.value) == (
-        "classifiers: file: its feature set 'mine' is not installed: install the package that "
-        "offers it, or build the map again"
-    )
-
-
 def test_the_submap_at_fault_is_named() -> None:
     data = json.loads(classifier_set().to_json())
     data["raw"]["classifiers"]["4"]["rounds"][7]["below"]["feature"] = "height"
     with pytest.raises(MapError) as error:
         ClassifierSet.from_json(json.dumps(data))
     assert str(error.value) == (
-        "submap 4: round 7, below: 'feature' is 'height', which is not known; build the map again"
+        "classifiers: submap 4: 'height' is no feature of the set; build the map again"
     )
 
 

@@ -109,11 +109,3 @@ def test_samples_that_are_all_alike_leave_a_limit_of_nought() -> None:
     other = np.full((1, WIDTH), 0.5)
     assert np.isfinite(known.strangeness(other)).all()
     assert known.strangeness(other)[0] > 1.0
-
-
-def test_a_file_gives_the_same_distances_back() -> None:
-    known = Familiarity("pairs").fit(samples_of(SMALL))
-    back = Familiarity.from_dict(known.to_dict(), "pairs")
-    X = samples_of(SMALL, seed=9)[4]
-    assert back.to_dict() == known.to_dict()
-    assert back.strangeness(X).tolist() == known.strangeness(X).tolist()

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import PosedScan
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import Config, LocalizationConfig, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
@@ -21,6 +20,7 @@ from specmap_cli.recognition.learning.training_data import (
     of_keyframes,
     together,
 )
+from tests.recognition.posed import stored
 
 SUBMAPS = {0: list(range(20)), 3: list(range(20, 60))}
 STARTS = (40,)
@@ -37,19 +37,8 @@ def numbered(*keyframes: int) -> Samples:
 def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
     """Sixty keyframes in three rooms of the building."""
     building = request.getfixturevalue("building")
-    with KeyframeStore() as made:
-        for room in (0, 1, 2):
-            for pose in building.path(room, 1)[:20]:
-                scan = building.scans(pose[None])[0]
-                made.append(
-                    PosedScan(
-                        index=len(made),
-                        stamp_ns=len(made),
-                        map_from_base=Pose2(*pose.tolist()),
-                        planar=scan,
-                        base_from_laser=IDENTITY,
-                    )
-                )
+    poses = np.vstack([building.path(room, 1)[:20] for room in (0, 1, 2)])
+    with stored(building.scans(poses), poses) as made:
         yield made
 
 

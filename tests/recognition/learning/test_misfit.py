@@ -2,40 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit, near_returns
+from tests.recognition.posed import stored
 
 CONFIG = LocalizationConfig()
 
 
-def stored(building: Any, poses: FloatArray, noise_m: float = 0.0) -> KeyframeStore:
-    rng, store = np.random.default_rng(3), KeyframeStore()
-    for k, (pose, scan) in enumerate(zip(poses, building.scans(poses), strict=True)):
-        ranges = scan.ranges + rng.normal(0.0, noise_m, len(scan.ranges))
-        store.append(
-            PosedScan(
-                index=k,
-                stamp_ns=k,
-                map_from_base=Pose2(*pose.tolist()),
-                planar=PlanarScan(k, scan.bearings, ranges, 20.0, full_circle=True),
-                base_from_laser=IDENTITY,
-            )
-        )
-    return store
+def noisy(scans: list[PlanarScan], noise_m: float) -> list[PlanarScan]:
+    rng = np.random.default_rng(3)
+    return [
+        replace(scan, ranges=scan.ranges + rng.normal(0.0, noise_m, len(scan.ranges)))
+        for scan in scans
+    ]
 
 
 def misfit_of(building: Any, noise_m: float = 0.0, step: int = 1) -> HeldOutMisfit:
     poses = building.path(0, 2)[::step]
-    with stored(building, poses, noise_m) as store:
+    with stored(noisy(building.scans(poses), noise_m), poses) as store:
         return held_out_misfit(store, {5: range(len(poses))}, store.poses)
 
 
@@ -50,7 +41,7 @@ def test_what_was_seen_just_before_and_after_is_held_out_too(building: Any) -> N
     """A robot that never moved a metre has nothing left to compare with."""
     poses = np.zeros((12, 3)) + building.path(0, 2)[:1]
     poses[:, 0] += 0.05 * np.arange(12)
-    with stored(building, poses) as store:
+    with stored(building.scans(poses), poses) as store:
         found = held_out_misfit(store, {5: range(12)}, store.poses)
     assert found == HeldOutMisfit(0.0, 0)
 
@@ -58,7 +49,7 @@ def test_what_was_seen_just_before_and_after_is_held_out_too(building: Any) -> N
 def test_views_of_places_seen_once_are_not_held_out(building: Any) -> None:
     """Two keyframes metres apart: neither is a place that the other knows."""
     poses = building.path(0, 2)[[0, 20]]
-    with stored(building, poses) as store:
+    with stored(building.scans(poses), poses) as store:
         assert held_out_misfit(store, {5: [0, 1]}, store.poses).views == 0
 
 
@@ -69,16 +60,3 @@ def test_near_returns_are_those_in_reach_or_the_nearer_half() -> None:
         ranges = np.hypot(*near_returns(scan, reach).T)
         assert ranges.max() == pytest.approx(farthest)
     assert len(near_returns(PlanarScan(0, bearings, np.full(41, np.inf), 30.0, False), 8.0)) == 0
-
-
-@pytest.mark.parametrize(
-    ("typical", "views"), [(-0.1, 3), (1.1, 3), (0.1, -1), (0.1, 61), (0.1, 2.5)]
-)
-def test_a_file_out_of_bounds_is_refused(typical: float, views: float) -> None:
-    with pytest.raises(MapError, match="misfit: its median or its number of views is out of"):
-        HeldOutMisfit.from_dict({"typical": typical, "views": views})
-
-
-def test_a_file_gives_it_back() -> None:
-    found = HeldOutMisfit(0.0371, 55)
-    assert HeldOutMisfit.from_dict(found.to_dict()) == found

@@ -72,16 +72,6 @@ def test_fitting_again_forgets_the_classes_of_before() -> None:
     assert model.margins(made[9]).shape == (90, 2)
 
 
-@pytest.mark.parametrize("config", [SMALL, PAPER])
-def test_what_is_read_back_is_fitted(config: Config) -> None:
-    model = fitted(config)
-    back = OneVsAll.from_dict(model.to_dict())
-    X = samples_of(config, seed=6)[0]
-    assert back.classes_ == model.classes_
-    assert back.to_dict() == model.to_dict()
-    assert back.margins(X).tolist() == model.margins(X).tolist()
-
-
 def test_another_generator_draws_other_features() -> None:
     assert fitted(SMALL, seed=0).to_dict() != fitted(SMALL, seed=1).to_dict()
     assert fitted(PAPER, seed=0).to_dict() == fitted(PAPER, seed=1).to_dict()  # nothing is drawn

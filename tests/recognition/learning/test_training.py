@@ -10,8 +10,7 @@ import pytest
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
-from specmap_cli.core.records import PosedScan
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
@@ -34,8 +33,9 @@ from specmap_cli.recognition.learning.sampling import (
     raw_samples,
     track_samples,
 )
-from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_raw
+from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_and_test
 from specmap_cli.recognition.localization.localizer import Localizer
+from tests.recognition.posed import posed, stored
 from tests.turning import turn
 
 SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 are in none
@@ -56,21 +56,8 @@ def settings(**localization: Any) -> Config:
 def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
     """Forty keyframes in each of two rooms of the building."""
     building = request.getfixturevalue("building")
-    with KeyframeStore() as made:
-        for room in (0, 2):
-            for pose in building.path(room, 1):
-                at = Pose2(*pose.tolist())
-                number = len(made)
-                scan = building.scans(pose[None])[0]
-                made.append(
-                    PosedScan(
-                        index=number,
-                        stamp_ns=number,
-                        map_from_base=at,
-                        planar=scan,
-                        base_from_laser=IDENTITY,
-                    )
-                )
+    poses = np.vstack([building.path(room, 1) for room in (0, 2)])
+    with stored(building.scans(poses), poses) as made:
         yield made
 
 
@@ -143,7 +130,8 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
     known = KeyframeFeatures(store, "table1")
     known.of(range(50))
     shared = raw_samples(store, SUBMAPS, config, known)
-    again, _ = train_raw(shared, beside, store.poses, config, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    again, _ = train_and_test(shared, beside, store.poses, config, rng, virtual=False)
     assert again.to_dict() == learned.to_dict()
 
 
@@ -181,7 +169,8 @@ def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
     """What raw scans teach."""
     samples = raw_samples(store, SUBMAPS, config)
     beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
-    return train_raw(samples, beside, store.poses, config, np.random.default_rng(0))[0]
+    rng = np.random.default_rng(0)
+    return train_and_test(samples, beside, store.poses, config, rng, virtual=False)[0]
 
 
 def samples_of(
@@ -293,18 +282,7 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
     for room in (0, 2):
         for k, pose in enumerate(building.path(room, 5)):
             at, scan = Pose2(*pose.tolist()), building.scans(pose[None])[0]
-            labels.append(
-                guide.update(
-                    PosedScan(
-                        index=k,
-                        stamp_ns=k,
-                        map_from_base=at,
-                        planar=scan,
-                        base_from_laser=IDENTITY,
-                        restarted=k == 0,
-                    )
-                )
-            )
+            labels.append(guide.update(posed(scan, at, k, restarted=k == 0)))
     right = [label.filtered_submap == (0, 2)[k // 40] for k, label in enumerate(labels)]
     assert np.mean(right) > 0.8
 
@@ -329,5 +307,5 @@ def test_a_file_of_an_older_edition_of_the_package_is_refused(
         raw=raw_of(store, config),
     )
     text = learned.to_json().replace('"rings_far"', '"rings_farthest"')
-    with pytest.raises(MapError, match="'rings_farthest', which is not known; build the map again"):
+    with pytest.raises(MapError, match="'rings_farthest' is no feature of the set; build"):
         ClassifierSet.from_json(text)

@@ -1,4 +1,4 @@
-"""Boosted trees: bins, the best splits by brute force, weights of classes and of samples."""
+"""Boosted trees: bins, the best splits by brute force, weights, and classifiers grown together."""
 
 from __future__ import annotations
 
@@ -9,8 +9,19 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import IntArray
+from specmap_cli.recognition.learning import trees
 from specmap_cli.recognition.learning.boosting import TreeBoost
-from specmap_cli.recognition.learning.trees import BINS, CodeArray, Forest, Quantiser
+from specmap_cli.recognition.learning.trees import (
+    BINS,
+    CodeArray,
+    Forest,
+    Growth,
+    Quantiser,
+    Question,
+    grown,
+    shares,
+)
 from tests.strategies import few, seeds
 
 BoolArray = NDArray[np.bool_]
@@ -99,22 +110,15 @@ def test_both_classes_weigh_alike_however_many_samples_they_have() -> None:
     X, y = data(3)
     quantiser = Quantiser.of(X)
     many = np.concatenate([np.arange(len(y)), np.repeat(np.flatnonzero(y < 0.0), 4)])
-    once, often = (
-        TreeBoost(NAMES, 1, feature_share=1.0).fit_codes(
-            quantiser.codes(X[rows]), quantiser, y[rows]
-        )
-        for rows in (np.arange(len(y)), many)
-    )
-    assert often.forest_.features.tolist() == once.forest_.features.tolist()
-    assert often.forest_.thresholds.tolist() == once.forest_.thresholds.tolist()
 
+    def first_tree(rows: IntArray) -> Forest:
+        question = Question(np.arange(len(rows)), y[rows] > 0.0)
+        codes = quantiser.codes(X[rows])
+        return grown(codes, quantiser, [question], Growth(1, 0.3, 1.0, 0))[0]
 
-def test_features_cut_beforehand_give_the_same_trees() -> None:
-    X, y = data(4)
-    quantiser = Quantiser.of(X)
-    direct = TreeBoost(NAMES, 20, seed=5).fit(X, y)
-    cut = TreeBoost(NAMES, 20, seed=5).fit_codes(quantiser.codes(X), quantiser, y)
-    assert cut.to_dict() == direct.to_dict()
+    once, often = first_tree(np.arange(len(y))), first_tree(many)
+    assert often.features.tolist() == once.features.tolist()
+    assert often.thresholds.tolist() == once.thresholds.tolist()
 
 
 def test_a_smaller_share_of_the_features_is_drawn_anew_each_round() -> None:
@@ -128,17 +132,6 @@ def test_shrinkage_scales_the_first_votes() -> None:
     X, y = data(6)
     whole, half = (TreeBoost(NAMES, 1, shrink, 1.0).fit(X, y) for shrink in (1.0, 0.5))
     assert half.forest_.votes == pytest.approx(0.5 * whole.forest_.votes, abs=1e-6)
-
-
-def test_more_rounds_separate_what_can_be_separated() -> None:
-    X, _ = data(7, n=300)
-    y = np.where(X[:, 0] * X[:, 1] > 0.0, 1.0, -1.0)
-    shares = [
-        ((TreeBoost(NAMES, rounds, feature_share=1.0).fit(X, y).margins(X) > 0.0) == (y > 0)).mean()
-        for rounds in (1, 10, 200)
-    ]
-    assert shares == sorted(shares)
-    assert shares[-1] > 0.98
 
 
 def test_samples_of_one_class_alone_are_all_of_it() -> None:
@@ -168,3 +161,88 @@ def test_the_order_of_the_samples_changes_no_bit(seed: int) -> None:
     assert TreeBoost(NAMES, 8, feature_share=1.0).fit(X[order], y[order]).to_dict() == one
     asked = {part["feature"] for k in one["rounds"] for part in (k["root"], k["below"], k["above"])}
     assert "c" not in asked
+
+
+GROWTH = Growth(rounds=12, shrinkage=0.5, feature_share=0.5, seed=3)
+
+
+def world(seed: int = 0) -> tuple[CodeArray, Quantiser, list[Question]]:
+    """Samples of five places, and a question of different size for each: is it this one?"""
+    rng = np.random.default_rng(seed)
+    owner = np.repeat(np.arange(5), [20, 35, 50, 8, 41])
+    X = rng.normal(rng.normal(size=(5, 6))[owner], 0.8)
+    quantiser = Quantiser.of(X)
+    questions = []
+    for place in range(5):
+        others = rng.permutation(np.flatnonzero(owner != place))[: 30 + 10 * place]
+        samples = np.concatenate([np.flatnonzero(owner == place), others])
+        questions.append(Question(samples, owner[samples] == place))
+    return quantiser.codes(X), quantiser, questions
+
+
+def same(first: Forest, second: Forest) -> bool:
+    return (
+        np.array_equal(first.features, second.features)
+        and np.array_equal(first.thresholds, second.thresholds)
+        and np.array_equal(first.votes, second.votes)
+    )
+
+
+@pytest.mark.parametrize("at_once", [1, 100, 200, 1 << 15])
+def test_a_classifier_is_the_same_alone_and_with_others(
+    at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    codes, quantiser, questions = world()
+    alone = [grown(codes, quantiser, [question], GROWTH)[0] for question in questions]
+    monkeypatch.setattr(trees, "_SAMPLES_AT_ONCE", at_once)
+    together = grown(codes, quantiser, questions, GROWTH)
+    assert all(map(same, alone, together))
+    assert not same(alone[0], alone[1])
+
+
+def test_batches_hold_all_questions_in_order_and_no_more_samples_than_allowed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    questions = world()[2]
+    monkeypatch.setattr(trees, "_SAMPLES_AT_ONCE", 140)
+    batches = list(trees._batches(questions))
+    assert [question for batch in batches for question in batch] == questions
+    assert len(batches) > 1
+    for batch in batches:
+        assert len(batch) == 1 or sum(len(question.samples) for question in batch) <= 140
+
+
+def test_no_question_has_no_answer_and_no_round_leaves_a_bare_forest() -> None:
+    codes, quantiser, questions = world()
+    assert grown(codes, quantiser, [], GROWTH) == []
+    idle = Growth(rounds=0, shrinkage=0.5, feature_share=0.5, seed=3)
+    assert all(same(f, Forest.bare()) for f in grown(codes, quantiser, questions, idle))
+
+
+@given(seeds, st.integers(1, 4))
+@few(20)
+def test_shares_sum_to_one_for_each_owner_and_sums_are_exact(seed: int, owners: int) -> None:
+    rng = np.random.default_rng(seed)
+    owner = rng.permutation(np.repeat(np.arange(owners), 50))
+    weights = shares(rng.random(len(owner)) * 10.0 ** rng.integers(-3, 3), owner, owners)
+    assert np.bincount(owner, weights) == pytest.approx(np.ones(owners))
+    order = rng.permutation(len(owner))
+    for k in range(owners):
+        mixed = weights[order][owner[order] == k]
+        assert mixed.cumsum()[-1] == weights[owner == k].cumsum()[-1]
+
+
+def test_what_is_left_out_of_a_search_holds_little_of_each_question_s_weight() -> None:
+    questions = world()[2]
+    asked = trees._Asked.of(questions)
+    rng = np.random.default_rng(1)
+    raw = rng.random(len(asked.samples)) ** 6
+    weights = shares(raw, asked.question, len(questions))
+    kept = asked.heavy(weights)
+    held = np.bincount(asked.question[kept], weights[kept])
+    assert held.min() >= 0.98 - 1e-9
+    assert len(kept) < 0.8 * len(raw)
+    for k in range(len(questions)):
+        left = np.setdiff1d(np.flatnonzero(asked.question == k), kept)
+        assert weights[left].max() < weights[kept[asked.question[kept] == k]].min()
+    assert len(asked.heavy(asked.even_weights())) == len(asked.samples)

@@ -16,7 +16,6 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.learning.classifiers import Sensor
 from specmap_cli.recognition.localization.classification import BeamSampler
-from tests.turning import turn
 
 CONFIG = LocalizationConfig()
 HALF = Sensor(beams=181, field_of_view=math.pi, range_max=20.0, full_circle=False)
@@ -113,11 +112,3 @@ def test_a_laser_that_sees_less_is_refused_in_one_line(seen: Sensor, refused: bo
         f"the log's laser ({seen}) sees less than the laser of the map ({HALF}); "
         "build the map again with this laser"
     )
-
-
-def test_how_much_less_is_refused_is_set() -> None:
-    narrow = replace(HALF, field_of_view=math.radians(160.0), range_max=6.0)
-    with pytest.raises(InputError):
-        BeamSampler(narrow, HALF)
-    turn("recognition", view_slack_rad=0.4, range_share=0.25)
-    assert BeamSampler(narrow, HALF).note

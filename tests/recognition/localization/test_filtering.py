@@ -1,4 +1,4 @@
-"""The hidden Markov filter against sums over all paths."""
+"""The hidden Markov filter against sums over all paths, and scans grouped into views."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
-from tests.turning import configured
+from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter, ViewGrouping
+from tests.recognition.posed import at
+from tests.turning import configured, turn
 
 LINE: dict[int, list[int]] = {0: [1], 1: [0, 2], 2: [1], 5: []}
 
@@ -42,16 +44,6 @@ def test_filter_and_smoother_are_sums_over_all_paths(seed: int, steps: int) -> N
     assert filtered == pytest.approx(ends / ends.sum())
     smoothed = weights / weights.sum(axis=1, keepdims=True)
     assert model.smooth(evidence) == pytest.approx(smoothed)
-
-
-def test_transitions_follow_the_topology() -> None:
-    model = hidden_markov(LINE, stay=0.9)
-    transition = model.transition
-    assert transition.sum(axis=1) == pytest.approx(np.ones(5))
-    assert model.ids == [0, 1, 2, 5]
-    assert transition[1, 0] == pytest.approx(transition[1, 2])
-    assert transition[0, 1] > 50 * transition[0, 2]
-    assert (transition > 0.0).all() or (transition[:4, :4] > 0.0).all()
 
 
 def test_a_stray_scan_does_not_move_the_robot() -> None:
@@ -87,17 +79,6 @@ def test_smoothing_leaves_the_filter_as_it_was() -> None:
     model.update(np.array([5.0, 0, 0, 0, 0]))
     model.smooth(np.array([[0.0, 0, 5.0, 0, 0]] * 4))
     assert int(model.update(np.zeros(5)).argmax()) == 0
-
-
-def test_unknown_is_weighed_against_what_the_submaps_explain_together() -> None:
-    model = hidden_markov({0: [1], 1: [0]})
-    known = np.array([-1.0, -9.0])
-    prior = model.predicted()
-    together = (prior[:2] @ np.exp(known)) / prior[:2].sum()
-    assert model.with_unknown(known, 0.3)[2] == pytest.approx(np.log(together) + 0.3)
-    # with no worth of its own unknown neither gains nor loses, whatever the submaps say
-    belief = model.update(model.with_unknown(known, 0.0))
-    assert belief[2] == pytest.approx(prior[2])
 
 
 networks = st.dictionaries(
@@ -136,23 +117,6 @@ def test_only_differences_of_log_likelihoods_count(seed: int, shift: float) -> N
         assert other.update(row + shift) == pytest.approx(one.update(row))
     assert hidden_markov(LINE).smooth(evidence + shift) == pytest.approx(
         hidden_markov(LINE).smooth(evidence)
-    )
-
-
-@given(st.integers(0, 999))
-def test_the_last_scan_smoothed_is_the_last_scan_filtered(seed: int) -> None:
-    evidence = np.random.default_rng(seed).normal(0.0, 3.0, (7, 5))
-    model = hidden_markov(LINE)
-    for row in evidence:
-        filtered = model.update(row)
-    assert model.smooth(evidence)[-1] == pytest.approx(filtered)
-
-
-def test_the_names_of_submaps_do_not_matter() -> None:
-    renamed = {10 * i + 3: [10 * n + 3 for n in near] for i, near in LINE.items()}
-    evidence = np.random.default_rng(1).normal(0.0, 2.0, (5, 5))
-    assert hidden_markov(renamed).smooth(evidence).tolist() == (
-        hidden_markov(LINE).smooth(evidence).tolist()
     )
 
 
@@ -228,3 +192,67 @@ def test_unknown_gains_by_its_worth_and_by_nothing_else(worth: float) -> None:
         belief = model.update(model.with_unknown(spread * np.arange(4.0), worth))
         odds = (belief[4] / belief[:4].sum()) / (prior[4] / prior[:4].sum())
         assert np.log(odds) == pytest.approx(worth)
+
+
+@pytest.fixture
+def views() -> ViewGrouping:
+    """Views begin after 0.1 m or 0.2 rad."""
+    turn("recognition", view_m=0.1, view_rad=0.2)
+    return ViewGrouping()
+
+
+@pytest.mark.parametrize(
+    ("scan", "begins"),
+    [
+        (at(0.0), False),
+        (at(0.09), False),
+        (at(0.11), True),
+        (at(0.0, 0.19), False),
+        (at(0.0, 0.21), True),
+        (at(5.0, lost=True), False),
+    ],
+)
+def test_a_view_begins_where_the_robot_moved(
+    views: ViewGrouping, scan: PosedScan, begins: bool
+) -> None:
+    assert views.begins(at(0.0))
+    assert views.begins(scan) is begins
+
+
+def test_slow_motion_adds_up(views: ViewGrouping) -> None:
+    begun = [views.begins(at(0.03 * k)) for k in range(9)]
+    assert begun == [True, False, False, False, True, False, False, False, True]
+
+
+def test_the_first_scan_of_a_track_is_a_view_though_lost_or_unmoved(
+    views: ViewGrouping,
+) -> None:
+    assert views.begins(at(0.0, lost=True))
+    views.keep(np.zeros(2))
+    views.restart()
+    assert views.begins(at(0.0))
+
+
+@given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=20))
+def test_what_a_view_says_is_the_mean_of_its_scans(said: list[float]) -> None:
+    views = ViewGrouping()
+    views.begins(at(3.0))
+    views.mean(np.array([1e6]))
+    views.begins(at(4.0))
+    for value in said:
+        mean = views.mean(np.array([value, -value]))
+    assert mean == pytest.approx([np.mean(said), -np.mean(said)], abs=1e-9)
+
+
+def test_every_scan_gets_the_row_of_its_view(views: ViewGrouping) -> None:
+    """Two tracks: one of two views, of three and one scans, and one of a single scan."""
+    for number, x in enumerate((0.0, 0.01, 0.02, 1.0)):
+        views.begins(at(x))
+        views.keep(np.array([float(number)]))
+    views.restart()
+    views.begins(at(1.0))
+    views.keep(np.array([4.0]))
+    tracks = views.tracks()
+    assert [track.tolist() for track in tracks] == [[[2.0], [3.0]], [[4.0]]]
+    rows = [row for track in tracks for row in track]
+    assert [row.tolist() for row in views.of_scans(rows)] == [[2.0]] * 3 + [[3.0], [4.0]]

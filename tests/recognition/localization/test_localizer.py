@@ -80,6 +80,21 @@ def again(flat: GridMap) -> list[PosedScan]:
     return posed_tour(flat, 7, spacing_m=1.5)
 
 
+def walked(building: Any, room: int, seed: int) -> list[PosedScan]:
+    """The scans of a walk through a room of the building."""
+    poses = building.path(room, seed)
+    return [
+        PosedScan(
+            index=k,
+            stamp_ns=k,
+            map_from_base=Pose2(*pose.tolist()),
+            planar=scan,
+            base_from_laser=IDENTITY,
+        )
+        for k, (pose, scan) in enumerate(zip(poses, building.scans(poses), strict=True))
+    ]
+
+
 def rooms_of(flat_rooms: Any, scans: list[PosedScan]) -> np.ndarray[Any, Any]:
     return np.asarray(flat_rooms.at(np.array([s.map_from_base for s in scans])))
 
@@ -114,15 +129,6 @@ def test_another_tour_is_labelled_with_its_rooms(
         assert 0.0 < label.filtered_probability <= 1.0
 
 
-def test_the_file_localises_as_well(trained: Trained, again: list[PosedScan]) -> None:
-    direct = localizer(trained)
-    read = localizer(
-        trained._replace(classifiers=ClassifierSet.from_json(trained.classifiers.to_json()))
-    )
-    for scan in again[:40]:
-        assert read.update(scan) == direct.update(scan)  # to the last bit
-
-
 def test_scans_labelled_together_have_the_labels_that_they_have_one_by_one(
     trained: Trained, again: list[PosedScan]
 ) -> None:
@@ -137,21 +143,8 @@ def test_scans_of_another_place_are_unknown(trained: Trained, building: Any) -> 
     guide = localizer(trained)
     labels = []
     for room in (1, 2):
-        poses = building.path(room, 5)[::2]
-        for k, (pose, scan) in enumerate(zip(poses, building.scans(poses), strict=True)):
-            at = Pose2(*pose.tolist())
-            labels.append(
-                guide.update(
-                    PosedScan(
-                        index=k,
-                        stamp_ns=k,
-                        map_from_base=at,
-                        planar=scan,
-                        base_from_laser=IDENTITY,
-                        restarted=k == 0,
-                    )
-                )
-            )
+        for k, scan in enumerate(walked(building, room, 5)[::2]):
+            labels.append(guide.update(replace(scan, restarted=k == 0)))
     assert np.mean([label.submap is None for label in labels]) > 0.6
     assert np.mean([label.filtered_submap is None for label in labels]) > 0.8
 
@@ -159,17 +152,8 @@ def test_scans_of_another_place_are_unknown(trained: Trained, building: Any) -> 
 def test_unknown_can_be_switched_off(trained: Trained, building: Any) -> None:
     config = load_config(overrides={"localization": {"unknown": False}})
     guide = localizer(trained, config)
-    poses = building.path(2, 5)
-    for k, (pose, scan) in enumerate(zip(poses, building.scans(poses), strict=True)):
-        label = guide.update(
-            PosedScan(
-                index=k,
-                stamp_ns=k,
-                map_from_base=Pose2(*pose.tolist()),
-                planar=scan,
-                base_from_laser=IDENTITY,
-            )
-        )
+    for scan in walked(building, 2, 5):
+        label = guide.update(scan)
         assert label.submap is not None
         assert label.filtered_submap is not None
 
@@ -295,30 +279,6 @@ def test_when_a_single_scan_is_unknown_is_a_setting(
     assert all(label.runner_up is not None for label in labels)
 
 
-def test_when_scans_speak_for_unknown_is_a_setting(trained: Trained, building: Any) -> None:
-    places = building.path(2, 5)
-    unknown = []
-    for strange_from in (0.5, 50.0):
-        turn("recognition", strange_from=strange_from)
-        config = load_config(overrides={"localization": {"fit_submaps": 0}})
-        guide = localizer(trained, config)
-        labels = [
-            guide.update(
-                PosedScan(
-                    index=k,
-                    stamp_ns=k,
-                    map_from_base=Pose2(*pose.tolist()),
-                    planar=scan,
-                    base_from_laser=IDENTITY,
-                )
-            )
-            for k, (pose, scan) in enumerate(zip(places, building.scans(places), strict=True))
-        ]
-        unknown.append(np.mean([label.filtered_submap is None for label in labels]))
-    assert unknown[0] > 0.8
-    assert unknown[1] == 0.0
-
-
 def test_neighbours_that_the_map_does_not_hold_are_nobody_s(trained: Trained) -> None:
     wide = {1: [4, 99], 4: [1, 2, 3, 77], 88: [1]}
     guide = Localizer(trained.classifiers, wide, trained.grids, CONFIG.localization)
@@ -363,37 +323,16 @@ def test_a_robot_that_stands_in_its_room_is_found_however_long(
     assert max(smoothed) - min(smoothed) < 1e-3
 
 
-def test_identical_scans_leave_the_belief_as_it_was(
-    trained: Trained, again: list[PosedScan]
-) -> None:
-    guide = localizer(trained)
-    first = guide.update(again[30])
-    for _ in range(20):
-        last = guide.update(again[30])
-    assert last.filtered_submap == first.filtered_submap
-    assert last.filtered_probability == pytest.approx(first.filtered_probability, abs=0.02)
-
-
 def test_a_narrow_view_of_a_one_room_map_is_recognised_standing(building: Any) -> None:
     """What shows from one place is half of the room, and unlike all that was learned of it."""
+
+    def tour_of(room: int, seed: int) -> list[PosedScan]:
+        return [replace(scan, planar=half(scan.planar)) for scan in walked(building, room, seed)]
 
     def half(scan: Any) -> Any:
         front = np.abs(scan.bearings) <= np.pi / 2
         bearings, ranges = scan.bearings[front], scan.ranges[front]
         return replace(scan, bearings=bearings, ranges=ranges, full_circle=False)
-
-    def tour_of(room: int, seed: int) -> list[PosedScan]:
-        poses = building.path(room, seed)
-        return [
-            PosedScan(
-                index=k,
-                stamp_ns=k,
-                map_from_base=Pose2(*pose.tolist()),
-                planar=half(scan),
-                base_from_laser=IDENTITY,
-            )
-            for k, (pose, scan) in enumerate(zip(poses, building.scans(poses), strict=True))
-        ]
 
     one_room = train(tour_of(0, 1), np.full(40, 3), CONFIG)
     for room, known in ((0, 1.0), (1, 0.0), (2, 0.0)):

@@ -14,6 +14,7 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.localization.metric import Fix, MetricTracker
 from specmap_cli.recognition.localization.places import Place
+from tests.recognition.posed import posed
 from tests.turning import turn
 
 CONFIG = LocalizationConfig()
@@ -28,10 +29,7 @@ def walk(building: Any, room: int, steps: int = 6) -> list[PosedScan]:
         start @ Pose2(way.x * t, way.y * t, 0.1 * t) for t in np.linspace(0.0, 1.0, steps).tolist()
     ]
     scans = building.scans(np.array(along))
-    return [
-        PosedScan(index=k, stamp_ns=k, map_from_base=p, planar=s, base_from_laser=IDENTITY)
-        for k, (p, s) in enumerate(zip(along, scans, strict=True))
-    ]
+    return [posed(s, p, k) for k, (p, s) in enumerate(zip(along, scans, strict=True))]
 
 
 def frames_of(building: Any) -> dict[int, Pose2]:
@@ -147,14 +145,3 @@ def test_without_a_place_a_label_or_a_return_there_is_no_pose(building: Any) -> 
     assert tracker.locate(scan, place, None) is None
     assert tracker.locate(replace(scan, lost=True), place, 2) is None
     assert tracker.locate(blind, place, 2) is None
-
-
-def test_how_far_a_pose_is_sought_is_set(building: Any) -> None:
-    scan = walk(building, 2)[0]
-    place = place_of(building, 2, scan, Pose2(0.9, 0.0, 0.0))
-    found = []
-    for reach in (0.3, 1.2):
-        turn("recognition", follow_m=reach, lost_score=0.0)
-        found.append(tracker_of(building).locate(scan, place, 2))
-    near, far = (off_by(building, scan, fix).distance for fix in found)
-    assert far < near

@@ -18,6 +18,7 @@ from specmap_cli.recognition.localization.filtering import LEAP
 from specmap_cli.recognition.localization.places import Owners
 from specmap_cli.recognition.localization.tracking import PlaceTracker
 from specmap_cli.recognition.localization.wall_fit import Ratio, Surroundings, View, WallFit
+from tests.recognition.posed import posed
 
 CONFIG = LocalizationConfig()
 CELL_M = 0.05
@@ -60,13 +61,7 @@ class Home:
         grid = self.grids[number]
         ranges = cast_rays(self.walls[number], grid, origins, bearings + pose.theta, 20.0)
         planar = PlanarScan(0, bearings, ranges, 20.0, full_circle=False)
-        return PosedScan(
-            index=0,
-            stamp_ns=0,
-            map_from_base=pose if track is None else track,
-            planar=planar,
-            base_from_laser=IDENTITY,
-        )
+        return posed(planar, pose if track is None else track)
 
     def see(self, tracker: PlaceTracker, scan: PosedScan, belief: FloatArray = EVEN) -> FloatArray:
         """Show a scan to a tracker."""

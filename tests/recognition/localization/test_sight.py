@@ -12,6 +12,7 @@ from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.recognition.localization.wall_fit import Sightlines
+from tests.recognition.posed import posed
 
 CELL_M = 0.05
 REACH_M = 8.0
@@ -32,9 +33,7 @@ def seen_in(width_m: float, height_m: float, pose: Pose2) -> PosedScan:
         x = np.where(np.cos(angles) > 0.0, width_m - pose.x, -pose.x) / np.cos(angles)
         y = np.where(np.sin(angles) > 0.0, height_m - pose.y, -pose.y) / np.sin(angles)
     planar = PlanarScan(0, BEARINGS, np.minimum(x, y), range_max=30.0, full_circle=False)
-    return PosedScan(
-        index=0, stamp_ns=0, map_from_base=pose, planar=planar, base_from_laser=IDENTITY
-    )
+    return posed(planar, pose)
 
 
 def share(scan: PosedScan, pose: Pose2, width_m: float = 5.0, height_m: float = 4.0) -> float:
@@ -76,9 +75,7 @@ def test_a_wall_beyond_reach_stops_nothing() -> None:
 def test_the_laser_looks_from_where_it_is_mounted() -> None:
     pose, mounting = Pose2(3.5, 2.0, 0.0), Pose2(0.3, 0.1, math.pi)
     seen = seen_in(5.0, 4.0, pose @ mounting)
-    scan = PosedScan(
-        index=0, stamp_ns=0, map_from_base=pose, planar=seen.planar, base_from_laser=mounting
-    )
+    scan = posed(seen.planar, pose, base_from_laser=mounting)
     assert share(scan, pose) <= 0.02
     turned = Pose2(pose.x, pose.y, math.pi)
     assert share(scan, turned) > 0.05
@@ -87,10 +84,7 @@ def test_the_laser_looks_from_where_it_is_mounted() -> None:
 @pytest.mark.parametrize("reading", [math.inf, math.nan])
 def test_readings_without_a_return_are_not_behind_anything(reading: float) -> None:
     scan = PlanarScan(0, BEARINGS, np.full(len(BEARINGS), reading), 30.0, full_circle=False)
-    posed = PosedScan(
-        index=0, stamp_ns=0, map_from_base=IDENTITY, planar=scan, base_from_laser=IDENTITY
-    )
-    assert share(posed, Pose2(2.0, 2.0, 0.0)) == 0.0
+    assert share(posed(scan, IDENTITY), Pose2(2.0, 2.0, 0.0)) == 0.0
 
 
 def test_furnished_rooms_hide_nothing_from_their_own_scans(building: Any) -> None:
@@ -99,7 +93,4 @@ def test_furnished_rooms_hide_nothing_from_their_own_scans(building: Any) -> Non
         sight, poses = Sightlines({1: grid}, REACH_M), building.path(room, 3)[::8]
         for pose, scan in zip(poses, building.scans(poses), strict=True):
             at = Pose2(*pose.tolist())
-            posed = PosedScan(
-                index=0, stamp_ns=0, map_from_base=at, planar=scan, base_from_laser=IDENTITY
-            )
-            assert sight.behind(1, posed, first.inverse() @ at) < 0.05
+            assert sight.behind(1, posed(scan, at), first.inverse() @ at) < 0.05

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.stats import expon, norm
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.matching import Match, search_everywhere
@@ -31,15 +31,16 @@ from specmap_cli.recognition.localization.wall_fit import (
     Surroundings,
     WallFit,
 )
+from tests.recognition.posed import posed
 from tests.turning import configured
 
 CONFIG = LocalizationConfig()
 
 
-def posed(scan: PlanarScan, pose: Pose2, **more: Any) -> PosedScan:
-    return PosedScan(
-        index=0, stamp_ns=0, map_from_base=pose, planar=scan, base_from_laser=IDENTITY, **more
-    )
+def standing(building: Any, room: int = 0) -> PosedScan:
+    """The first scan of a walk through a room."""
+    pose = building.path(room, 3)[:1]
+    return posed(building.scans(pose)[0], Pose2(*pose[0].tolist()))
 
 
 class Counted:
@@ -135,9 +136,8 @@ def test_a_scan_that_fits_where_motion_leads_is_not_sought_again(
 def test_a_place_is_kept_where_the_scan_alone_fits(building: Any, searches: list[Any]) -> None:
     """What was seen of late shows many small things that the map has not; the scan does not."""
     walls = rooms_of(building)
-    pose = building.path(0, 3)[:1]
-    scan = building.scans(pose)[0]
-    here = posed(scan, Pose2(*pose[0].tolist()))
+    here = standing(building)
+    scan = here.planar
     first = walls.unknown(here, scan, [0])
     assert first is not None
     assert first < 0.0
@@ -155,7 +155,7 @@ def test_a_place_is_kept_where_the_scan_alone_fits(building: Any, searches: list
 
 def test_standing_elsewhere_is_searched_ever_more_rarely(building: Any) -> None:
     walls, field = walls_of(building)
-    scan = building.scans(building.path(2, 3)[:1])[0]
+    scan = standing(building, 2).planar
     said = [walls.unknown(posed(scan, IDENTITY), scan, [7]) for _ in range(32)]
     # at the 1st scan, then 2, 4, 8 and 16 scans later
     assert [k for k, ratio in enumerate(said) if ratio is not None] == [0, 2, 6, 14, 30]
@@ -164,7 +164,7 @@ def test_standing_elsewhere_is_searched_ever_more_rarely(building: Any) -> None:
 
 def test_driving_elsewhere_is_searched_by_the_way(building: Any) -> None:
     walls, _ = walls_of(building, fit_search_m=1.0)
-    scan = building.scans(building.path(2, 3)[:1])[0]
+    scan = standing(building, 2).planar
     said = [
         walls.unknown(posed(scan, Pose2(0.1 * k, 0.0, 0.0)), scan, [7]) is not None
         for k in range(60)
@@ -174,9 +174,8 @@ def test_driving_elsewhere_is_searched_by_the_way(building: Any) -> None:
 
 def test_the_likeliest_submap_that_fits_ends_the_search(building: Any) -> None:
     walls, field = walls_of(building)
-    pose = building.path(0, 3)[:1]
-    scan = building.scans(pose)[0]
-    walls.unknown(posed(scan, Pose2(*pose[0].tolist())), scan, [7, 8, 9])
+    here = standing(building)
+    walls.unknown(here, here.planar, [7, 8, 9])
     assert set(field.asked) == {7}
 
 
@@ -205,11 +204,9 @@ def rooms_of(building: Any, frames: dict[int, Pose2] | None = None, **settings: 
 def test_a_standing_robot_has_one_submap_after_the_other_searched(building: Any) -> None:
     """Its own is the last that the classifiers think of, and it is found in a few scans."""
     walls = rooms_of(building, fit_submaps=1)
-    pose = building.path(0, 3)[:1]
-    scan = building.scans(pose)[0]
-    here, said, found = posed(scan, Pose2(*pose[0].tolist())), [], []
+    here, said, found = standing(building), [], []
     for _ in range(6):
-        said.append(walls.unknown(here, scan, [2, 3, 1, 0]))
+        said.append(walls.unknown(here, here.planar, [2, 3, 1, 0]))
         found.append(walls.found)
     assert [ratio is not None and ratio < 0.0 for ratio in said] == [False] * 3 + [True] * 3
     assert said[0] is not None
@@ -219,7 +216,7 @@ def test_a_standing_robot_has_one_submap_after_the_other_searched(building: Any)
 
 def test_after_all_submaps_a_standing_robot_waits(building: Any) -> None:
     walls = rooms_of(building, fit_submaps=2)
-    scan = building.scans(building.path(0, 3)[:1])[0]
+    scan = standing(building).planar
     said = [walls.unknown(posed(scan, IDENTITY), scan, [2, 3, 1]) for _ in range(12)]
     assert [k for k, ratio in enumerate(said) if ratio is not None] == [0, 3, 8]
 
@@ -239,34 +236,24 @@ def test_while_a_scan_fits_the_next_look_comes_after_some_motion(
     assert len(searches) == 1
 
 
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(
+    ("known", "likely", "searched"), [(True, [2], 1), (False, [2], 2), (True, [3, 1], 1)]
+)
 def test_the_layout_leads_from_one_submap_into_another(
-    building: Any, searches: list[Any], known: bool
+    building: Any, searches: list[Any], known: bool, likely: list[int], searched: int
 ) -> None:
-    """A robot that drives from one room into the other is searched there only without it."""
+    """A robot that drives into another room is searched there only without it.
+
+    It need not be among those that the classifiers think of.
+    """
     frames = {room: Pose2(*building.path(room, 0)[0].tolist()) for room in range(4)}
     walls = rooms_of(building, frames if known else None)
-    for room in (0, 2):
-        pose = building.path(room, 3)[:1]
-        scan = building.scans(pose)[0]
-        said = walls.unknown(posed(scan, Pose2(*pose[0].tolist())), scan, [room])
+    for room, asked in ((0, [0]), (2, likely)):
+        here = standing(building, room)
+        said = walls.unknown(here, here.planar, asked)
         assert said is not None
         assert said < 0.0
-    assert len(searches) == (1 if known else 2)
-
-
-def test_the_layout_leads_into_a_submap_that_nobody_thinks_of(
-    building: Any, searches: list[Any]
-) -> None:
-    frames = {room: Pose2(*building.path(room, 0)[0].tolist()) for room in range(4)}
-    walls = rooms_of(building, frames)
-    for room, likely in ((0, [0]), (2, [3, 1])):
-        pose = building.path(room, 3)[:1]
-        scan = building.scans(pose)[0]
-        said = walls.unknown(posed(scan, Pose2(*pose[0].tolist())), scan, likely)
-        assert said is not None
-        assert said < 0.0
-    assert len(searches) == 1
+    assert len(searches) == searched
 
 
 @pytest.mark.parametrize("near", [True, False])
@@ -276,9 +263,8 @@ def test_a_robot_that_comes_back_is_known_where_motion_leads(
     """It saw what the map has not, a metre away or far from where it was known."""
     frames = {room: Pose2(*building.path(room, 0)[0].tolist()) for room in range(4)}
     walls = rooms_of(building, frames)
-    pose = building.path(0, 3)[:1]
-    scan, elsewhere = building.scans(pose)[0], building.scans(building.path(2, 3)[:1])[0]
-    here = Pose2(*pose[0].tolist())
+    scan, elsewhere = standing(building).planar, standing(building, 2).planar
+    here = standing(building).map_from_base
     there = Pose2(here.x + (1.0 if near else 12.0), here.y, here.theta)
     for place, seen in ((here, scan), (there, elsewhere), (there, elsewhere)):
         walls.unknown(posed(seen, place), seen, [0])
@@ -352,17 +338,15 @@ def test_returns_where_the_map_saw_nothing_count_less(building: Any) -> None:
         field.walls = ScoreField.from_grid(half)
         config = configured(LocalizationConfig, "recognition", {"unseen_weight": weight})
         walls = check({7: half}, field, config)
-        pose = building.path(0, 3)[:1]
-        scan = building.scans(pose)[0]
-        ratios.append(walls.unknown(posed(scan, Pose2(*pose[0].tolist())), scan, [7]))
-    assert ratios[0] is not None
-    assert ratios[1] is not None
-    assert ratios[0] < ratios[1]
+        here = standing(building)
+        ratios.append(walls.unknown(here, here.planar, [7]))
+    unseen, seen = (ratio for ratio in ratios if ratio is not None)
+    assert unseen < seen
 
 
 def test_lost_and_empty_scans_say_nothing(building: Any) -> None:
     walls, _ = walls_of(building)
-    scan = building.scans(building.path(0, 3)[:1])[0]
+    scan = standing(building).planar
     assert walls.unknown(posed(scan, IDENTITY, lost=True), scan, [7]) is None
     few = replace(scan, ranges=np.where(np.arange(len(scan.ranges)) < 9, scan.ranges, np.inf))
     assert walls.unknown(posed(few, IDENTITY), few, [7]) is None

@@ -1,19 +1,21 @@
-"""Choosing topics and frames, and saying what there is to choose from."""
+"""Choosing topics and frames, and saying what there is to choose from; the tree of frames."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import FrozenInstanceError
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.errors import LogError, UsageError
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.frames import TransformTree
+from specmap_cli.logs.frames import TransformTree, tilt_of
 from specmap_cli.logs.messages import TransformRecord
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.selection import Selection, odometry_ancestor, select
@@ -54,8 +56,7 @@ def test_a_log_without_scans_says_what_it_has(tmp_path: Path) -> None:
         choose(tmp_path / "empty.mcap")
 
 
-def test_several_scan_topics_are_listed_ready_to_paste(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_several_scan_topics_are_listed_ready_to_paste(path: Path) -> None:
     write(path, ["/front", "/points"], [])
     with pytest.raises(UsageError) as caught:
         choose(path)
@@ -67,8 +68,7 @@ def test_several_scan_topics_are_listed_ready_to_paste(tmp_path: Path) -> None:
     assert choose(path, scan_topic="front").topic.name == "/front"
 
 
-def test_several_odometry_topics_are_listed_ready_to_paste(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_several_odometry_topics_are_listed_ready_to_paste(path: Path) -> None:
     write(path, ["/scan"], ["/odom", "/visual"])
     with pytest.raises(UsageError, match=r"`--odom-topic /odom` .* or `--odom-topic /visual`"):
         choose(path)
@@ -77,15 +77,13 @@ def test_several_odometry_topics_are_listed_ready_to_paste(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("option", ["scan", "odom"])
-def test_an_unknown_topic_is_refused_with_those_there_are(tmp_path: Path, option: str) -> None:
-    path = tmp_path / "log.mcap"
+def test_an_unknown_topic_is_refused_with_those_there_are(path: Path, option: str) -> None:
     write(path, ["/scan"], ["/odom"])
     with pytest.raises(UsageError, match=f"--{option}-topic /x: no .* topics with .*: /{option} "):
         choose(path, **{f"{option}_topic": "/x"})
 
 
-def test_an_unknown_base_frame_is_refused_with_those_there_are(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_an_unknown_base_frame_is_refused_with_those_there_are(path: Path) -> None:
     write(path, ["/scan"], [])
     with pytest.raises(UsageError, match="choose from base_link, laser"):
         choose(path, base_frame="body")
@@ -94,8 +92,7 @@ def test_an_unknown_base_frame_is_refused_with_those_there_are(tmp_path: Path) -
     assert chosen.base_from_laser[0, 3] == 0.0
 
 
-def test_a_scan_topic_of_rubbish_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_scan_topic_of_rubbish_is_refused(path: Path) -> None:
     with LogWriter(path) as log:
         log.raw("/scan", "sensor_msgs/msg/LaserScan", b"\x00\x01\x00\x00", START)
     with pytest.raises(LogError, match="/scan: no usable scan: not a sensor_msgs/msg/LaserScan"):
@@ -122,8 +119,7 @@ def test_two_recordings_given_as_one_are_said(
     assert said == ([] if shared_s is None else [both_hold])
 
 
-def test_an_unknown_mounting_is_said(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_an_unknown_mounting_is_said(path: Path) -> None:
     with LogWriter(path) as log:
         log.odometry("/odom", "odom", "base_link", START, Pose2(0.0, 0.0, 0.0))
         log.scan("/scan", "laser", START, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
@@ -133,8 +129,7 @@ def test_an_unknown_mounting_is_said(tmp_path: Path) -> None:
     assert "the laser is taken to sit at the origin of 'base_link'" in chosen.warnings[0]
 
 
-def test_odometry_of_a_frame_on_its_own_is_said(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_odometry_of_a_frame_on_its_own_is_said(path: Path) -> None:
     with LogWriter(path) as log:
         log.static_transform("base_link", "laser", (0.1, 0.0, 0.0), stamp_ns=START)
         log.odometry("/odom", "odom", "body", START, Pose2(0.0, 0.0, 0.0))
@@ -146,45 +141,11 @@ def test_odometry_of_a_frame_on_its_own_is_said(tmp_path: Path) -> None:
     )
 
 
-def test_a_tilted_laser_is_said(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    with LogWriter(path) as log:
-        pitch = (0.0, math.sin(0.3), 0.0, math.cos(0.3))
-        log.static_transform("base_link", "laser", (0.0, 0.0, 1.0), pitch, START)
-        log.scan("/scan", "laser", START, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
-    assert any("is tilted by 34 degrees" in line for line in choose(path).warnings)
-
-
-def test_a_mounting_only_on_tf_is_found_late(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    with LogWriter(path) as log:
-        for i in range(3000):
-            stamp = START + i * 1_000_000
-            log.transform("odom", "base_link", stamp, Pose2(0.001 * i, 0.0, 0.0))
-        log.scan("/scan", "laser", START, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
-        log.transform("base_link", "laser", START + 4_000_000_000, Pose2(0.3, 0.0, 0.0))
-    chosen = choose(path)
-    assert chosen.warnings == ()
-    assert chosen.base_from_laser[0, 3] == 0.3
-
-
 def write_scan(log: LogWriter, frame: str = "laser") -> None:
     log.scan("/scan", frame, START, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
 
 
-def test_a_selection_is_a_value(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    write(path, ["/scan"], ["/odom"])
-    chosen = choose(path)
-    assert (chosen.topic.name, chosen.topic.type) == ("/scan", "sensor_msgs/msg/LaserScan")
-    assert (chosen.sensor.frame, chosen.base_frame) == ("laser", "base_link")
-    assert (chosen.odometry, chosen.odom_topics, chosen.band_m) == ("topic", ("/odom",), None)
-    with pytest.raises(FrozenInstanceError):
-        chosen.warnings = ()  # type: ignore[misc]
-
-
-def test_a_cloud_is_noted_with_its_band(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_cloud_is_noted_with_its_band(path: Path) -> None:
     write(path, ["/points"], [])
     chosen = choose(path, band_min_m=0.5, band_max_m=2.0)
     assert chosen.band_m == (0.5, 2.0)
@@ -199,9 +160,8 @@ def test_a_cloud_is_noted_with_its_band(tmp_path: Path) -> None:
     [(3, "no usable scan: not a sensor_msgs/msg/LaserScan: .*; tried 3 messages"), (4, None)],
 )
 def test_the_settings_say_how_long_a_readable_scan_is_looked_for(
-    tmp_path: Path, tried: int, said: str | None
+    path: Path, tried: int, said: str | None
 ) -> None:
-    path = tmp_path / "log.mcap"
     with LogWriter(path) as log:
         for _ in range(3):
             log.raw("/scan", "sensor_msgs/msg/LaserScan", b"rubbish", START)
@@ -213,8 +173,7 @@ def test_the_settings_say_how_long_a_readable_scan_is_looked_for(
         choose(path, tried_messages=tried)
 
 
-def test_odometry_that_cannot_be_read_names_no_base(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_odometry_that_cannot_be_read_names_no_base(path: Path) -> None:
     with LogWriter(path) as log:
         for _ in range(3):
             log.raw("/odom", "nav_msgs/msg/Odometry", b"rubbish", START)
@@ -226,9 +185,8 @@ def test_odometry_that_cannot_be_read_names_no_base(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("most", "found"), [(2_500, False), (3_001, True)])
 def test_the_settings_say_how_long_the_lasers_place_is_searched(
-    tmp_path: Path, most: int, found: bool
+    path: Path, most: int, found: bool
 ) -> None:
-    path = tmp_path / "log.mcap"
     with LogWriter(path) as log:
         for i in range(3000):
             log.transform("odom", "base_link", START + i, Pose2(0.001 * i, 0.0, 0.0))
@@ -245,9 +203,8 @@ def test_the_settings_say_how_long_the_lasers_place_is_searched(
     assert len(chosen.warnings) == (0 if found else 2)
 
 
-def test_a_base_that_is_asked_for_is_searched_on_its_own(tmp_path: Path) -> None:
+def test_a_base_that_is_asked_for_is_searched_on_its_own(path: Path) -> None:
     """Another base that is joined early must not end the search."""
-    path = tmp_path / "log.mcap"
     with LogWriter(path) as log:
         log.static_transform("base_link", "laser", (0.1, 0.0, 0.0), stamp_ns=START)
         for i in range(2500):
@@ -270,9 +227,8 @@ def test_a_base_that_is_asked_for_is_searched_on_its_own(tmp_path: Path) -> None
     ],
 )
 def test_the_base_is_the_first_usual_frame_that_is_joined_to_the_laser(
-    tmp_path: Path, transforms: list[tuple[str, str, float]], base: str, floor: float | None
+    path: Path, transforms: list[tuple[str, str, float]], base: str, floor: float | None
 ) -> None:
-    path = tmp_path / "log.mcap"
     with LogWriter(path) as log:
         for parent, child, z in transforms:
             log.static_transform(parent, child, (0.0, 0.0, z), stamp_ns=START)
@@ -321,3 +277,82 @@ def test_odometry_comes_from_a_moving_frame_of_that_name_above_the_base(
     for parent, child, moving in edges:
         tree.add(TransformRecord(0, parent, child, np.eye(4)), dynamic=moving)
     assert odometry_ancestor(tree, "base_link") == found
+
+
+def random_transform(rng: np.random.Generator) -> FloatArray:
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
+    matrix[:3, 3] = rng.normal(size=3)
+    return matrix
+
+
+def test_any_two_frames_of_a_tree_are_joined() -> None:
+    rng = np.random.default_rng(2)
+    tree = TransformTree()
+    root_from = {"root": np.eye(4)}
+    for number in range(12):
+        parent = sorted(root_from)[rng.integers(len(root_from))]
+        matrix = random_transform(rng)
+        tree.add(TransformRecord(0, parent, f"frame{number}", matrix), dynamic=False)
+        root_from[f"frame{number}"] = root_from[parent] @ matrix
+    for target, root_from_target in root_from.items():
+        for source, root_from_source in root_from.items():
+            expected = np.linalg.inv(root_from_target) @ root_from_source
+            found = tree.lookup(target, source)
+            assert found is not None
+            np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert tree.lookup("root", "elsewhere") is None
+    assert tree.frames == set(root_from)
+
+
+def test_later_transforms_replace_earlier_ones_and_loops_end() -> None:
+    tree = TransformTree()
+    tree.add(TransformRecord(0, "a", "b", np.eye(4)), dynamic=False)
+    moved = np.eye(4)
+    moved[0, 3] = 2.0
+    tree.add(TransformRecord(1, "a", "b", moved), dynamic=True)
+    found = tree.lookup("a", "b")
+    assert found is not None
+    assert found[0, 3] == 2.0
+    assert tree.edges()[0][3]
+    tree.add(TransformRecord(0, "b", "a", np.eye(4)), dynamic=False)
+    tree.add(TransformRecord(0, "c", "c", np.eye(4)), dynamic=False)
+    assert tree.lookup("c", "a") is None
+
+
+def chain(length: int) -> TransformTree:
+    """frame0 -> frame1 -> ..., each a metre ahead of its parent."""
+    step = np.eye(4)
+    step[0, 3] = 1.0
+    tree = TransformTree()
+    for number in range(length):
+        record = TransformRecord(0, f"frame{number}", f"frame{number + 1}", step)
+        tree.add(record, dynamic=number % 2 == 1)
+    return tree
+
+
+def test_a_chain_of_frames_without_end_is_a_loop() -> None:
+    assert chain(90).lookup("frame0", "frame90") is not None
+    assert chain(200).lookup("frame0", "frame200") is None
+    tree = chain(3)
+    tree.add(TransformRecord(0, "frame3", "frame0", np.eye(4)), dynamic=False)
+    assert tree.lookup("frame0", "elsewhere") is None
+    assert len(list(tree.ancestors("frame0"))) == 100
+
+
+def test_a_copy_changes_on_its_own() -> None:
+    tree = chain(2)
+    copy = tree.copy()
+    copy.add(TransformRecord(0, "frame2", "hand", np.eye(4)), dynamic=True)
+    copy.add(TransformRecord(0, "frame0", "frame1", np.eye(4)), dynamic=True)
+    assert "hand" not in tree.frames
+    assert tree.edges()[0][2][0, 3] == 1.0
+    assert not tree.edges()[0][3]
+
+
+@given(roll=st.floats(-3.14, 3.14), pitch=st.floats(-1.5, 1.5), yaw=st.floats(-3.14, 3.14))
+def test_the_tilt_is_the_angle_between_the_z_axes(roll: float, pitch: float, yaw: float) -> None:
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    expected = np.arccos(np.clip(np.cos(roll) * np.cos(pitch), -1, 1))
+    assert tilt_of(matrix) == pytest.approx(expected, abs=1e-6)

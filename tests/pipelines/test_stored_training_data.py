@@ -1,4 +1,4 @@
-"""Lessons in a map directory: kept, taken up by what comes after, and let go where they err."""
+"""Training data in a map directory: kept, used by what comes after, let go where it errs."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.learning import (
     arrays_of,
     comparable,
-    lessons_left,
-    lessons_of_stored,
+    training_data_of_stored,
+    valid_training_data,
 )
 from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.recognition.learning.training_data import Samples, TrainingData
@@ -39,10 +39,10 @@ def test_features_survive_the_file_in_half_precision() -> None:
 
 
 def test_a_map_keeps_what_its_classifiers_learned_from(flat_map: StoredMap) -> None:
-    lessons = lessons_of_stored(flat_map, flat_map.config)
-    for kept in lessons.kinds:
-        assert len(kept.features) == len(kept.keyframes) > 0
-    assert len(np.unique(lessons.raw.keyframes)) == len(lessons.raw.keyframes)
+    data = training_data_of_stored(flat_map, flat_map.config)
+    for own in data.kinds:
+        assert len(own.features) == len(own.keyframes) > 0
+    assert len(np.unique(data.raw.keyframes)) == len(data.raw.keyframes)
 
 
 @pytest.mark.parametrize(
@@ -57,13 +57,13 @@ def test_other_settings_learn_anew(flat_map: StoredMap, changed: dict[str, Any])
     for section, settings in changed.items():
         values[section] |= settings
     config = Config.model_validate(values)
-    assert len(lessons_of_stored(flat_map, config).raw.keyframes) == 0
+    assert len(training_data_of_stored(flat_map, config).raw.keyframes) == 0
 
 
 def test_what_was_cast_in_other_grids_is_cast_anew(flat_map: StoredMap) -> None:
     values = flat_map.config.model_dump()
     values["grid"] |= {"footprint_m": 0.3}
-    found = lessons_of_stored(flat_map, Config.model_validate(values))
+    found = training_data_of_stored(flat_map, Config.model_validate(values))
     assert len(found.cast.keyframes) == 0 < len(found.along.keyframes)
 
 
@@ -75,7 +75,7 @@ def test_a_map_without_some_kind_of_scans_keeps_the_others(
     values["localization"] |= without
     build_map(tiny_log, tmp_path / "map", Config.model_validate(values))
     stored = read_map(tmp_path / "map")
-    found = lessons_of_stored(stored, stored.config)
+    found = training_data_of_stored(stored, stored.config)
     assert len(found.raw.keyframes) > 0 == len(found.cast.keyframes)
 
 
@@ -87,10 +87,13 @@ def test_another_version_and_a_map_without_the_file_learn_anew(
     run["versions"]["specmap"] = "0.0.1"
     (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
     other = read_map(tmp_path / "other")
-    assert len(lessons_of_stored(other, flat_map.config).raw.keyframes) == 0
+    assert len(training_data_of_stored(other, flat_map.config).raw.keyframes) == 0
     shutil.copyfile(flat_map.path / "run.json", tmp_path / "other" / "run.json")
     (tmp_path / "other" / "features.npz").unlink()
-    assert len(lessons_of_stored(read_map(tmp_path / "other"), flat_map.config).raw.keyframes) == 0
+    assert (
+        len(training_data_of_stored(read_map(tmp_path / "other"), flat_map.config).raw.keyframes)
+        == 0
+    )
 
 
 def test_settings_of_another_version_need_not_be_known(flat_map: StoredMap, tmp_path: Path) -> None:
@@ -100,7 +103,7 @@ def test_settings_of_another_version_need_not_be_known(flat_map: StoredMap, tmp_
     run["config"]["grid"]["footprint_m"] = 7
     (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
     other = read_map(tmp_path / "other")
-    assert len(lessons_of_stored(other, flat_map.config).raw.keyframes) == 0
+    assert len(training_data_of_stored(other, flat_map.config).raw.keyframes) == 0
     assert comparable(classifiers_of(other), other, flat_map.config) is None
 
 
@@ -139,15 +142,15 @@ BEFORE = labels(ROW, [0, 0, 0, 1, 1, 1])
 def test_scans_cast_in_a_grid_hold_while_the_submap_is_as_it_was(
     left: list[int], now: Labels, cast: list[int]
 ) -> None:
-    lessons = TrainingData(samples(0, 5), samples(), samples(1), samples(0, 2, 3, 5))
-    found = lessons_left(lessons, BEFORE, now, np.array(left), 0.05)
+    data = TrainingData(samples(0, 5), samples(), samples(1), samples(0, 2, 3, 5))
+    found = valid_training_data(data, BEFORE, now, np.array(left), 0.05)
     assert found.cast.keyframes.tolist() == cast
 
 
-def test_lessons_of_a_map_behind_another_are_numbered_behind_it() -> None:
-    lessons = TrainingData(samples(0, 5), samples(2), samples(1), samples(0, 5))
+def test_training_data_of_a_map_behind_another_are_numbered_behind_it() -> None:
+    data = TrainingData(samples(0, 5), samples(2), samples(1), samples(0, 5))
     now = labels([*ROW, *ROW], [7, 7, 7, 0, 0, 0, 0, 0, 0, 1, 1, 1])
-    found = lessons_left(lessons, BEFORE, now, np.arange(6), 0.05, first=6)
+    found = valid_training_data(data, BEFORE, now, np.arange(6), 0.05, first=6)
     assert found.raw.keyframes.tolist() == [6, 11]
     assert found.along.keyframes.tolist() == [7]
     assert found.beside.keyframes.tolist() == [8]
@@ -155,7 +158,7 @@ def test_lessons_of_a_map_behind_another_are_numbered_behind_it() -> None:
 
 
 def test_scans_cast_in_two_submaps_that_are_one_now_do_not_hold() -> None:
-    lessons = TrainingData(samples(), samples(), samples(), samples(0, 5))
+    data = TrainingData(samples(), samples(), samples(), samples(0, 5))
     now = labels(ROW, [0] * 6)
-    found = lessons_left(lessons, BEFORE, now, np.arange(6), 0.05)
+    found = valid_training_data(data, BEFORE, now, np.arange(6), 0.05)
     assert found.cast.keyframes.tolist() == []

@@ -1,4 +1,4 @@
-"""Evidence for unknown counts by the motion since it counted last."""
+"""What speaks for unknown counts by the motion since it counted last."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.localization.classification import ClassifiedScan
 from specmap_cli.recognition.localization.unknown import UnknownOdds, WallCheck
-from tests.recognition.localization.posed import EMPTY, at
+from tests.recognition.posed import EMPTY, at
 from tests.turning import turn
 
 CONFIG = LocalizationConfig()
@@ -46,7 +46,7 @@ class Saying:
         """Nothing to forget."""
 
 
-def doubt(said: Sequence[float | None], found: Sequence[int] = ()) -> UnknownOdds:
+def unknown_odds(said: Sequence[float | None], found: Sequence[int] = ()) -> UnknownOdds:
     return UnknownOdds(cast("WallCheck", Saying(said, found)), CONFIG)
 
 
@@ -58,14 +58,14 @@ def looks(strange: float = -math.inf, shown: float = 1.0) -> ClassifiedScan:
 
 
 def test_scans_of_one_view_are_averaged() -> None:
-    guide = doubt([3.0, -1.0, -2.0, None])
+    guide = unknown_odds([3.0, -1.0, -2.0, None])
     found = [guide.worth(at(0.0), looks(), [1], again=k > 0) for k in range(4)]
     assert found == pytest.approx([3.0, 1.0, 0.0, 0.0])
 
 
 def test_a_place_found_late_takes_the_place_of_what_its_view_said_before() -> None:
     """As long as the right submap was not searched, a scan seems to fit none."""
-    guide = doubt([4.0, 3.0, -2.0, -3.0], found=[2])
+    guide = unknown_odds([4.0, 3.0, -2.0, -3.0], found=[2])
     found = [guide.worth(at(0.0), looks(), [1], again=k > 0) for k in range(4)]
     assert found == pytest.approx([4.0, 3.5, -2.0, -2.5])
 
@@ -74,19 +74,19 @@ def test_a_place_found_late_takes_the_place_of_what_its_view_said_before() -> No
     ("scan", "share"), [(at(0.25), 0.25), (at(0.0, 0.5), 0.25), (at(0.3, 0.4), 0.5), (at(9.0), 1.0)]
 )
 def test_a_view_counts_by_the_motion_to_it(scan: PosedScan, share: float) -> None:
-    guide = doubt([4.0, 4.0])
+    guide = unknown_odds([4.0, 4.0])
     assert guide.worth(at(0.0), looks(), [1], again=False) == 4.0
     assert guide.worth(scan, looks(), [1], again=False) == pytest.approx(4.0 * share)
 
 
 def test_motion_that_nothing_was_said_of_counts_when_something_is() -> None:
-    guide = doubt([4.0, None, None, 2.0])
+    guide = unknown_odds([4.0, None, None, 2.0])
     found = [guide.worth(at(0.3 * k), looks(), [1], again=False) for k in range(4)]
     assert found == pytest.approx([4.0, 0.0, 0.0, 0.9 * 2.0])
 
 
 def test_a_lost_scan_is_no_motion() -> None:
-    guide = doubt([4.0, None, 4.0])
+    guide = unknown_odds([4.0, None, 4.0])
     guide.worth(at(0.0), looks(), [1], again=False)
     guide.worth(at(50.0, lost=True), looks(), [1], again=True)
     assert guide.worth(at(0.1), looks(), [1], again=False) == pytest.approx(0.4)
@@ -106,12 +106,12 @@ def test_a_lost_scan_is_no_motion() -> None:
 )
 def test_strange_looks_count_within_bounds(strange: float, shown: float, worth: float) -> None:
     """And only as far as enough was seen; that a view looks familiar counts from the start."""
-    guide = doubt([None])
+    guide = unknown_odds([None])
     assert guide.worth(at(0.0), looks(strange, shown), [], again=False) == pytest.approx(worth)
 
 
 def test_after_a_restart_the_first_view_counts_whole() -> None:
-    guide = doubt([4.0, -3.0])
+    guide = unknown_odds([4.0, -3.0])
     guide.worth(at(0.0), looks(), [1], again=False)
     assert guide.of_walls == 4.0
     guide.restart()

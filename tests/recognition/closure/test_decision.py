@@ -1,4 +1,4 @@
-"""What a match is worth: every reason in its words, and the limits that decide."""
+"""What a match is worth: every reason in its words, the limits that decide, and confirmed ways."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, GridMap, PackedGrid
 from specmap_cli.recognition.closure.decision import Decision, DriftGraph, Stay, decide
 from specmap_cli.recognition.closure.verification import Check
-from tests.turning import turn
 
 CONFIG = RecognitionConfig()
 SURE = Check(
@@ -41,6 +40,7 @@ def told(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig) -
 @pytest.mark.parametrize(
     ("change", "verified", "merged", "reason"),
     [
+        (None, False, False, "the grids do not match"),
         ({}, True, True, "the grids match and the tracks overlap"),
         ({"score": 0.7499}, False, False, "the grids do not match"),
         ({"score": 0.75}, True, True, "the grids match and the tracks overlap"),
@@ -63,15 +63,11 @@ def told(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig) -
     ],
 )
 def test_every_verdict_says_why(
-    change: dict[str, Any], verified: bool, merged: bool, reason: str
+    change: dict[str, Any] | None, verified: bool, merged: bool, reason: str
 ) -> None:
-    found = told(stay(), stay(1), replace(SURE, **change), CONFIG)
+    check = None if change is None else replace(SURE, **change)
+    found = told(stay(), stay(1), check, CONFIG)
     assert (found.verified, found.merged, found.reason) == (verified, merged, reason)
-
-
-def test_no_match_at_all_is_none() -> None:
-    found = told(stay(), stay(1), None, CONFIG)
-    assert (found.verified, found.merged, found.reason) == (False, False, "the grids do not match")
 
 
 TWIN = "ambiguous: looks the same but is too far away, a twin"
@@ -133,17 +129,6 @@ def test_without_both_frames_no_twin_is_told(known: tuple[bool, bool]) -> None:
     assert told(stays[0], stays[1], SURE, CONFIG).merged
 
 
-def test_margins_are_set() -> None:
-    old = stay(0, map_from_stay=IDENTITY)
-    new = stay(1, map_from_stay=Pose2(4.0, 0.0, 0.0))
-    assert told(old, new, SURE, CONFIG).reason == TWIN
-    aside = replace(SURE, old_from_new=Pose2(0.0, 1.5, 0.0))
-    assert not told(stay(), stay(1), aside, CONFIG).merged
-    turn("recognition", twin_margin_m=4.5, merge_reach_m=2.0)
-    assert told(old, new, SURE, CONFIG).merged
-    assert told(stay(), stay(1), aside, CONFIG).merged
-
-
 @given(
     st.floats(-1.0, 1.0),
     st.floats(0.0, 20.0),
@@ -168,3 +153,83 @@ def test_a_better_match_is_never_worth_less(
     )
     assert told(stay(), stay(1), better, CONFIG).verified >= found.verified
     assert found.merged <= found.verified
+
+
+def along(travelled_m: float, where: Pose2 | None = IDENTITY) -> Stay:
+    """A stay that began so far along the way; nothing else of it matters here."""
+    return stay(map_from_stay=where, travelled_m=travelled_m)
+
+
+def test_without_a_match_the_way_is_the_one_driven() -> None:
+    way = DriftGraph(CONFIG)
+    assert way.between(along(20.0), along(152.0)) == 132.0
+    assert way.between(along(152.0), along(20.0)) == 132.0
+
+
+def test_a_match_that_mends_nothing_cuts_the_way_short() -> None:
+    way = DriftGraph(CONFIG)
+    way.confirm(along(25.0), along(110.0), 0.0)
+    assert way.between(along(20.0), along(152.0)) == pytest.approx(5.0 + 42.0)
+    assert way.between(along(152.0), along(20.0)) == pytest.approx(5.0 + 42.0)
+    assert way.between(along(60.0), along(70.0)) == pytest.approx(10.0)
+
+
+def test_what_a_match_mends_counts_as_way() -> None:
+    """On so many metres tracking drifts as much: 0.3 m on 3 m of path."""
+    way = DriftGraph(CONFIG)
+    way.confirm(along(0.0), along(80.0), 0.3)
+    assert way.between(along(0.0), along(80.0)) == pytest.approx(0.3 / CONFIG.max_drift)
+
+
+def test_a_match_that_cuts_no_way_short_is_not_kept() -> None:
+    way = DriftGraph(CONFIG)
+    for mended_m in (0.2, 0.3, 0.2, 0.1):
+        way.confirm(along(0.0), along(80.0), mended_m)
+    way.confirm(along(80.0), along(81.0), 0.3)
+    assert [metres * CONFIG.max_drift for _, _, metres in way._ties] == pytest.approx([0.2, 0.1])
+
+
+def test_matches_are_followed_one_after_the_other() -> None:
+    way = DriftGraph(CONFIG)
+    way.confirm(along(10.0), along(50.0), 0.0)
+    way.confirm(along(52.0), along(90.0), 0.0)
+    assert way.between(along(9.0), along(91.0)) == pytest.approx(1.0 + 2.0 + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "mended_m"),
+    [
+        (along(0.0), along(80.0), 0.6),
+        (along(0.0, None), along(80.0), 0.0),
+        (along(0.0), along(80.0, None), 0.0),
+        (along(0.0), along(math.inf), 0.0),
+    ],
+    ids=["mends too much", "nothing known of one", "nothing known of the other", "after a loss"],
+)
+def test_what_confirms_nothing(old: Stay, new: Stay, mended_m: float) -> None:
+    way = DriftGraph(CONFIG)
+    way.confirm(old, new, mended_m)
+    assert way.between(along(0.0), along(80.0)) == 80.0
+
+
+def test_across_a_loss_of_tracking_no_way_is_known() -> None:
+    way = DriftGraph(CONFIG)
+    way.confirm(along(10.0), along(50.0), 0.0)
+    assert way.between(along(10.0), along(math.inf)) == math.inf
+    assert math.isnan(way.between(along(math.inf), along(math.inf)))
+
+
+places = st.floats(0.0, 500.0)
+
+
+@given(st.lists(st.tuples(places, places, st.floats(0.0, 0.5)), max_size=12), places, places)
+def test_no_match_makes_a_way_longer(
+    ties: list[tuple[float, float, float]], start: float, end: float
+) -> None:
+    way = DriftGraph(CONFIG)
+    last = abs(end - start)
+    for old, new, mended_m in ties:
+        way.confirm(along(old), along(new), mended_m)
+        now = way.between(along(start), along(end))
+        assert 0.0 <= now <= last + 1e-9
+        last = now

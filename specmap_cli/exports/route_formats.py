@@ -1,0 +1,234 @@
+"""Graphs that a robot can be sent along: for Nav2's route server, for LCAS topological_navigation.
+
+The server of Nav2 drives a straight line from node to node, and measures an edge by it. So nodes
+stand at anchors, in doors, and wherever a way bends. Its loader takes GeoJSON: points for nodes,
+lines for edges, and metadata that has neither null nor lists in lists: an outline is two lists, of
+x and of y.
+
+topological_navigation (`tmap2`, YAML) leaves the way from node to node to the robot's own planner,
+so a bend of a way needs no node; `weight` and `length_m` of an edge are the length along the way.
+The influence zone of an anchor's node is the outline of its submap: a robot is located in its
+room.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from itertools import count
+from typing import IO, Any
+
+from specmap_cli.core.progress import Progress
+from specmap_cli.core.text import counted, seconds, to_json
+from specmap_cli.core.yaml import yaml_text
+from specmap_cli.exports.flat_formats import Fields, collection, feature, known
+from specmap_cli.exports.routes import Leg, Routes, Waypoint, check_routes, routes, without_bends
+from specmap_cli.maps.schema import NodeRecord, TopologyRecord
+from specmap_cli.maps.store import StoredMap
+
+
+class Nav2:
+    """A point for each waypoint, two lines for each leg: there and back."""
+
+    description = "GeoJSON for Nav2's route server: nodes at anchors, doors and bends"
+
+    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
+        """Write the routes of a map; `frame` is the map's. MapError for a map without ways."""
+        check_routes(stored, progress)
+        found = routes(stored.record)
+        nodes, edges = list(_points(found, stored.record)), list(_lines(found))
+        progress.note(f"{counted(len(nodes), 'node')} and {counted(len(edges), 'directed edge')}")
+        target.write(to_json(collection([*nodes, *edges])).encode())
+
+
+def _points(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
+    submaps = {node.id: node for node in record.nodes}
+    doors = {door.id: door for door in record.graph.doors}
+    for waypoint in found.waypoints:
+        metadata: Fields = {"class": waypoint.kind}
+        if waypoint.submap is not None:
+            metadata = _metadata(submaps[waypoint.submap])
+        elif waypoint.door is not None:
+            door = doors[waypoint.door]
+            metadata |= {"door": door.id, "width_m": door.width_m, "driven": door.driven}
+        properties = {"id": waypoint.id, "frame": record.graph.frame, "metadata": metadata}
+        yield feature("Point", [waypoint.x, waypoint.y], properties)
+
+
+def _metadata(node: NodeRecord) -> Fields:
+    """What a node tells of its submap; `class` is its kind."""
+    xs, ys = zip(*node.polygon, strict=True) if node.polygon else ((), ())
+    region = {"x_values": list(xs), "y_values": list(ys)}
+    return known(
+        {
+            "class": node.kind or "submap",
+            "submap": node.id,
+            "name": node.name,
+            "area_m2": node.area_m2,
+            "clearance_m": node.anchor_clearance_m,
+            "region": region if node.polygon else None,
+            "properties": node.properties or None,
+        }
+    )
+
+
+def _lines(found: Routes) -> Iterator[Fields]:
+    """Two edges a leg; their ids begin beyond those of the nodes, as ids of both must differ."""
+    waypoints = {waypoint.id: waypoint for waypoint in found.waypoints}
+    ids = count(max(waypoints) + 1)
+    for leg in found.legs:
+        start, end = waypoints[leg.start], waypoints[leg.end]
+        yield _line(next(ids), start, end, leg)
+        yield _line(next(ids), end, start, leg)
+
+
+def _line(id_: int, start: Waypoint, end: Waypoint, leg: Leg) -> Fields:
+    """A directed edge; the server's own scorers may replace its cost, which is its length."""
+    link = leg.link
+    metadata = known(
+        {
+            "submaps": [link.source, link.target],
+            "link": link.kind,
+            "driven": bool(link.traversals),
+            "clearance_m": link.clearance_m,
+            "width_m": link.width_m,
+        }
+    )
+    properties = {
+        "id": id_,
+        "startid": start.id,
+        "endid": end.id,
+        "cost": leg.length_m,
+        "overridable": True,
+        "metadata": metadata,
+    }
+    return feature("LineString", [[start.x, start.y], [end.x, end.y]], properties)
+
+
+_XY_TOLERANCE_M, _YAW_TOLERANCE_RAD = 0.3, 2.0 * math.pi  # the format's own: any heading will do
+_CORNERS = 8  # of the influence zone of a door
+_IDENTITY = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+
+
+class Tmap2:
+    """A node for each anchor and each door that is driven through, an edge in each direction."""
+
+    description = "YAML: a topological map (tmap2) for LCAS topological_navigation"
+
+    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
+        """Write the routes of a map. Raises MapError for a map without ways."""
+        check_routes(stored, progress)
+        name = stored.path.resolve().name
+        target.write(yaml_text(_document(stored.record, name)).encode())
+
+
+def _document(record: TopologyRecord, name: str) -> Fields:
+    found = without_bends(routes(record))
+    frame = record.graph.frame
+    return {
+        "meta": {"last_updated": _updated(record)},
+        "metric_map": name,
+        "name": name,
+        "pointset": name,
+        "transformation": {
+            "parent": frame,
+            "child": "topo_map",
+            "topo_frame_id": "topo_map",
+            "rotation": _IDENTITY,
+            "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
+        },
+        "nodes": list(_nodes(found, record, name)),
+    }
+
+
+def _updated(record: TopologyRecord) -> str:
+    """When the last of the recordings ended (UTC): the same map gives the same text."""
+    end = max((seconds(log.end_ns or 0) for log in record.graph.logs), default=0.0)
+    return datetime.fromtimestamp(max(end, 0.0), UTC).strftime("%Y-%m-%d_%H-%M-%S")
+
+
+def _nodes(found: Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:
+    names = {waypoint.id: _name(waypoint) for waypoint in found.waypoints}
+    submaps = {node.id: node for node in record.nodes}
+    widths = {door.id: door.width_m for door in record.graph.doors}
+    edges: dict[int, list[Fields]] = {waypoint.id: [] for waypoint in found.waypoints}
+    for leg in found.legs:
+        edges[leg.start].append(_edge(names[leg.start], names[leg.end], leg))
+        edges[leg.end].append(_edge(names[leg.end], names[leg.start], leg))
+    for waypoint in found.waypoints:
+        submap = None if waypoint.submap is None else submaps[waypoint.submap]
+        width = 0.0 if waypoint.door is None else widths[waypoint.door]
+        node = _node(waypoint, submap, width, record.graph.frame)
+        yield {
+            "meta": {"map": name, "node": names[waypoint.id], "pointset": name},
+            "node": {**node, "name": names[waypoint.id], "edges": edges[waypoint.id]},
+        }
+
+
+def _name(waypoint: Waypoint) -> str:
+    """Names are ids, so that they stay different; what people call a submap is a property."""
+    return f"Submap{waypoint.submap}" if waypoint.submap is not None else f"Door{waypoint.door}"
+
+
+def _node(waypoint: Waypoint, submap: NodeRecord | None, width_m: float, frame: str) -> Fields:
+    return {
+        "localise_by_topic": "",
+        "parent_frame": frame,
+        "pose": {
+            "position": {"x": waypoint.x, "y": waypoint.y, "z": 0.0},
+            "orientation": _IDENTITY,
+        },
+        "properties": {
+            "xy_goal_tolerance": _XY_TOLERANCE_M,
+            "yaw_goal_tolerance": _YAW_TOLERANCE_RAD,
+            **({"width_m": width_m} if submap is None else _of_submap(submap)),
+        },
+        "restrictions_planning": "True",
+        "restrictions_runtime": "True",
+        "verts": _circle(width_m / 2.0) if submap is None else _around(waypoint, submap),
+    }
+
+
+def _of_submap(node: NodeRecord) -> Mapping[str, Any]:
+    return known({"label": node.name, "kind": node.kind, "area_m2": node.area_m2})
+
+
+def _around(waypoint: Waypoint, node: NodeRecord) -> list[Fields]:
+    """The outline of a submap, seen from its node; a small circle where there is none."""
+    outline = [{"x": x - waypoint.x, "y": y - waypoint.y} for x, y in node.polygon]
+    return outline or _circle(_XY_TOLERANCE_M)
+
+
+def _circle(radius_m: float) -> list[Fields]:
+    turns = [2.0 * math.pi * corner / _CORNERS for corner in range(_CORNERS)]
+    return [{"x": radius_m * math.cos(turn), "y": radius_m * math.sin(turn)} for turn in turns]
+
+
+def _edge(start: str, end: str, leg: Leg) -> Fields:
+    return {
+        "action": "NavigateToPose",
+        "action_type": "geometry_msgs/PoseStamped",
+        "config": [],
+        "edge_id": f"{start}_{end}",
+        "fail_policy": "fail",
+        "fluid_navigation": True,
+        "goal": {
+            "target_pose": {
+                "header": {"frame_id": "$node.parent_frame"},
+                "pose": "$node.pose",
+            }
+        },
+        "node": end,
+        "properties": known(
+            {
+                "weight": leg.length_m,
+                "length_m": leg.length_m,
+                "clearance_m": leg.link.clearance_m,
+                "driven": bool(leg.link.traversals),
+            }
+        ),
+        "recovery_behaviours_config": "",
+        "restrictions_planning": "True",
+        "restrictions_runtime": "True",
+    }

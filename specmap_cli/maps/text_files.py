@@ -1,0 +1,215 @@
+"""The text files of a map directory: JSON, labels.csv and trajectory.tum, within bounds.
+
+What is wrong with one is a MapError of one line. A trajectory is in TUM format: `t x y z qx qy qz
+qw` a line, seconds and metres.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from specmap_cli.core.arrays import runs
+from specmap_cli.core.errors import MapError, reason
+from specmap_cli.core.files import read_bytes
+from specmap_cli.core.geometry import quaternions_from_rpy, rpy_from_quaternions
+from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
+from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.tables import csv_text
+from specmap_cli.core.text import counted, decimal, stamp_ns, stamp_text
+
+LABELS_HEADER = "stamp,x,y,theta,submap"
+_LOST, _FOUND = "# lost", "# found"
+_FARTHEST = 1e8  # metres: twice around the earth, farther than any place in a map
+
+
+def read_text(path: Path, limits: LimitsConfig | None = None) -> str:
+    """A text file of a map; OSError as in `read_bytes`, UnicodeDecodeError for no UTF-8."""
+    most_mb = (LimitsConfig() if limits is None else limits).text_max_mb
+    return read_bytes(path, most_mb, "limits.text_max_mb").decode("utf-8")
+
+
+def map_text(path: Path, limits: LimitsConfig) -> str:
+    """The text of a file."""
+    try:
+        return read_text(path, limits)
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read: {reason(error, 'build the map again')}") from None
+    except UnicodeDecodeError:
+        raise MapError(f"{path}: not UTF-8 text: build the map again") from None
+
+
+def _lines(path: Path, limits: LimitsConfig | None, what: str) -> list[str]:
+    """The lines of a table of numbers."""
+    try:
+        return read_text(path, limits).splitlines()
+    except OSError as error:
+        raise MapError(f"{path}: cannot read the {what}: {reason(error)}") from None
+    except UnicodeDecodeError:
+        raise MapError(f"{path}: not a text file: build the map again") from None
+
+
+def _numbers(words: Sequence[str], count: int) -> list[float]:
+    """So many numbers that a place on earth, an angle or a quaternion has; ValueError otherwise."""
+    numbers = [float(word) for word in words]
+    # false for NaN as well
+    if len(numbers) != count or not all(abs(number) <= _FARTHEST for number in numbers):
+        raise ValueError(words)
+    return numbers
+
+
+def map_json(path: Path, limits: LimitsConfig) -> Any:
+    """The contents of a JSON file."""
+    try:
+        return json.loads(map_text(path, limits))
+    except json.JSONDecodeError as error:
+        raise MapError(
+            f"{path}: damaged JSON at line {error.lineno}: {error.msg}: build the map again"
+        ) from None
+    except RecursionError:
+        raise MapError(f"{path}: JSON nested too deeply: build the map again") from None
+    except ValueError:  # Python reads no integer of thousands of digits
+        raise MapError(f"{path}: a number of too many digits: build the map again") from None
+
+
+def first_finding(error: ValidationError) -> str:
+    """The first finding of a validation, as `key: message`."""
+    finding = error.errors()[0]
+    key = ".".join(str(part) for part in finding["loc"])
+    return f"{key}: {finding['msg']}" if key else str(finding["msg"])
+
+
+def labels_text(labels: Labels) -> str:
+    """CSV with a header; the last column is empty for a keyframe in no submap."""
+    keyframes = zip(
+        labels.stamps_ns.tolist(), labels.poses.tolist(), labels.submaps.tolist(), strict=True
+    )
+    rows = (
+        [stamp_text(stamp), *map(decimal, pose), submap if submap != NO_SUBMAP else None]
+        for stamp, pose, submap in keyframes
+    )
+    return csv_text(LABELS_HEADER.split(","), rows)
+
+
+def read_labels(path: str | Path, limits: LimitsConfig | None = None) -> Labels:
+    """labels.csv back. Raises MapError naming the line at fault."""
+    path = Path(path)
+    lines = _lines(path, limits, "keyframes")
+    if not lines or lines[0] != LABELS_HEADER:
+        raise MapError(f"{path}: line 1 is not {LABELS_HEADER!r}: build the map again")
+    stamps, poses, submaps = [], [], []
+    for number, line in enumerate(lines[1:], start=2):
+        try:
+            stamp, *pose, submap = line.split(",")
+            stamps.append(np.int64(stamp_ns(stamp)))
+            poses.append(_numbers(pose, 3))
+            submaps.append(_submap(submap))
+        except (ValueError, OverflowError):
+            raise MapError(f"{path}: line {number} is {line!r}: expected {LABELS_HEADER}") from None
+    return Labels(
+        stamps_ns=np.array(stamps, dtype=np.int64),
+        poses=np.array(poses, dtype=np.float64).reshape(-1, 3),
+        submaps=np.array(submaps, dtype=np.int64),
+    )
+
+
+def _submap(word: str) -> np.int64:
+    """An id of 0 or more; NO_SUBMAP for an empty word; ValueError or OverflowError otherwise."""
+    if word and not word.isdecimal():
+        raise ValueError(word)
+    return np.int64(int(word) if word else NO_SUBMAP)
+
+
+def trajectory_text(trajectory: Trajectory) -> str:
+    """TUM lines in space; nine decimals of seconds and quaternions, six of metres.
+
+    A line `# lost: ...` stands before scans whose poses are guesses, `# found` before those after
+    them: readers of the format pass over lines that begin with #.
+    """
+    poses = trajectory.poses
+    tilt = np.zeros_like(poses) if trajectory.tilt is None else trajectory.tilt
+    places = np.column_stack([poses[:, :2], tilt[:, 0]])
+    quaternions = quaternions_from_rpy(tilt[:, 1], tilt[:, 2], poses[:, 2])
+    lines, remarks = [], _remarks(trajectory)
+    for row, (stamp, place, quaternion) in enumerate(
+        zip(trajectory.stamps_ns.tolist(), places.tolist(), quaternions.tolist(), strict=True)
+    ):
+        lines.append(remarks.get(row, ""))
+        position = " ".join(decimal(value) for value in place)
+        rotation = " ".join(decimal(value, 9) for value in quaternion)
+        lines.append(f"{stamp_text(stamp)} {position} {rotation}\n")
+    return "".join(lines)
+
+
+def _remarks(trajectory: Trajectory) -> dict[int, str]:
+    """The lines before some rows of a trajectory that tell of lost scans."""
+    lost = trajectory.lost
+    if lost is None or not lost.any():
+        return {}
+    return {
+        start: f"{_LOST}: the poses of the next {counted(end - start, 'scan')} are guesses\n"
+        if lost[start]
+        else f"{_FOUND}\n"
+        for start, end in runs(lost)
+        if start or lost[start]
+    }
+
+
+def planar_trajectory_text(trajectory: Trajectory) -> str:
+    """TUM lines of true poses in the plane, their stamps in whole microseconds.
+
+    Metres have nine decimals; z, qx and qy are a bare 0.
+    """
+    half = 0.5 * trajectory.poses[:, 2]
+    columns = np.column_stack([trajectory.poses[:, :2], np.sin(half), np.cos(half)])
+    lines = []
+    for stamp, row in zip(trajectory.stamps_ns.tolist(), columns.tolist(), strict=True):
+        x, y, qz, qw = (decimal(value, 9) for value in row)
+        seconds = stamp_text(stamp)[:-3]
+        lines.append(f"{seconds} {x} {y} 0 0 0 {qz} {qw}\n")
+    return "".join(lines)
+
+
+def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Trajectory:
+    """The trajectory of a map back: its poses in space, and which of its scans were lost.
+
+    Raises MapError naming the line at fault.
+    """
+    path = Path(path)
+    lines = _lines(path, limits, "trajectory")
+    stamps: list[int] = []
+    rows: list[list[float]] = []
+    lost: list[bool] = []
+    is_lost = False
+    for number, line in enumerate(lines, start=1):
+        if line.startswith("#"):
+            is_lost = line.startswith(_LOST) or (is_lost and not line.startswith(_FOUND))
+            continue
+        try:
+            stamp, *words = line.split()
+            stamps.append(int(np.int64(stamp_ns(stamp))))
+            rows.append(_numbers(words, 7))
+            lost.append(is_lost)
+        except (ValueError, OverflowError):
+            raise MapError(
+                f"{path}: line {number} is {line!r}: expected t x y z qx qy qz qw: build the map "
+                "again"
+            ) from None
+    return _trajectory(stamps, np.array(rows, dtype=np.float64).reshape(-1, 7), lost)
+
+
+def _trajectory(stamps: list[int], rows: np.ndarray, lost: list[bool]) -> Trajectory:
+    roll, pitch, yaw = rpy_from_quaternions(rows[:, 3:]).T
+    tilt = np.column_stack([rows[:, 2], roll, pitch])
+    marks = np.array(lost, dtype=np.bool_)
+    return Trajectory(
+        stamps_ns=np.array(stamps, dtype=np.int64),
+        poses=np.column_stack([rows[:, :2], yaw]),
+        tilt=tilt if tilt.any() else None,
+        lost=marks if marks.any() else None,
+    )

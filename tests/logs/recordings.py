@@ -1,0 +1,155 @@
+"""Writing recordings in every format, damaging them, and reading what is left."""
+
+from __future__ import annotations
+
+import random
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+from mcap.writer import Writer
+from rosbags.rosbag1 import Writer as Rosbag1Writer
+
+from specmap_cli.core.errors import LogError
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import Sweep
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.readers.encoding import typestore
+from specmap_cli.logs.readers.recording import Message
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.logs.writer import LogWriter
+from tests.turning import configured
+
+SECOND = 1_000_000_000
+START = 100 * SECOND
+
+
+def write_drive(path: Path, scans: int = 30, beams: int = 40) -> None:
+    """A robot that drives along x at 1 m/s: scans at 10 Hz, odometry at 20 Hz, a mounted laser."""
+    rng = np.random.default_rng(5)
+    with LogWriter(path) as log:
+        log.static_transform("base_link", "laser", (0.2, 0.0, 0.3), stamp_ns=START)
+        for number in range(scans):
+            for half in range(2):
+                stamp = START + number * SECOND // 10 + half * SECOND // 20
+                pose = Pose2((stamp - START) / SECOND, 0.0, 0.0)
+                log.odometry("/odom", "odom", "base_link", stamp, pose)
+            ranges = rng.uniform(1.0, 5.0, beams)
+            stamp = START + number * SECOND // 10 + SECOND // 40
+            log.scan("/scan", "laser", stamp, -1.5, 3.0 / (beams - 1), ranges, range_max=8.0)
+
+
+def read_rest(path: Path | list[Path]) -> tuple[list[Message], list[str]]:
+    """Read a damaged file: its messages and what is said of the damage, or of its refusal."""
+    try:
+        with open_log(path) as log:
+            return list(log.messages()), log.damage
+    except LogError as error:
+        return [], [str(error)]
+
+
+def cut_in_tenths(path: Path, messages: list[Message]) -> None:
+    """Cut a file at ten places: what precedes the cut is read, and one line says what was lost."""
+    whole = path.read_bytes()
+    counts = []
+    for tenth in range(10):
+        path.write_bytes(whole[: len(whole) * tenth // 10 + 3])
+        found, said = read_rest(path)
+        assert len(said) == 1
+        assert str(path) in said[0]
+        assert found == messages[: len(found)]
+        counts.append(len(found))
+    assert counts == sorted(counts)
+    assert counts[-1] > 0.5 * len(messages)
+
+
+def spoil(path: Path, seed: int, kept: int) -> None:
+    """Overwrite some bytes of a file, behind its first `kept`, with random ones."""
+    data = bytearray(path.read_bytes())
+    rng = random.Random(seed)
+    for _ in range(rng.randrange(1, 40)):
+        data[rng.randrange(kept, len(data))] = rng.randrange(256)
+    path.write_bytes(data)
+
+
+def write_db3(path: Path, messages: list[Message], *, time_index: bool = True) -> None:
+    """Write messages to a SQLite file as ROS 2 Foxy did, which knew no message definitions."""
+    with sqlite3.connect(path) as db:
+        db.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT "
+            "NULL, serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL)"
+        )
+        db.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, "
+            "timestamp INTEGER NOT NULL, data BLOB NOT NULL)"
+        )
+        if time_index:
+            db.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
+        numbers: dict[str, int] = {}
+        for message in messages:
+            if message.topic not in numbers:
+                numbers[message.topic] = len(numbers) + 1
+                row = (numbers[message.topic], message.topic, message.type, "cdr", "")
+                db.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", row)
+            values = (numbers[message.topic], message.time_ns, message.data)
+            db.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", values)
+    db.close()
+
+
+def write_bag(
+    path: Path,
+    messages: list[Message],
+    compression: Rosbag1Writer.CompressionFormat | None = None,
+    chunk_bytes: int = 4096,
+) -> None:
+    """Write messages to a ROS 1 bag with rosbags, in ROS 1 serialisation."""
+    writer = Rosbag1Writer(path)
+    writer.chunk_threshold = chunk_bytes
+    if compression is not None:
+        writer.set_compression(compression)
+    with writer:
+        types = {m.topic: m.type for m in messages}
+        connections = {
+            topic: writer.add_connection(topic, name, typestore=typestore())
+            for topic, name in types.items()
+        }
+        for m in messages:
+            raw = typestore().cdr_to_ros1(m.data, m.type)
+            writer.write(connections[m.topic], m.time_ns, raw)
+
+
+def write_mcap(path: Path, messages: list[Message], **style: object) -> None:
+    """Write messages by the reference writer of MCAP, in small chunks."""
+    with path.open("wb") as file:
+        writer = Writer(file, **{"chunk_size": 2000, **style})  # type: ignore[arg-type]
+        writer.start(profile="ros2")
+        channels: dict[str, int] = {}
+        for m in messages:
+            if m.topic not in channels:
+                schema = writer.register_schema(m.type, "ros2msg", b"")
+                channels[m.topic] = writer.register_channel(m.topic, "cdr", schema)
+            writer.add_message(channels[m.topic], m.time_ns, m.data, m.time_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def without_index(bag: Path) -> None:
+    """As a recorder leaves a bag that was killed."""
+    data = bytearray(bag.read_bytes())
+    place = data.index(b"index_pos=") + len(b"index_pos=")
+    data[place : place + 8] = bytes(8)
+    bag.write_bytes(data)
+
+
+def sweeps_of(path: Path, **options: object) -> tuple[list[Sweep], SweepStream]:
+    """The sweeps of a log, read with these settings, and their stream."""
+    with open_log(path) as log:
+        stream = SweepStream(log, configured(LogConfig, "logs", options))
+        return list(stream), stream
+
+
+def overwrite(path: Path, place: int, by: bytes) -> None:
+    """Put other bytes in the place of some of a file."""
+    data = bytearray(path.read_bytes())
+    data[place : place + len(by)] = by
+    path.write_bytes(data)

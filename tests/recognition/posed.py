@@ -1,0 +1,45 @@
+"""Scans at poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.grids.keyframes import KeyframeStore
+
+EMPTY = PlanarScan(0, np.zeros(0), np.zeros(0), 10.0, full_circle=True)
+
+
+def posed(
+    planar: PlanarScan,
+    map_from_base: Pose2,
+    number: int = 0,
+    base_from_laser: Pose2 = IDENTITY,
+    **more: Any,
+) -> PosedScan:
+    """A scan at a pose; `number` is its place in the log."""
+    return PosedScan(
+        index=number,
+        stamp_ns=number,
+        map_from_base=map_from_base,
+        planar=planar,
+        base_from_laser=base_from_laser,
+        **more,
+    )
+
+
+def stored(scans: Iterable[PlanarScan], poses: FloatArray) -> KeyframeStore:
+    """A store of scans at poses (n, 3)."""
+    store = KeyframeStore()
+    for number, (scan, pose) in enumerate(zip(scans, poses, strict=True)):
+        store.append(posed(scan, Pose2(*pose.tolist()), number))
+    return store
+
+
+def at(x: float, theta: float = 0.0, lost: bool = False) -> PosedScan:
+    """A scan without a return, x metres along a line."""
+    return posed(EMPTY, Pose2(x, 0.0, theta), lost=lost)
